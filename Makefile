@@ -42,12 +42,12 @@ $(VENV)/.installed: $(VENV)/.service pyproject.toml
 
 # Sources of the compiled kernels: after a `git pull` that changes them the kernels are compiled here, before anything is
 # started. It takes a moment if nothing has changed.
-KERNELS := $(wildcard pipeline/data/*.py) pipeline/runtime/jit.py pipeline/warm_up.py \
-	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py))),$(wildcard $(folder)*.py))
+KERNELS := $(wildcard pipeline/core/data/*.py) pipeline/core/runtime/jit.py pipeline/run/warm_up.py \
+	$(foreach folder,$(sort $(dir $(wildcard pipeline/*/*kernels.py pipeline/*/*/*kernels.py pipeline/*/*/*/*kernels.py))),$(wildcard $(folder)*.py))
 
 $(VENV)/.compiled: $(VENV)/.service $(KERNELS)
 	@echo "Compiling the numeric kernels; the first time takes two or three minutes."
-	PYTHONPATH="$(CURDIR)" $(BIN)/python -P -m pipeline.warm_up
+	PYTHONPATH="$(CURDIR)" $(BIN)/python -P -m pipeline.run.warm_up
 	touch $@
 
 $(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(VENV)/.installed
@@ -124,13 +124,13 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap opensim install
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
-		tests/pipeline/export tests/pipeline/character tests/api/blender tests/pipeline/calibration/test_programs.py
+		tests/pipeline/export tests/api/blender tests/pipeline/calibration/test_programs.py
 	@echo "Blender's pictures are in build/exports/."
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
 	$(BIN)/python -P -m api.blender.build build
 
-$(LITERT)/.installed: tests/pipeline/detect/conversion/litert/litert.lock
+$(LITERT)/.installed: tests/pipeline/detection/conversion/litert/litert.lock
 	$(PYTHON) -m venv --clear $(LITERT)
 	$(LITERT)/bin/python -P -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: -r $<
@@ -139,7 +139,7 @@ $(LITERT)/.installed: tests/pipeline/detect/conversion/litert/litert.lock
 verify-converters: setup $(LITERT)/.installed  ## Compare converted networks with LiteRT (installs 160 MB)
 	$(BIN)/multicap models install movenet-multipose
 	$(BIN)/multicap samples install
-	$(BIN)/python -P -m pytest tests/pipeline/detect/conversion/test_litert.py
+	$(BIN)/python -P -m pytest tests/pipeline/detection/conversion/test_litert.py
 
 $(PEERS)/.installed: tests/pipeline/calibration/board/peers/peers.lock
 	$(PYTHON) -m venv --clear $(PEERS)
@@ -204,10 +204,10 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -P -m api.contract.openapi --check
-	$(BIN)/python -P -m api.contract.problem_codes.page --check
-	$(BIN)/python -P -m api.contract.options_page --check
-	$(BIN)/python -P -m api.contract.cost_section --check
+	$(BIN)/python -P -m api.web.contract.openapi --check
+	$(BIN)/python -P -m api.web.contract.problem_codes.page --check
+	$(BIN)/python -P -m api.web.contract.options_page --check
+	$(BIN)/python -P -m api.cli.benchmark.cost.cost_section --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json
 	$(BIN)/hadolint docker/*.Dockerfile

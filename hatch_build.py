@@ -84,9 +84,9 @@ def install_page_libraries(portal: Path) -> bool:
 def nest(source: bytes) -> bytes:
     """Change a module's imports of the packages, and strings that refer to their objects, to ``multicap.*``.
 
-    >>> nest(b"from pipeline.data import Camera")
+    >>> nest(b"from pipeline.core.data import Camera")
     b'from multicap.pipeline.data import Camera'
-    >>> nest(b"pool = 'worker.process.pool:PromptPool'")
+    >>> nest(b"pool = 'worker.run.process.pool:PromptPool'")
     b"pool = 'multicap.worker.process.pool:PromptPool'"
 
     Raises

@@ -11,17 +11,17 @@ import uvicorn
 from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.app import create_app
-from api.http.server import server_config
-from api.settings import Settings
-from api.startup import ExposedError, require_keys_if_exposed, unusable_database
-from worker.jobs.errors import NewerDatabase
-from worker.jobs.files.disk import DiskSpace
-from worker.jobs.files.private_files import keep_files_private, make_private
-from worker.jobs.store import JobStore
-from worker.settings import read_settings
-from worker.telemetry import tracing
-from worker.telemetry.logs import configure_logs
+from api.web.app import create_app
+from api.web.http.server import server_config
+from api.web.settings import Settings
+from api.web.startup import ExposedError, require_keys_if_exposed, unusable_database
+from worker.run.settings import read_settings
+from worker.run.telemetry import tracing
+from worker.run.telemetry.logs import configure_logs
+from worker.store.errors import NewerDatabase
+from worker.store.files.disk import DiskSpace
+from worker.store.files.private_files import keep_files_private, make_private
+from worker.store.store import JobStore
 
 _SWITCH_S = 0.001
 # Monitoring requests these addresses every few seconds.

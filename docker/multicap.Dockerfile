@@ -23,7 +23,7 @@ ENV MULTICAP_HOME=/opt/multicap-home
 RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipose-int8 blazepose-full mediapipe-hand \
         openpose-mobilenet-thin \
     && /opt/multicap/bin/multicap bodies install \
-    && /opt/multicap/bin/python -P -m multicap.pipeline.warm_up
+    && /opt/multicap/bin/python -P -m multicap.pipeline.run.warm_up
 # Packages of networks, tests of libraries, and what builds them: a seventh of the image.
 RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packages/onnx/backend/test \
     && /opt/multicap/bin/python -m pip uninstall --quiet --yes setuptools \

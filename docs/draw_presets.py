@@ -13,11 +13,11 @@ from xml.sax.saxutils import escape
 import bvhio
 import numpy as np
 
-from pipeline.config import Preset
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, parents_of
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, parents_of
 
 STATURE_M = 1.75
 WIDTH_PX, HEIGHT_PX, SCALE_PX_M = 760, 480, 205

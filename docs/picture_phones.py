@@ -14,7 +14,7 @@ from pathlib import Path
 import av
 from playwright.sync_api import Page, ViewportSize, expect, sync_playwright
 
-from pipeline.runtime.packages import samples
+from pipeline.core.runtime.packages import samples
 
 IMAGES = Path(__file__).parent / "images"
 DESKTOP: ViewportSize = {"width": 1280, "height": 1000}

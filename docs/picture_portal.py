@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Page, expect, sync_playwright
 
-from pipeline.runtime.packages import samples
+from pipeline.core.runtime.packages import samples
 
 IMAGES = Path(__file__).parent / "images"
 SIZE_PX = {"width": 1280, "height": 800}

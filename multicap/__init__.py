@@ -23,26 +23,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from api.cli.client import Client, Job, ServiceError
-    from pipeline.body.installed import install as install_body
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
     from pipeline.capture.session import CaptureSession, open_session
-    from pipeline.character.source import CharacterSource
-    from pipeline.config import ReconstructionConfig
-    from pipeline.data.reconstruction import Reconstruction
-    from pipeline.detect.models import install as install_network
-    from pipeline.detect.models import install_networks
-    from pipeline.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
+    from pipeline.core.data.reconstruction import Reconstruction
+    from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
+    from pipeline.core.options.config import ReconstructionConfig
+    from pipeline.core.progress import Progress
+    from pipeline.core.runtime.packages.samples import install as install_sample
+    from pipeline.detection.models import install as install_network
+    from pipeline.detection.models import install_networks
+    from pipeline.export.character.source import CharacterSource
+    from pipeline.export.opensim.installed import install as install_opensim_model
     from pipeline.export.results import WrittenResults, write_results
-    from pipeline.live.bodies import read_bodies
-    from pipeline.live.capture import LiveCapture
-    from pipeline.live.recorded import recorded_frames
-    from pipeline.live.settings import LiveSettings
-    from pipeline.live.vmc import VmcSender
-    from pipeline.opensim.installed import install as install_opensim_model
-    from pipeline.progress import Progress
-    from pipeline.runtime.packages.samples import install as install_sample
-    from pipeline.stages.local import reconstruct, reconstruct_to_files
+    from pipeline.motion.body.installed import install as install_body
+    from pipeline.run.engine.local import reconstruct, reconstruct_to_files
+    from pipeline.run.live.bodies import read_bodies
+    from pipeline.run.live.capture import LiveCapture
+    from pipeline.run.live.recorded import recorded_frames
+    from pipeline.run.live.settings import LiveSettings
+    from pipeline.run.live.vmc import VmcSender
 
 __all__ = [
     "CaptureSession",
@@ -82,36 +82,36 @@ __all__ = [
 # References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
     "CaptureSession": "pipeline.capture.session:CaptureSession",
-    "CharacterSource": "pipeline.character.source:CharacterSource",
-    "ChildError": "pipeline.errors:ChildError",
+    "CharacterSource": "pipeline.export.character.source:CharacterSource",
+    "ChildError": "pipeline.core.errors:ChildError",
     "Client": "api.cli.client:Client",
-    "InputError": "pipeline.errors:InputError",
+    "InputError": "pipeline.core.errors:InputError",
     "Job": "api.cli.client:Job",
     "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
-    "LiveCapture": "pipeline.live.capture:LiveCapture",
-    "LiveSettings": "pipeline.live.settings:LiveSettings",
-    "ModelError": "pipeline.errors:ModelError",
-    "PipelineError": "pipeline.errors:PipelineError",
-    "Problem": "pipeline.errors:Problem",
-    "Progress": "pipeline.progress:Progress",
-    "Reconstruction": "pipeline.data.reconstruction:Reconstruction",
-    "ReconstructionConfig": "pipeline.config:ReconstructionConfig",
+    "LiveCapture": "pipeline.run.live.capture:LiveCapture",
+    "LiveSettings": "pipeline.run.live.settings:LiveSettings",
+    "ModelError": "pipeline.core.errors:ModelError",
+    "PipelineError": "pipeline.core.errors:PipelineError",
+    "Problem": "pipeline.core.errors:Problem",
+    "Progress": "pipeline.core.progress:Progress",
+    "Reconstruction": "pipeline.core.data.reconstruction:Reconstruction",
+    "ReconstructionConfig": "pipeline.core.options.config:ReconstructionConfig",
     "Recording": "pipeline.capture.recordings:Recording",
     "ServiceError": "api.cli.client:ServiceError",
-    "SessionRefused": "pipeline.errors:SessionRefused",
-    "VmcSender": "pipeline.live.vmc:VmcSender",
+    "SessionRefused": "pipeline.core.errors:SessionRefused",
+    "VmcSender": "pipeline.run.live.vmc:VmcSender",
     "WrittenResults": "pipeline.export.results:WrittenResults",
-    "install_body": "pipeline.body.installed:install",
-    "install_network": "pipeline.detect.models:install",
-    "install_networks": "pipeline.detect.models:install_networks",
-    "install_opensim_model": "pipeline.opensim.installed:install",
-    "install_sample": "pipeline.runtime.packages.samples:install",
+    "install_body": "pipeline.motion.body.installed:install",
+    "install_network": "pipeline.detection.models:install",
+    "install_networks": "pipeline.detection.models:install_networks",
+    "install_opensim_model": "pipeline.export.opensim.installed:install",
+    "install_sample": "pipeline.core.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
-    "read_bodies": "pipeline.live.bodies:read_bodies",
-    "reconstruct": "pipeline.stages.local:reconstruct",
-    "reconstruct_to_files": "pipeline.stages.local:reconstruct_to_files",
-    "recorded_frames": "pipeline.live.recorded:recorded_frames",
+    "read_bodies": "pipeline.run.live.bodies:read_bodies",
+    "reconstruct": "pipeline.run.engine.local:reconstruct",
+    "reconstruct_to_files": "pipeline.run.engine.local:reconstruct_to_files",
+    "recorded_frames": "pipeline.run.live.recorded:recorded_frames",
     "write_results": "pipeline.export.results:write_results",
 }
 

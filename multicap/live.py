@@ -30,12 +30,12 @@ from websockets.sync.client import connect as open_sync
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
-from pipeline.live.packets import Dropped
-from pipeline.live.packing import instant_of_json, pack_keypoints, unpack_instant
-from pipeline.live.records import LiveInstant
-from pipeline.parsing import UnreadableError, read_json
-from pipeline.paths import StrPath
-from pipeline.problem_codes.live import LIVE_STOPPED
+from pipeline.core.parsing import UnreadableError, read_json
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.live import LIVE_STOPPED
+from pipeline.run.live.packets import Dropped
+from pipeline.run.live.packing import instant_of_json, pack_keypoints, unpack_instant
+from pipeline.run.live.records import LiveInstant
 
 __all__ = ["AsyncLive", "CaptureEnd", "LiveError", "LiveOptions", "SyncLive", "connect", "connect_sync"]
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-from pipeline.runtime import child_processes
+from pipeline.core.runtime import child_processes
 from tests.s3 import S3, running_s3
 from tests.warm_programs import WarmPrograms
 
@@ -39,15 +39,15 @@ _MAX_ID_CHARACTERS = 60
 
 # Tests with a target of their own, `make test-slow`: folders and modules.
 SLOW = (
-    "api/contract/test_schemathesis.py",
-    "api/http/test_connections.py",
-    "api/http/test_keys_in_use.py",
-    "api/http/test_memory.py",
-    "api/http/test_slow_clients.py",
-    "api/http/test_strangers.py",
-    "api/test_damaged_database.py",
-    "api/test_outages.py",
-    "api/uploads/test_upload_clients.py",
+    "api/web/contract/test_schemathesis.py",
+    "api/web/http/test_connections.py",
+    "api/web/http/test_keys_in_use.py",
+    "api/web/http/test_memory.py",
+    "api/web/http/test_slow_clients.py",
+    "api/web/http/test_strangers.py",
+    "api/web/test_damaged_database.py",
+    "api/web/test_outages.py",
+    "api/web/uploads/test_upload_clients.py",
     "e2e/test_backup.py",
     "e2e/test_benchmarks.py",
     "e2e/test_characters.py",
@@ -80,27 +80,27 @@ SLOW = (
     "hostile/",
     "pipeline/video/test_corpus.py",
     "pipeline/video/test_damage.py",
-    "worker/jobs/backup/",
-    "worker/jobs/test_concurrency.py",
-    "worker/jobs/test_damaged_database.py",
-    "worker/jobs/test_dropped_connections.py",
-    "worker/test_faults.py",
-    "worker/test_outages.py",
+    "worker/store/backup/",
+    "worker/store/test_concurrency.py",
+    "worker/store/test_damaged_database.py",
+    "worker/store/test_dropped_connections.py",
+    "worker/run/test_faults.py",
+    "worker/run/test_outages.py",
 )
 
 # Tests whose programs start as those of users do: they try how programs start, what limits them, and how they end.
 COLD = (
     "api/cli/commands/test_own_models.py",
-    "api/sessions/test_preflight.py",
+    "api/web/sessions/test_preflight.py",
     "e2e/",
     "faults/",
     "hostile/",
-    "pipeline/runtime/",
+    "pipeline/core/runtime/",
     "pipeline/video/test_damage.py",
     "pipeline/video/test_decoder_process.py",
     "pipeline/video/test_probe_children.py",
     "test_warm_programs.py",
-    "worker/process/",
+    "worker/run/process/",
 )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import httpx2
 import uuid_utils
 
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.parent_watch import tied_to_parent
 
 
 @dataclass

@@ -12,8 +12,8 @@ from pydantic_settings import BaseSettings
 
 from api.cli.client import Client
 from api.cli.main import COMMANDS, load
-from api.settings import Settings
-from worker.settings import WorkerSettings
+from api.web.settings import Settings
+from worker.run.settings import WorkerSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/adr").glob("*.md"))]

@@ -11,13 +11,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pipeline.runtime.child_processes import module_command
+from pipeline.core.runtime.child_processes import module_command
 from tests.waiting import is_alive, wait_for
 from tests.warm_programs import WarmPrograms
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks are told from others by Linux's files")
 
-CHECK = "pipeline.character.check"
+CHECK = "pipeline.export.character.check"
 
 
 @pytest.fixture(scope="module")

@@ -28,15 +28,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
-from pipeline.runtime import child_processes, parent_watch
+from pipeline.core.runtime import child_processes, parent_watch
 
 PROGRAMS = (
     "pipeline.capture.keypoint_files.hdf5.read",
     "pipeline.capture.preflight",
-    "pipeline.character.check",
-    "pipeline.detect.own.check",
-    "pipeline.live.cameras.stream_program",
-    "pipeline.live.keeping",
+    "pipeline.export.character.check",
+    "pipeline.detection.own.check",
+    "pipeline.run.live.cameras.stream_program",
+    "pipeline.run.live.keeping",
     "pipeline.video.decoder",
     "pipeline.video.playback.proxy",
     "pipeline.video.probe",
@@ -92,7 +92,7 @@ class WarmPrograms:
             self._server.communicate(timeout=60)
 
     def python_command(self, *arguments: str) -> list[str]:
-        """Command that runs this interpreter, as ``pipeline.runtime.child_processes.python_command`` returns it."""
+        """Command that runs this interpreter, as ``child_processes.python_command`` returns it."""
         if sys.platform != "linux" or arguments[0] != "-m" or arguments[1] not in PROGRAMS:
             return PYTHON_COMMAND(*arguments)
         with self._lock:

@@ -6,17 +6,17 @@ import sys
 
 import structlog
 
-from pipeline.detect.providers.find import current_provider
-from pipeline.runtime.priorities import raise_descriptor_limit
-from pipeline.stages.code import stage_codes
-from worker import tasks
-from worker.app import create_celery
-from worker.jobs.files.private_files import keep_files_private
-from worker.jobs.queue import Queue
-from worker.jobs.store import JobStore
-from worker.process.compilation import compile_kernels
-from worker.settings import WorkerSettings, read_settings, require_usable_database
-from worker.telemetry.logs import configure_logs
+from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.detection.providers.find import current_provider
+from pipeline.run.engine.code import stage_codes
+from worker.run import tasks
+from worker.run.app import create_celery
+from worker.run.process.compilation import compile_kernels
+from worker.run.settings import WorkerSettings, read_settings, require_usable_database
+from worker.run.telemetry.logs import configure_logs
+from worker.store.files.private_files import keep_files_private
+from worker.store.queue import Queue
+from worker.store.store import JobStore
 
 
 def main() -> None:

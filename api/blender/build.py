@@ -15,7 +15,7 @@ _ROOT = Path(__file__).parents[2]
 _SOURCES = Path(__file__).parent / "extension"
 MANIFEST = _SOURCES / "blender_manifest.toml"
 """Manifest of the extension, in Blender's form."""
-SHARED = ("pipeline/character/bone_names.py", "pipeline/skeleton/humanoid.py")
+SHARED = ("pipeline/export/character/bone_names.py", "pipeline/motion/skeleton/humanoid.py")
 """Modules of the pipeline that the zip holds a copy of; they know the standard library alone."""
 _PACKAGE = "api.blender.extension"
 _MOMENT = (1980, 1, 1, 0, 0, 0)

@@ -13,10 +13,10 @@ from typing import Any, BinaryIO, Literal, Self, TypedDict, cast
 
 import httpx2
 
-from pipeline.errors import PipelineError
-from pipeline.paths import StrPath
-from pipeline.problem_codes.commands import SERVICE_ERROR
-from pipeline.runtime.pauses import Pauses
+from pipeline.core.errors import PipelineError
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.commands import SERVICE_ERROR
+from pipeline.core.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]
 

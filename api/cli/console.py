@@ -33,13 +33,13 @@ from rich.progress import Progress as ProgressBars
 from rich.text import Text
 
 from pipeline.capture.preflight_record import LayoutRead
-from pipeline.errors import InputError, PipelineError, SessionRefused
-from pipeline.findings import Finding, worst_first
-from pipeline.problem_codes.commands import INTERRUPTED
-from pipeline.problem_codes.jobs import MEMORY_LIMIT
-from pipeline.progress import Progress
-from pipeline.stages.output_folder import default_cache, is_usable
-from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.core.errors import InputError, PipelineError, SessionRefused
+from pipeline.core.findings import Finding, worst_first
+from pipeline.core.problems.commands import INTERRUPTED
+from pipeline.core.problems.jobs import MEMORY_LIMIT
+from pipeline.core.progress import Progress
+from pipeline.run.engine.output_folder import default_cache, is_usable
+from pipeline.run.engine.plan import STAGE_BY_NAME
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -285,7 +285,7 @@ class StageBars:
                 self.update(Progress(stage["name"], stage["done"], stage["total"]))
 
     def update(self, progress: Progress) -> None:
-        """Take in a step of ``pipeline.stages.local.reconstruct``."""
+        """Take in a step of ``pipeline.run.engine.local.reconstruct``."""
         now_s = time.monotonic()
         stage = STAGE_BY_NAME[progress.stage]
         if progress.stage not in self._tasks:

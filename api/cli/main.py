@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
 from api.cli.interruption import end_interrupted
-from pipeline.runtime.memory import keep_freed_memory
+from pipeline.core.runtime.memory import keep_freed_memory
 
 # Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.
 COMMANDS: Mapping[str, str] = {
@@ -112,8 +112,8 @@ def _refuse_settings(error: ValueError) -> None:
     from pydantic_settings import SettingsError  # noqa: PLC0415
 
     from api.cli.console import EXIT_BAD_INPUT, refusal  # noqa: PLC0415
-    from api.settings import Settings  # noqa: PLC0415
-    from worker.settings import explain  # noqa: PLC0415
+    from api.web.settings import Settings  # noqa: PLC0415
+    from worker.run.settings import explain  # noqa: PLC0415
 
     if isinstance(error, SettingsError) or (isinstance(error, ValidationError) and error.title == Settings.__name__):
         for sentence in explain(Settings, error):

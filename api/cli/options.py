@@ -1,4 +1,4 @@
-"""Options that several commands share; the options of a reconstruction are made from ``pipeline.config``."""
+"""Options that several commands share; the options of a reconstruction are made from ``options.config``."""
 
 import functools
 import inspect
@@ -11,17 +11,17 @@ import typer
 from api.cli.console import warn
 from pipeline.calibration.contents import UNITS_M, Units, Up
 from pipeline.capture.preflight_record import Clock
-from pipeline.choices import Choice
-from pipeline.config import ReconstructionConfig
-from pipeline.detect.providers.find import current_provider
-from pipeline.errors import InputError, Problem
-from pipeline.layouts import FILE_LAYOUTS
-from pipeline.problem_codes.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.specs import FRAME_RANGE
-from pipeline.providers import ProviderChoice, choose_provider
-from pipeline.requirements import requirement
-from pipeline.rules import CONFIG_CHOICES, collecting, require, value_problems
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.layouts import FILE_LAYOUTS
+from pipeline.core.options.choices import Choice
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.providers import ProviderChoice, choose_provider
+from pipeline.core.options.requirements import requirement
+from pipeline.core.options.rules import CONFIG_CHOICES, collecting, require, value_problems
+from pipeline.core.problems.commands import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.specs import FRAME_RANGE
+from pipeline.detection.providers.find import current_provider
 
 
 def _option(choice: Choice) -> Any:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from api.cli.client import Client, ServiceError
-from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.parent_watch import tied_to_parent
 
 READY = "Multicap is ready at "
 """Text before the service's address, printed as soon as the service is ready."""

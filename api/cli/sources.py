@@ -24,10 +24,10 @@ from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Clock
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, Session, open_session
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.commands import PARAMETER_UNREADABLE, SOURCES
-from pipeline.problem_codes.sessions import CAMERA_WITH_TWO_FOLDERS
-from pipeline.rules import collecting, require
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.rules import collecting, require
+from pipeline.core.problems.commands import PARAMETER_UNREADABLE, SOURCES
+from pipeline.core.problems.sessions import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
 
 

@@ -9,10 +9,10 @@ from typing import Any
 from api.cli.console import console
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
-from pipeline.config import ReconstructionConfig
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.requests import SPACE_MISSING
-from pipeline.space import CameraFrames, ForeseenSpace, shown_bytes, space_of
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.problems.requests import SPACE_MISSING
+from pipeline.run.space import CameraFrames, ForeseenSpace, shown_bytes, space_of
 
 
 def session_space(session: Session, config: ReconstructionConfig, character: Path | None = None) -> ForeseenSpace:

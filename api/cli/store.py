@@ -8,12 +8,12 @@ from pathlib import Path
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.cli.console import refusal
-from api.settings import Settings
-from api.startup import unusable_database
-from worker.jobs.errors import NewerDatabase
-from worker.jobs.files.disk import DiskSpace
-from worker.jobs.files.private_files import keep_files_private, make_private
-from worker.jobs.store import JobStore
+from api.web.settings import Settings
+from api.web.startup import unusable_database
+from worker.store.errors import NewerDatabase
+from worker.store.files.disk import DiskSpace
+from worker.store.files.private_files import keep_files_private, make_private
+from worker.store.store import JobStore
 
 
 @contextlib.contextmanager

@@ -1,1 +1,4 @@
-"""Readers of calibration files: one module a format, and a registry that chooses the reader."""
+"""From files, boards, people or known points to calibrated cameras, and checks of calibrations.
+
+Imports ``motion``, ``video``, ``geometry`` and ``core``.
+"""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from pathlib import PurePath
 
-from pipeline.errors import listed_names
+from pipeline.core.errors import listed_names
 
 SUPPORTED = (
     "Use Qualisys QCA, Vicon XCP, OptiTrack MCAL, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML "

@@ -15,10 +15,10 @@ from pipeline.calibration.advice import SUPPORTED
 from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units, scaled
 from pipeline.calibration.unread_fields import lens_fields, size_fields
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem, listed_names
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import (
     CALIBRATION_EMPTY,
     DUPLICATE_CAMERA,
     INVALID_SIZE,

@@ -14,12 +14,12 @@ from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.units import possible_units, question
 from pipeline.calibration.vertical import AXES, turned_upright
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, in_utf_8, parse
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError, in_utf_8, parse
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import CALIBRATION_UNPOSED
+from pipeline.core.problems.sessions import (
     CALIBRATION_EMPTY,
     CALIBRATION_FORMAT,
     CALIBRATION_MISSING,

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
-from pipeline.data.cameras import Camera
-from pipeline.errors import Problem, listed
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import Problem, listed
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import twelve_coefficients
 
 _MAX_OFF_CENTRE = 0.25

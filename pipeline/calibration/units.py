@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.calibration.contents import UNITS_M, Units
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 
 _NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.parsing import SIDE_PX, UnreadableError, read_numbers
+from pipeline.core.parsing import SIDE_PX, UnreadableError, read_numbers
 
 _LENS_LENGTHS = frozenset({4, 5, 8, 12, 14})
 # Names of a single coefficient, and of several, whatever their number.

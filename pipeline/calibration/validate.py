@@ -8,12 +8,11 @@ import numpy as np
 
 from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, LensModel
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import Problem
-from pipeline.geometry.fisheye import NUM_COEFFICIENTS
-from pipeline.parsing import (
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, LensModel
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import Problem
+from pipeline.core.parsing import (
     DISTORTION,
     FOCAL_LENGTH_PX,
     PRINCIPAL_POINT_PX,
@@ -23,7 +22,7 @@ from pipeline.parsing import (
     UnreadableError,
     read_numbers,
 )
-from pipeline.problem_codes.sessions import (
+from pipeline.core.problems.sessions import (
     INVALID_DISTORTION,
     INVALID_MATRIX,
     INVALID_NAME,
@@ -32,6 +31,7 @@ from pipeline.problem_codes.sessions import (
     INVALID_TRANSLATION,
     UNSUPPORTED_LENS,
 )
+from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 
 MAX_CAMERAS = 128
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)

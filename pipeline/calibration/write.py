@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.json_formats import SCHEMA_VERSION
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 
 
 def encode(cameras: Sequence[Camera]) -> bytes:

@@ -1,1 +1,4 @@
-"""A capture session out of files: videos or keypoints, and the calibration of their cameras."""
+"""From files to a capture session: videos, keypoint files, pictures of cameras, clocks.
+
+Imports ``calibration``, ``motion``, ``video``, ``geometry`` and ``core``.
+"""

@@ -24,16 +24,16 @@ from pipeline.capture.keypoint_files.timestamps import times_from_file, times_fr
 from pipeline.capture.pairing import pair
 from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.recordings import Recording, find_input, known_recordings
-from pipeline.data.cameras import Camera, FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.errors import InputError, Problem
-from pipeline.findings import Finding
-from pipeline.joints import JointSet
-from pipeline.layouts import FILE_LAYOUTS, KeypointLayout
-from pipeline.paths import StrPath
-from pipeline.problem_codes.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
-from pipeline.problem_codes.requests import SESSION_TOO_LARGE
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.findings import Finding
+from pipeline.core.joints import JointSet
+from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
+from pipeline.core.problems.requests import SESSION_TOO_LARGE
+from pipeline.core.problems.sessions import (
     INVALID_SIZE,
     KEYPOINTS_EMPTY,
     KEYPOINTS_LAYOUT,

@@ -4,12 +4,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from pipeline.capture.names import cameras_in_names, natural_key
-from pipeline.data.cameras import Camera
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import CAMERA_LEFT_OUT, PAIRED_IN_SORTED_ORDER
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import CAMERA_LEFT_OUT, PAIRED_IN_SORTED_ORDER
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import (
     CAMERA_WITH_TWO_FOLDERS,
     CAMERA_WITH_TWO_VIDEOS,
     CAMERA_WITHOUT_FOLDER,

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import FILE_IGNORED
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import FILE_IGNORED
 
 # Attributes of files and folders, by macOS in archives and on cards.
 _ATTRIBUTES, _FOLDER = "._", "__macosx"

@@ -47,11 +47,11 @@ from pipeline.capture.preflight_record import (
 )
 from pipeline.capture.recordings import Recording, find_input
 from pipeline.capture.session import Session, open_session
-from pipeline.errors import InputError, Problem, printable
-from pipeline.findings import Finding
-from pipeline.problem_codes.requests import SESSION_TOO_LARGE
-from pipeline.problem_codes.sessions import IMAGES_ARCHIVE
-from pipeline.runtime.checking import print_answer
+from pipeline.core.errors import InputError, Problem, printable
+from pipeline.core.findings import Finding
+from pipeline.core.problems.requests import SESSION_TOO_LARGE
+from pipeline.core.problems.sessions import IMAGES_ARCHIVE
+from pipeline.core.runtime.checking import print_answer
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import is_sequence
 from pipeline.video.properties.regularity import OF_TIMES

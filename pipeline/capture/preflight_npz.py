@@ -15,13 +15,13 @@ import numpy as np
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.data.cameras import Camera, FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.rigid import Rigid3
-from pipeline.findings import Finding
-from pipeline.joints import JointSet
-from pipeline.problem_codes.findings import SESSION_WARNING
-from pipeline.runtime.npz import decode_arrays, encode_arrays
+from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.findings import Finding
+from pipeline.core.joints import JointSet
+from pipeline.core.problems.findings import SESSION_WARNING
+from pipeline.core.runtime.npz import decode_arrays, encode_arrays
 from pipeline.video.info import VideoInfo
 
 DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")

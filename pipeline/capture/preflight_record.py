@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from pipeline.config import Sync, Timeline
-from pipeline.findings import Finding
+from pipeline.core.findings import Finding
+from pipeline.core.options.config import Sync, Timeline
 
 Clock = Literal["declared", "timecode", "creation_time"]
 """Clock of the videos' starts: stated offsets, timecode, or times of creation."""

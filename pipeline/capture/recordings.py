@@ -9,9 +9,9 @@ from pipeline.capture.names import cameras_in_names, natural_key, nfc
 from pipeline.capture.pairing import Thing
 from pipeline.capture.parts import missing_parts, recordings_of
 from pipeline.capture.video_files import VideoFiles
-from pipeline.data.cameras import Camera
-from pipeline.errors import Problem
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import Problem
+from pipeline.core.problems.sessions import (
     DUPLICATE_RECORDING,
     DUPLICATE_RECORDING_FILE,
     DUPLICATE_VIDEO,

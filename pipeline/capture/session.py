@@ -19,12 +19,12 @@ from pipeline.capture.recordings import Recording, SortedFiles, known_recordings
 from pipeline.capture.slow_motion import slow_motion
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.capture.video_files import find_videos
-from pipeline.data.cameras import Camera, FrameTimes, Timebase
-from pipeline.errors import InputError, Problem
-from pipeline.findings import Finding, Severity
-from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
-from pipeline.paths import StrPath
-from pipeline.problem_codes.findings import (
+from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.findings import Finding, Severity
+from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.findings import (
     CALIBRATION_ADAPTED,
     CALIBRATION_NOTE,
     FIRST_PICTURE_MOVED,
@@ -32,7 +32,7 @@ from pipeline.problem_codes.findings import (
     PARTS_JOINED,
     SOUND_DELAY_UNKNOWN,
 )
-from pipeline.problem_codes.sessions import (
+from pipeline.core.problems.sessions import (
     FRAME_RATE,
     INVALID_NAME,
     NO_FRAME_RATE,

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from pipeline.capture.preflight_record import Clock
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import COARSE_CLOCK
-from pipeline.problem_codes.sessions import NO_CREATION_TIME, NO_TIMECODE
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import COARSE_CLOCK
+from pipeline.core.problems.sessions import NO_CREATION_TIME, NO_TIMECODE
 from pipeline.video.info import Timecode, VideoInfo
 
 _DECLARED = "Omit the clock and state the offsets of the videos."

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.capture.passed_over import is_passed_over, passed_over
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import FILE_IGNORED
-from pipeline.problem_codes.sessions import TOO_FEW_VIDEOS
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import FILE_IGNORED
+from pipeline.core.problems.sessions import TOO_FEW_VIDEOS
 from pipeline.video.images.files import ENDINGS
 
 _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})

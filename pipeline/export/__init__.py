@@ -1,1 +1,4 @@
-"""Result files of a reconstruction, in the formats of animation and motion analysis software."""
+"""From people to files and figures: writers, viewer, recording, report, OpenSim, characters, privacy, quality.
+
+Imports ``association`` and what is below.
+"""

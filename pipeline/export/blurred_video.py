@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data.heads import HeadRegions
-from pipeline.privacy.blur import blur_ellipses
+from pipeline.core.data.heads import HeadRegions
+from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.h264 import even_size_px

@@ -1,6 +1,7 @@
 """Writers and readers of the formats of people's files.
 
-``pipeline.config`` declares names, labels, media types and limits of the formats; the web API needs these too.
+``pipeline.core.options.config`` declares names, labels, media types and limits of the formats; the web API needs these
+too.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,18 +12,18 @@ from types import MappingProxyType, ModuleType
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.angles.compute import JointAngles
-from pipeline.config import Body, Export, Preset
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import Body, Export, Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.scene import TakeScene
 from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames, rotation_orders
-from pipeline.gait.analysis import MarkedEvent, analyse_gait, marked_events
-from pipeline.joints import JointSet
+from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
 
 
 @dataclass(frozen=True, slots=True, eq=False)

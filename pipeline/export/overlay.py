@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.people import Track3D
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import FINGER_JOINTS, JointSet
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.geometry.camera import project
-from pipeline.joints import FINGER_JOINTS, JointSet
 
 _BLACK: Rgb = (0, 0, 0)
 # cv2 draws with this many fractional bits.

@@ -10,10 +10,10 @@ from jaxtyping import UInt8
 
 from pipeline.calibration.sizes import scaled
 from pipeline.capture.session import Session
-from pipeline.data.heads import HeadRegions
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.export.overlay import draw_skeletons, given_names, people_at
-from pipeline.privacy.blur import blur_ellipses
+from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px
 from pipeline.video.playback.written import write_pictures

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.angles.compute import JointAngles, joint_angles
-from pipeline.config import FILE_FORMATS, Body, Export, Preset, Timeline
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
+from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset, Timeline
+from pipeline.core.progress import OnShare, part_of, split
 from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import held, presence, unknown_outside
@@ -24,9 +25,8 @@ from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.angle_tables import filled_angles, with_sigmas
 from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
-from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
-from pipeline.progress import OnShare, part_of, split
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.motion.angles.compute import JointAngles, joint_angles
+from pipeline.motion.skeleton.model import forward_kinematics
 
 SKELETONS = "skeletons"
 """Name of ``skeletons.json`` among the formats."""

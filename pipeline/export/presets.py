@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.body.joints import BODY_JOINTS, TwistJoint, twist_quat
-from pipeline.config import Preset
-from pipeline.skeleton.model import INDEX, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
+from pipeline.core.options.config import Preset
+from pipeline.motion.body.joints import BODY_JOINTS, TwistJoint, twist_quat
+from pipeline.motion.skeleton.model import INDEX, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
 
 _FINGERS = ("Index", "Middle", "Ring", "Pinky")
 _BACKWARD = np.array([0.0, 1.0, 0.0])
@@ -35,7 +35,7 @@ def _lowering_sign(joint: SkeletonJoint) -> int:
 class Convention:
     """Names, axes, unit and rest pose of the skeleton in a file."""
 
-    # Names of joints that differ from ``pipeline.skeleton.model``
+    # Names of joints that differ from ``pipeline.motion.skeleton.model``
     names: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     # Rotation from world axes to the file's axes; both are right-handed
     file_from_world: Float[np.ndarray, "3 3"] = field(default_factory=lambda: Y_UP_FROM_WORLD)

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-from pipeline.data.animation import Animation, FootContact, SkeletonMotion
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.rules import SAME_INSTANT, num_resampled
+from pipeline.core.data.animation import Animation, FootContact, SkeletonMotion
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.rules import SAME_INSTANT, num_resampled
 
 
 def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruction:

@@ -12,7 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.write import encode as encode_calibration
-from pipeline.config import (
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.errors import PipelineError, Problem
+from pipeline.core.options.config import (
     FILE_FORMATS,
     Body,
     Export,
@@ -23,9 +26,11 @@ from pipeline.config import (
     installed_formats,
     of_people,
 )
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.errors import PipelineError, Problem
+from pipeline.core.options.rules import file_problems, format_problems, require
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.fields import VALUE_NOT_ALLOWED
+from pipeline.core.problems.warnings import TAKE_TOO_LARGE
+from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.formats import FORMATS
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
@@ -39,20 +44,15 @@ from pipeline.export.person_files import (
     spoilt,
     write_person,
 )
+from pipeline.export.quality.report import encode as encode_metrics
+from pipeline.export.quality.report import quality_report
 from pipeline.export.resample import resample
 from pipeline.export.scene import scene_of
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.gait_tables import gait_tables
-from pipeline.gait.analysis import analyse_gait
-from pipeline.paths import StrPath
-from pipeline.problem_codes.fields import VALUE_NOT_ALLOWED
-from pipeline.problem_codes.warnings import TAKE_TOO_LARGE
-from pipeline.progress import OnShare, ignore, part_of, split
-from pipeline.quality.report import encode as encode_metrics
-from pipeline.quality.report import quality_report
-from pipeline.rules import file_problems, format_problems, require
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.motion.gait.analysis import analyse_gait
+from pipeline.motion.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
 NOTHING_KEPT = KeptFiles()

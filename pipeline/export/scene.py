@@ -10,11 +10,11 @@ from math import atan
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data.animation import Floor, SkeletonMotion
-from pipeline.data.cameras import Camera
-from pipeline.data.people import Track3D
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.animation import Floor, SkeletonMotion
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.rigid import Rigid3
 from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import presence
 

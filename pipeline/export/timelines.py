@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from pipeline.data.people import Track3D
+from pipeline.core.data.people import Track3D
 
 
 def held(

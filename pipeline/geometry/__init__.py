@@ -1,1 +1,4 @@
-"""Cameras, rigid transforms, triangulation and epipolar geometry: arrays in, arrays out."""
+"""Cameras, lenses, rays, epipolar lines, triangulation; the compiled loops.
+
+Imports ``core``.
+"""

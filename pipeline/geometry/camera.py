@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.fisheye import distort_fisheye
 
 

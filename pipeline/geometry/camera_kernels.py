@@ -6,11 +6,11 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
+from pipeline.core.runtime.jit import kernel, record_dtype, zero_records
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import angle_limit_rad
 from pipeline.geometry.kernels import BLOCK_JOINTS, POINT_DTYPE, VECTOR_JOINTS, VIEW_DTYPE, count_vectors
-from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 
 @cache

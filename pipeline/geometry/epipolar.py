@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 
 
 def fundamental_matrices(cameras: Sequence[Camera]) -> Float[np.ndarray, "cameras cameras 3 3"]:

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from pipeline.runtime.jit import kernel
+from pipeline.core.runtime.jit import kernel
 
 _NUM_SAMPLES = 10
 _ZERO, _ONE = 128.0, 127.0

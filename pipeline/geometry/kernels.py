@@ -10,9 +10,9 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from pipeline.data.people import Source
+from pipeline.core.data.people import Source
+from pipeline.core.runtime.jit import kernel, record_dtype, zero_records
 from pipeline.geometry.triangulation import DISPUTED_M, SCALES_M
-from pipeline.runtime.jit import kernel, record_dtype, zero_records
 
 BLOCK_JOINTS = 28
 """Joints that are computed together, a multiple of ``VECTOR_JOINTS``; a body with feet is one block."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data.arrays import no_detections, read_only
-from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.people import Observations, Track3D
+from pipeline.core.data.arrays import no_detections, read_only
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.people import Observations, Track3D
 from pipeline.geometry.kernels import fill_gaps
 from pipeline.geometry.tracks import reproject
 

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
+from pipeline.core.runtime.jit import as_compiled
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses, reproject_all
 from pipeline.geometry.kernels import make_solver, triangulate_all
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_views
-from pipeline.runtime.jit import as_compiled
 
 
 def triangulate_frames(

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
+from pipeline.core.runtime.jit import zero_records
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.camera_kernels import block_dtype, undistort
 from pipeline.geometry.fisheye import undistort_fisheye
-from pipeline.runtime.jit import zero_records
 
 # Newton's method converges quadratically; lenses in use need 3-6 steps to reach machine precision.
 _MAX_STEPS = 20

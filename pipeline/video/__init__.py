@@ -1,1 +1,4 @@
-"""Probing and decoding of video files, and the clock that the cameras share."""
+"""Videos, their sound and sequences of images: probed, decoded and written in child processes.
+
+Imports ``geometry`` and ``core``.
+"""

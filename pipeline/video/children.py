@@ -18,8 +18,8 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, NoReturn
 
-from pipeline.errors import ChildError, printable
-from pipeline.runtime.parent_watch import die_with_parent
+from pipeline.core.errors import ChildError, printable
+from pipeline.core.runtime.parent_watch import die_with_parent
 
 MAX_MEMORY_BYTES = 4 * 2**30
 _MAX_LOG_BYTES = 2**20

@@ -11,9 +11,9 @@ from math import ceil
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
 from pipeline.video.decoder import Request
 from pipeline.video.decoder_process import LimitError, UnreadableVideoError, decoded_frames
 from pipeline.video.info import VideoInfo, seek_points

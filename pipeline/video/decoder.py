@@ -21,7 +21,7 @@ import av.logging
 from av.filter import Graph
 from av.video.frame import VideoFrame
 
-from pipeline.errors import UnusableError
+from pipeline.core.errors import UnusableError
 from pipeline.video.children import start_child
 from pipeline.video.container import DECODE_ERRORS, decode_from, decode_keyframes, display_pts
 from pipeline.video.images.files import SEQUENCE

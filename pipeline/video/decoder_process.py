@@ -15,7 +15,7 @@ from typing import IO, NamedTuple, cast
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.runtime.child_processes import module_command, uninterrupted
+from pipeline.core.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, Request
 

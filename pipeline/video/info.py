@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import Problem
+from pipeline.core.errors import Problem
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,9 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
-from pipeline.errors import Problem, UnusableError
-from pipeline.problem_codes.findings import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
-from pipeline.problem_codes.sessions import (
+from pipeline.core.errors import Problem, UnusableError
+from pipeline.core.problems.findings import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
+from pipeline.core.problems.sessions import (
     NO_FRAMES,
     NO_KEYFRAMES,
     NO_VIDEO_STREAM,
@@ -39,7 +39,7 @@ from pipeline.problem_codes.sessions import (
     VIDEO_TRUNCATED,
     VIDEO_UNREADABLE,
 )
-from pipeline.runtime.parent_watch import die_with_parent
+from pipeline.core.runtime.parent_watch import die_with_parent
 from pipeline.video.children import READY, Fork, is_caused_by_file, run_in_forks, start_child
 from pipeline.video.container import (
     CODECS,

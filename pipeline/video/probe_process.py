@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import Problem
-from pipeline.runtime.child_processes import module_command, uninterrupted
+from pipeline.core.errors import Problem
+from pipeline.core.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, Fork, child_environment, child_error
 from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.probe import is_of_file, limits_problem, problem_before_opening, reading_s

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.rules import frame_range_problems, require
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.options.rules import frame_range_problems, require
 from pipeline.video.frame_rate import measured_rate_hz
 
 # Longer pauses of all cameras are skipped.

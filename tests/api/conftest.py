@@ -19,16 +19,16 @@ import pytest
 import structlog
 import uvicorn
 
-from api.app import create_app
-from api.dependencies import Services
-from api.http.server import server_config
-from api.settings import Settings
-from pipeline.edits import PersonSpan
-from pipeline.findings import Finding
+from api.web.app import create_app
+from api.web.dependencies import Services
+from api.web.http.server import server_config
+from api.web.settings import Settings
+from pipeline.core.findings import Finding
+from pipeline.core.options.edits import PersonSpan
 from tests.warm_programs import WarmPrograms
-from worker.jobs.files.artifacts import result_key
-from worker.jobs.model.jobs import Result
-from worker.jobs.model.work import Claim
+from worker.store.files.artifacts import result_key
+from worker.store.model.jobs import Result
+from worker.store.model.work import Claim
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.
 PREFLIGHT = """
@@ -262,7 +262,7 @@ def make_settings(
             "data_dir": folder / "data",
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,
-            "character_command": warm_programs.command("pipeline.character.check"),
+            "character_command": warm_programs.command("pipeline.export.character.check"),
             "max_file_bytes": 100_000,
             "max_keypoints_bytes": 50_000,
             "max_session_bytes": 250_000,

@@ -13,8 +13,8 @@ from pathlib import Path
 import httpx2
 import psutil
 
-from api.settings import GIB, Settings
-from pipeline.runtime.parent_watch import tied_to_parent
+from api.web.settings import GIB, Settings
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.api.conftest import NO_BROKER
 
 

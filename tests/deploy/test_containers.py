@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 import yaml
 
-from api.settings import Settings
-from worker.jobs.files.secret_files import S3_KEYS
-from worker.settings import WorkerSettings
+from api.web.settings import Settings
+from worker.run.settings import WorkerSettings
+from worker.store.files.secret_files import S3_KEYS
 
 ROOT = Path(__file__).parents[2]
 DOCKER = ROOT / "docker"

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from api.health.metrics import RequestMetrics
-from worker.jobs.files.disk import DiskSpace
-from worker.jobs.store import JobStore
+from api.web.health.metrics import RequestMetrics
+from worker.store.files.disk import DiskSpace
+from worker.store.store import JobStore
 
 MONITORING = Path(__file__).parents[2] / "deploy" / "monitoring"
 AUTOSCALING = MONITORING.parent / "kubernetes" / "autoscaling" / "workers.yaml"

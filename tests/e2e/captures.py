@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.write import encode
-from pipeline.data.cameras import Camera
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.core.data.cameras import Camera
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import picture, write_pictures, write_video
 from tests.pipeline.simulations import write_simulation

@@ -8,12 +8,12 @@ import psutil
 import pytest
 
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
 from pipeline.export.results import write_results
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
 from tests.e2e.serving import NUM_PROCESSES, Served, serving
 from tests.waiting import is_alive, wait_for
 
@@ -63,7 +63,7 @@ def is_at_rest(running: Served) -> bool:
     except psutil.NoSuchProcess:
         return False
     # Tests with live captures leave the server from which they are forked.
-    return len(words) == NUM_PROCESSES + sum("pipeline.live.server" in line for line in words)
+    return len(words) == NUM_PROCESSES + sum("pipeline.run.live.server" in line for line in words)
 
 
 @pytest.fixture(scope="session")

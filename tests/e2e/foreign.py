@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 
 READERS = Path(__file__).parent / "readers"
 ROOT = Path(__file__).parents[2]

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from playwright.sync_api import Locator, Page, expect
 
-from pipeline.evaluation.datasets.rendered import load_rendered
-from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy
+from pipeline.validation.evaluation.datasets.rendered import load_rendered
+from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy
 from tests.e2e.datasets import folder_of
 from tests.e2e.phones import Phone, read_places
 from tests.e2e.serving import Served

@@ -11,7 +11,7 @@ from av.video.plane import VideoPlane
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.sizes import fit_to_picture
 from pipeline.calibration.write import encode
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 
 
 @dataclass(frozen=True, slots=True)

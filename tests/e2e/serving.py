@@ -16,8 +16,8 @@ import httpx2
 import psutil
 
 from api.cli.served import READY
-from pipeline.runtime.packages.samples import Sample
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.waiting import wait_for
 
 SERVE = [sys.executable, "-P", "-m", "api.cli.main", "serve"]

@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from pipeline.calibration.registry import read_calibration
-from pipeline.data.cameras import Camera
-from pipeline.evaluation.datasets.mvor import ANNOTATIONS, JOINTS
-from pipeline.evaluation.datasets.rendered import load_rendered
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
+from pipeline.validation.evaluation.datasets.mvor import ANNOTATIONS, JOINTS
+from pipeline.validation.evaluation.datasets.rendered import load_rendered
 from tests.e2e.datasets import folder_of, needs
-from tests.pipeline.evaluation.datasets.mvor_files import cameras_info, image_id, write_json
-from tests.pipeline.evaluation.datasets.panoptic_files import body_entry, write_calibration, write_poses
+from tests.pipeline.validation.evaluation.datasets.mvor_files import cameras_info, image_id, write_json
+from tests.pipeline.validation.evaluation.datasets.panoptic_files import body_entry, write_calibration, write_poses
 
 RENDERED = folder_of("rendered")
 FRAMES = (8, 30, 52, 74)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.api.blender.test_in_blender import blender, extension
 from tests.e2e.serving import Served
 

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, FrameTimes
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.geometry.camera import bend
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.cases import accuracy_but
 from tests.pipeline.simulations import write_simulation
 

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Request, Route, expect
 
-from pipeline.body import installed
-from pipeline.character.fbx.reader import decode_fbx_character
-from pipeline.character.figure import CharacterFigure, measure
-from pipeline.character.files import write_character_files
-from pipeline.character.gltf_reader import decode_character
-from pipeline.character.mapping import map_bones
-from pipeline.character.writers.character_glb import read_xyz
-from pipeline.data.animation import Animation
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.rigid import Rigid3
+from pipeline.export.character.fbx.reader import decode_fbx_character
+from pipeline.export.character.figure import CharacterFigure, measure
+from pipeline.export.character.files import write_character_files
+from pipeline.export.character.gltf_reader import decode_character
+from pipeline.export.character.mapping import map_bones
+from pipeline.export.character.writers.character_glb import read_xyz
 from pipeline.export.overlay import encode_png
+from pipeline.motion.body import installed
 from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
-from tests.pipeline.character.characters import bones_of, character, glb, parts, vrm
-from tests.pipeline.character.fbx.fbx_characters import fbx_of
+from tests.pipeline.export.character.characters import bones_of, character, glb, parts, vrm
+from tests.pipeline.export.character.fbx.fbx_characters import fbx_of
 
 NUM_FRAMES, RATE_HZ = 60, 25.0
 PRESENT = range(10, 50)

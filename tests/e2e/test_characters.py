@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, Response, expect
 
-from pipeline.character.gltf_reader import decode_character
-from pipeline.simulation.scenes import record
+from pipeline.export.character.gltf_reader import decode_character
+from pipeline.validation.simulation.scenes import record
 from tests.e2e.browsing import axe_findings, opened, opened_by_a_stranger
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import files
-from tests.pipeline.character.characters import bones_of, character
+from tests.pipeline.capture.synchronization.conftest import shortened
+from tests.pipeline.export.character.characters import bones_of, character
 from tests.pipeline.simulations import write_simulation
-from tests.pipeline.synchronization.conftest import shortened
 
 ROBOT = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
 

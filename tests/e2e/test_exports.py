@@ -18,20 +18,28 @@ from scipy.spatial.transform import Rotation
 from trc import TRCData
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import FILE_FORMATS, Export, Preset, ReconstructionConfig, ending_of, installed_formats, of_people
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
+from pipeline.core.options.config import (
+    FILE_FORMATS,
+    Export,
+    Preset,
+    ReconstructionConfig,
+    ending_of,
+    installed_formats,
+    of_people,
+)
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.writers import fbx
 from pipeline.export.writers.rotation_orders import rotation_orders
-from pipeline.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.skeleton.feet.floor import ANKLE_HEIGHT_M
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
-from pipeline.stages.local import reconstruct
+from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.foreign import (
     Animated,

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.detect import models
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_18
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from pipeline.export.quality.report import all_checks
+from pipeline.export.quality.views import reprojection_error_px
 from pipeline.export.results import write_results
-from pipeline.joints import COCO_18
-from pipeline.quality.report import all_checks
-from pipeline.quality.views import reprojection_error_px
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
 from tests.e2e.serving import Served, digests
 
 NUM_FRAMES = 12

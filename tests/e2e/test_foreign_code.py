@@ -10,7 +10,7 @@ import httpx2
 import pytest
 
 from api.cli.served import READY
-from api.settings import Settings
+from api.web.settings import Settings
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children
 from tests.api.conftest import NO_BROKER, running

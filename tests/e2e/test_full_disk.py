@@ -9,9 +9,9 @@ import httpx2
 import pytest
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.results import write_results
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
 from tests.e2e.captures import keypoint_capture
 from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import files

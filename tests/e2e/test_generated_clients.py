@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from api.contract.openapi import COMMITTED
-from pipeline.runtime.packages.samples import Sample
+from api.web.contract.openapi import COMMITTED
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, serving
 
 PAGE = Path(__file__).parents[2] / "docs/clients.md"

@@ -12,8 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pipeline.detect import models
-from pipeline.errors import ModelError
+from pipeline.core.errors import ModelError
+from pipeline.detection import models
 from tests.e2e.captures import keypoint_capture, video_capture
 
 COMMAND = [sys.executable, "-m", "api.cli.main", "reconstruct", "--no-cache"]

@@ -12,9 +12,9 @@ from typing import IO, Any
 import psutil
 import pytest
 
-from pipeline.detect.models import status
+from pipeline.detection.models import status
 from tests.pipeline.capture.test_session import calibration
-from tests.pipeline.live.cameras.servers import LoopbackServer, encoded_pictures, rtsp_camera
+from tests.pipeline.run.live.cameras.servers import LoopbackServer, encoded_pictures, rtsp_camera
 
 pytestmark = pytest.mark.slow
 WAIT_S = 120.0

@@ -9,11 +9,11 @@ import pytest
 from playwright.sync_api import expect
 
 from api.cli.live.preview import PreviewPage
-from pipeline.live.cameras.totals import CameraTotals, LiveTotals
-from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import recorded_frames
-from pipeline.live.settings import LiveSettings
-from pipeline.simulation.scenes import SCENES, record
+from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.recorded import recorded_frames
+from pipeline.run.live.settings import LiveSettings
+from pipeline.validation.simulation.scenes import SCENES, record
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.test_live_page import num_bright
 

@@ -12,10 +12,10 @@ import pytest
 from api.cli.client import Client
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.runtime.packages.samples import Sample
 from pipeline.export.results import write_results
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct, reconstruct_to_files
+from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from tests.e2e.serving import Served, digests
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import cut_at_keyframes, write_pictures, write_video

@@ -19,8 +19,8 @@ from playwright.sync_api import Locator, Page, expect
 from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode, encode_toml
-from pipeline.runtime.packages.samples import Sample
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.browsing import choose_option, opened
 from tests.e2e.captures import cameras_of_two_videos, two_videos
 from tests.e2e.conftest import NUM_FIRST

@@ -8,9 +8,9 @@ import pytest
 import sqlalchemy as sa
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import Method, ReconstructionConfig
+from pipeline.core.options.config import Method, ReconstructionConfig
 from pipeline.export.results import write_results
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
 from tests.e2e.serving import Served, digests, serving
 from tests.e2e.test_serve_keypoints import capture, files
 from tests.postgres import Postgres, running_postgres

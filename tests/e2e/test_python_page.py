@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, digests
 
 pytestmark = pytest.mark.xdist_group("service")

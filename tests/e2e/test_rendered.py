@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
-from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
-from pipeline.stages.local import reconstruct
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_rendered
 from tests.e2e.datasets import evaluated, folder_of, needs
 
 # Frames of the slow test; the capture has 100.

@@ -7,11 +7,11 @@ from typing import Literal
 import pytest
 from playwright.sync_api import Page, expect
 
-from pipeline.body import installed
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import ReconstructionConfig
-from pipeline.edits import Cut, Rename
-from pipeline.stages.local import reconstruct_to_files
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.edits import Cut, Rename
+from pipeline.motion.body import installed
+from pipeline.run.engine.local import reconstruct_to_files
 from tests.cases import slow_but
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import keypoint_capture

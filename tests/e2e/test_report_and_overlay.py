@@ -10,7 +10,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.serving import Served
 
 pytestmark = [pytest.mark.xdist_group("sample"), pytest.mark.slow]

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.people import Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.runtime.packages.samples import Sample
 from pipeline.export.results import write_results
-from pipeline.preflight.instants import check_at_instants
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.run.preflight.instants import check_at_instants
 from tests.e2e.rolled import roll
 
 MAX_MEAN_MM = 5.0

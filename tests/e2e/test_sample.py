@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.runtime.packages.samples import Sample
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.conftest import NUM_FIRST
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 

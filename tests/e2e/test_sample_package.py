@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.calibration.registry import read_calibration
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.storage import home
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.storage import home
 from tests.cases import accuracy_but
 
 PACKAGE = "pose2sim-0.10.49-py3-none-any.whl"

@@ -14,7 +14,7 @@ from playwright.sync_api import Locator, Page, Request, Route, expect
 from playwright.sync_api import TimeoutError as PageTimeoutError
 
 from pipeline.calibration.write import encode, encode_toml
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.browsing import choose_option, opened
 from tests.e2e.captures import cameras_of_two_videos, keypoint_capture, two_videos
 from tests.e2e.serving import Served

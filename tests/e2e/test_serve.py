@@ -12,7 +12,7 @@ import httpx2
 import pytest
 
 from api.cli.served import READY
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import COMMAND, NUM_PROCESSES, Served, digests
 from tests.waiting import is_alive, wait_for

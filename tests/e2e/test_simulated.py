@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import ReconstructionConfig
-from pipeline.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
-from pipeline.evaluation.simulated import score_simulated
-from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
-from pipeline.joints import COCO_17, COCO_18
-from pipeline.simulation.scenes import Simulation, find_scene, record
-from pipeline.stages.local import reconstruct
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import derive_parameters
+from pipeline.core.joints import COCO_17, COCO_18
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
+from pipeline.validation.evaluation.simulated import score_simulated
+from pipeline.validation.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 

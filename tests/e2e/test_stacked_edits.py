@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.pipeline.simulations import write_simulation

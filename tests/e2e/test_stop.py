@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from api.cli.served import READY
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.e2e.serving import COMMAND, NUM_PROCESSES
 from tests.waiting import wait_for
 

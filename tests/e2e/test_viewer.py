@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from pipeline.body import installed
-from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
-from pipeline.data.people import Doubt
+from pipeline.core.data.people import Doubt
+from pipeline.motion.body import installed
+from pipeline.motion.body.makehuman import NUM_COARSE_TRIANGLES
 from tests.api.conftest import Live, running
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of

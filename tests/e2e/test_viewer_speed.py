@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.body import installed
-from pipeline.config import Body
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.options.config import Body
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.motion.body import installed
 from tests.api.conftest import running
 from tests.e2e.browsing import opened
 from tests.e2e.serving import serving

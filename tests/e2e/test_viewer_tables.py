@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from pipeline.data.cameras import Timebase
-from pipeline.gait.document import gait_document, movement_documents
-from pipeline.simulation.motion.script import Gesture
+from pipeline.core.data.cameras import Timebase
+from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.validation.simulation.motion.script import Gesture
 from tests.api.conftest import running
 from tests.e2e.browsing import opened
 from tests.e2e.test_viewer import NUM_FRAMES, RATE_HZ, Shown
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
-from tests.pipeline.gait.walks import exercise, gait_of, walk
+from tests.pipeline.motion.gait.walks import exercise, gait_of, walk
 
 
 @pytest.fixture

@@ -24,14 +24,14 @@ import pytest
 
 from api.cli.served import READY
 from hatch_build import install_page_libraries
-from pipeline.config import JobChoices, networks_of
-from pipeline.detect import models
-from pipeline.errors import ModelError
-from pipeline.runtime.packages.samples import Sample
-from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.stages.code import stage_codes
-from pipeline.warm_up import NUM_COMPILED
-from tests.api.uploads.test_upload_clients import free_port
+from pipeline.core.errors import ModelError
+from pipeline.core.options.config import JobChoices, networks_of
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.core.runtime.parent_watch import tied_to_parent
+from pipeline.detection import models
+from pipeline.run.engine.code import stage_codes
+from pipeline.run.warm_up import NUM_COMPILED
+from tests.api.web.uploads.test_upload_clients import free_port
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
@@ -249,7 +249,7 @@ def test_a_build_installs_the_page_s_libraries_from_npm(tmp_path: Path) -> None:
 
 
 def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:
-    text = "import json; from multicap.pipeline.stages.code import stage_codes; print(json.dumps({**stage_codes()}))"
+    text = "import json; from multicap.pipeline.run.engine.code import stage_codes as c; print(json.dumps({**c()}))"
     assert json.loads(run(programs / "python", "-c", text, cwd=foreign)) == {**stage_codes()}
 
 

@@ -14,7 +14,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.write import encode
-from pipeline.runtime.packages.samples import Sample
+from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import cameras_of_two_videos, two_videos
 from tests.e2e.serving import Served, serving

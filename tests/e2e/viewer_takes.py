@@ -8,21 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from api.settings import Settings
-from pipeline.body.shape import BodyShapes
-from pipeline.config import ReconstructionConfig
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.people import Doubt, Observations
-from pipeline.data.reconstruction import Reconstruction
+from api.web.settings import Settings
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.people import Doubt, Observations
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.export.quality.report import quality_report
+from pipeline.export.quality.views import views_of
 from pipeline.export.viewer.description import Footage, ViewerMotion
-from pipeline.joints import COCO_17
-from pipeline.quality.report import quality_report
-from pipeline.quality.views import views_of
-from pipeline.skeleton.animate import animate
+from pipeline.motion.body.shape import BodyShapes
+from pipeline.motion.skeleton.animate import animate
 from tests.api.conftest import NO_BROKER, PREFLIGHT
-from tests.pipeline.quality.test_report import CAMERAS, observe
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.export.quality.test_report import CAMERAS, observe
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 _PERIOD_S = 2
 

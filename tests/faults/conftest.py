@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.config import Method, ReconstructionConfig
+from pipeline.core.options.config import Method, ReconstructionConfig
 from pipeline.export.results import write_results
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.serving import digests
 from tests.pipeline.simulations import write_simulation
 

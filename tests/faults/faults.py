@@ -58,7 +58,7 @@ def kill_api(service: SmallDiskService, chance: random.Random, job_id: str) -> N
 
 
 def kill_reaper(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
-    kill(service.served.part("worker.reaper"))
+    kill(service.served.part("worker.run.reaper"))
 
 
 def kill_broker_with_its_data(service: SmallDiskService, chance: random.Random, job_id: str) -> None:
@@ -151,7 +151,7 @@ def kill_api_and_reaper_during_an_upload(service: SmallDiskService, chance: rand
     sending = threading.Thread(target=send)
     sending.start()
     time.sleep(chance.uniform(0.0, 1.0))
-    for process in (service.served.part("worker.reaper"), service.served.part("api")):
+    for process in (service.served.part("worker.run.reaper"), service.served.part("api")):
         kill(process)
     sending.join(END_S)
     (url,) = sent

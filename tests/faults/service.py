@@ -16,17 +16,17 @@ from pathlib import Path
 from numba.core.caching import _CacheLocator
 from standardwebhooks import Webhook
 
-from pipeline.runtime.kernel_cache import cache_folder
-from pipeline.stages.code import digests_of_stages, stage_codes
+from pipeline.core.runtime.kernel_cache import cache_folder
+from pipeline.run.engine.code import digests_of_stages, stage_codes
 from tests.e2e.serving import Served, serving
-from worker.jobs.database.tables import DEFAULT_TENANT
-from worker.jobs.store import JobStore
+from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.store import JobStore
 
 ROOT = Path(__file__).parents[2]
 CLOCK_FOLDER = Path(__file__).parent / "clock"
 PACKAGES = ("api", "pipeline", "worker")
 # Module of what all stages read, which no kernel is compiled from.
-READ_BY_ALL_STAGES = "pipeline/errors.py"
+READ_BY_ALL_STAGES = "pipeline/core/errors.py"
 # Offset of the service's clock in seconds; see ``clock/sitecustomize.py``.
 CLOCK = "clock"
 ENVIRONMENT = {

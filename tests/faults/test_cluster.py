@@ -20,8 +20,8 @@ import pytest
 
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.export.results import write_results
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.cluster import Cluster, running_cluster

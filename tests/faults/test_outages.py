@@ -21,13 +21,13 @@ import pytest
 
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.export.results import write_results
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.several_machines import SeveralMachines, several_machines
 from tests.pipeline.simulations import write_simulation
-from worker.jobs.spec import JobSpec
+from worker.store.spec import JobSpec
 
 ROUNDS = int(os.environ.get("MULTICAP_OUTAGE_ROUNDS", "100"))
 FIRST = int(os.environ.get("MULTICAP_OUTAGE_FIRST", "0"))

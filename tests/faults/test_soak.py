@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.config import Method
+from pipeline.core.options.config import Method
 from tests.e2e.serving import NUM_PROCESSES
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS

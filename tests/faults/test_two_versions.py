@@ -14,13 +14,13 @@ from subprocess import Popen
 import httpx2
 import psutil
 
-from pipeline.config import Method
+from pipeline.core.options.config import Method
 from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
 from tests.waiting import wait_for
-from worker.process.embedded import DataDirectory
+from worker.run.process.embedded import DataDirectory
 
 
 @contextmanager

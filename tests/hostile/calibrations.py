@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.write import encode, encode_caliscope, encode_opencv, encode_toml
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 
 

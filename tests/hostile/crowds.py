@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.data.cameras import Camera, FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.joints import COCO_17
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 RATE_HZ = 25.0
 _NUM_JOINTS = len(COCO_17.names)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from tests.hostile.calibrations import in_every_format
 from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
 

@@ -23,8 +23,8 @@ from tests.hostile.calibrations import spoilt_calibrations
 from tests.hostile.campaign import Campaign, CampaignReport, Part, alive
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.media import good_videos, spoilt_videos
-from worker.jobs.model.rights import Scope
-from worker.jobs.store import JobStore
+from worker.store.model.rights import Scope
+from worker.store.store import JobStore
 
 SEED = int(os.environ.get("MULTICAP_HOSTILE_SEED", "18"))
 SHARE = float(os.environ.get("MULTICAP_HOSTILE_SHARE", "1"))

@@ -9,16 +9,16 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
+from pipeline.association.clustering.instant.work_limits import WorkLimits
+from pipeline.association.tracking.observations import Detections2D, gather
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.clustering.instant.work_limits import WorkLimits
-from pipeline.config import Method, ReconstructionConfig
-from pipeline.data.people import People
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Clock, Layout, Rig
-from pipeline.simulation.scenes import Scene, record
-from pipeline.stages.association import Association
-from pipeline.tracking.observations import Detections2D, gather
+from pipeline.core.data.people import People
+from pipeline.core.options.config import Method, ReconstructionConfig
+from pipeline.run.engine.association import Association
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Clock, Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, record
 from tests.hostile.crowds import hostile_crowds
 
 NAMES = list(hostile_crowds(1, 2, 1))

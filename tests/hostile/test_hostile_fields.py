@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from api.settings import Settings
+from api.web.settings import Settings
 from tests.api.conftest import NO_BROKER, Live, running
 from tests.hostile.keypoints import keypoint_files, simulate
 from tests.hostile.mutations import OF_TEXT, spoil

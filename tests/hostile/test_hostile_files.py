@@ -14,8 +14,8 @@ import pytest
 from pipeline.calibration.contents import Units
 from pipeline.calibration.registry import read_calibration, read_contents
 from pipeline.capture import preflight
-from pipeline.errors import InputError, listed
-from pipeline.simulation.scenes import Simulation
+from pipeline.core.errors import InputError, listed
+from pipeline.validation.simulation.scenes import Simulation
 from tests.hostile.calibrations import in_every_format, spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints
 from tests.hostile.programs import of_programs, packed, spoilt_programs

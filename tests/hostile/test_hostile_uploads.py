@@ -12,7 +12,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from api.settings import Settings
+from api.web.settings import Settings
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.api.conftest import NO_BROKER, Live, running

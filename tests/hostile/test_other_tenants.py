@@ -12,14 +12,14 @@ import numpy as np
 
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
-from pipeline.data.detections import Detections
-from pipeline.stages.stage import LENGTHS
+from pipeline.core.data.detections import Detections
+from pipeline.run.engine.stage import LENGTHS
 from tests.e2e.serving import Served, serving
 from tests.hostile.crowds import hostile_crowds
 from tests.hostile.keypoints import archive, keypoint_files, simulate
 from tests.waiting import wait_for
-from worker.jobs.model.rights import Scope
-from worker.jobs.store import JobStore
+from worker.store.model.rights import Scope
+from worker.store.store import JobStore
 
 NUM_CAMERAS, NUM_FRAMES, RATE_HZ = 4, 20, 5
 FINISHED = {"succeeded", "failed", "canceled"}

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
-from tests.worker.jobs.conftest import PREFLIGHT
-from worker.jobs.model.rights import Scope
-from worker.jobs.model.sessions import InputFile
-from worker.jobs.model.work import ChunkPlan, StagePlan
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
+from tests.worker.store.conftest import PREFLIGHT
+from worker.store.model.rights import Scope
+from worker.store.model.sessions import InputFile
+from worker.store.model.work import ChunkPlan, StagePlan
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
 
 NUM_TENANTS, NUM_SESSIONS, NUM_JOBS, NUM_QUEUED = 10, 10_000, 100_000, 1_000
 # Names of the stages of a keypoint job, and their chunks: 20 of each job.

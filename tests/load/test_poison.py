@@ -24,24 +24,24 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight import report
 from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.data.cameras import Timebase
-from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.runtime.parent_watch import tied_to_parent
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.load.poisoned_worker import POISON
 from tests.waiting import wait_for
-from worker.jobs.database.totals import Total
-from worker.jobs.errors import Conflict
-from worker.jobs.files.artifacts import LocalArtifacts, record_key
-from worker.jobs.model.rights import Scope
-from worker.jobs.model.sessions import InputFile
-from worker.jobs.model.states import FINISHED, JobState
-from worker.jobs.queue import WorkQueue
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
-from worker.jobs.worker_status import WorkerState
-from worker.planning import plan_job
-from worker.process import embedded
-from worker.process.supervisor import Supervisor
+from worker.run.planning import plan_job
+from worker.run.process import embedded
+from worker.run.process.supervisor import Supervisor
+from worker.store.database.totals import Total
+from worker.store.errors import Conflict
+from worker.store.files.artifacts import LocalArtifacts, record_key
+from worker.store.model.rights import Scope
+from worker.store.model.sessions import InputFile
+from worker.store.model.states import FINISHED, JobState
+from worker.store.queue import WorkQueue
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
+from worker.store.worker_status import WorkerState
 
 pytestmark = pytest.mark.load
 

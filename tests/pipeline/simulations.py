@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import Simulation
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import Simulation
 
 
 def write_simulation(simulation: Simulation, folder: Path) -> None:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import Method, ReconstructionConfig
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.progress import Progress
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
-from pipeline.stages.stage import FIT, HOLD
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.options.config import Method, ReconstructionConfig
+from pipeline.core.progress import Progress
+from pipeline.run.engine.local import reconstruct
+from pipeline.run.engine.stage import FIT, HOLD
+from pipeline.validation.simulation.scenes import find_scene, record
 
 
 def two_takes(pause_s: float) -> KeypointSession:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import Method, ReconstructionConfig
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.errors import InputError
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.errors import InputError
+from pipeline.core.options.config import Method, ReconstructionConfig
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.config import ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.results import write_results
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import reconstruct
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 RATE_HZ, FIRST = 25.0, 4321

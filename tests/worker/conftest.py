@@ -12,10 +12,10 @@ import pytest
 import structlog
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.edits import PersonSpan, without_names
-from pipeline.job_choices import BLURRED_KIND, OVERLAY_KIND, RECORDING_KIND, REPORT_KIND, blurred_name
-from pipeline.stages.code import stage_codes
-from pipeline.stages.stage import (
+from pipeline.core.options.edits import PersonSpan, without_names
+from pipeline.core.options.job_choices import BLURRED_KIND, OVERLAY_KIND, RECORDING_KIND, REPORT_KIND, blurred_name
+from pipeline.run.engine.code import stage_codes
+from pipeline.run.engine.stage import (
     ASSOCIATE,
     BLUR,
     CHECK,
@@ -39,15 +39,15 @@ from pipeline.stages.stage import (
     Output,
     ResultFile,
 )
-from worker.chunk import Work
-from worker.jobs.files.artifacts import LocalArtifacts
-from worker.jobs.model.jobs import JobRecord
-from worker.jobs.model.sessions import InputFile, Session
-from worker.jobs.model.work import Ability
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
-from worker.planning import plan_job
-from worker.runner import Runner
+from worker.run.chunk import Work
+from worker.run.planning import plan_job
+from worker.run.runner import Runner
+from worker.store.files.artifacts import LocalArtifacts
+from worker.store.model.jobs import JobRecord
+from worker.store.model.sessions import InputFile, Session
+from worker.store.model.work import Ability
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
 
 NUM_FRAMES, CHUNK_FRAMES = 40, 10
 

@@ -1,7 +1,7 @@
 """Bones of an armature: their tree, and which joint of a person each of them follows.
 
-Limbs, fingers and the head are recognised by their names as the service does it (``pipeline.character.bone_names``);
-the bones of the trunk follow from the tree.
+Limbs, fingers and the head are recognised by their names as the service does it
+(``pipeline.export.character.bone_names``); the bones of the trunk follow from the tree.
 """
 
 import itertools
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from pipeline.character.bone_names import HEAD, HIPS, LIMBS, REQUIRED, SIDES, joints_by_name
+from pipeline.export.character.bone_names import HEAD, HIPS, LIMBS, REQUIRED, SIDES, joints_by_name
 
 
 @dataclass(frozen=True)

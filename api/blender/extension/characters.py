@@ -11,7 +11,7 @@ from api.blender.extension.bone_tree import BoneMap, BoneTree, completed, proble
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
 from api.blender.extension.scene import scene_rate_hz
-from pipeline.character.bone_names import HIPS
+from pipeline.export.character.bone_names import HIPS
 
 _FRAMES_A_STEP = 25
 # Difference between the axes of the scale of an armature, as a share.

@@ -13,7 +13,7 @@ from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.retarget import Retargeting
 from api.blender.extension.vmc_person import VmcPerson, is_same_person
 from api.blender.extension.work import panel_state, redraw, say
-from pipeline.character.bone_names import HIPS
+from pipeline.export.character.bone_names import HIPS
 
 _HOST = "127.0.0.1"
 _TICK_S = 1 / 60

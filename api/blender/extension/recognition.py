@@ -6,7 +6,7 @@ from typing import Any
 from api.blender.extension import characters
 from api.blender.extension.bone_tree import problems_of, recognised
 from api.blender.extension.work import say
-from pipeline.character.bone_names import HIPS, OPTIONAL, REQUIRED
+from pipeline.export.character.bone_names import HIPS, OPTIONAL, REQUIRED
 
 _JOINTS = (HIPS, *REQUIRED, *OPTIONAL)
 

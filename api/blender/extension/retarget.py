@@ -27,7 +27,7 @@ from api.blender.extension.turns import (
     turned,
     unit_turn,
 )
-from pipeline.character.bone_names import HEAD, HIPS, SIDES
+from pipeline.export.character.bone_names import HEAD, HIPS, SIDES
 
 # Joints of the person's trunk from below, and the places on the spine at which they turn.
 _TRUNK = (HIPS, "Spine", "Chest")

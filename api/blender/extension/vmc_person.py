@@ -10,8 +10,8 @@ from typing import Any
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.osc import messages_of
 from api.blender.extension.turns import NO_TURN, Quat, Vec, length, plus, times, turned, unit_turn
-from pipeline.character.bone_names import HIPS, REQUIRED, SIDES
-from pipeline.skeleton.humanoid import UNITY_BONES
+from pipeline.export.character.bone_names import HIPS, REQUIRED, SIDES
+from pipeline.motion.skeleton.humanoid import UNITY_BONES
 
 _UPPER_CHEST = "UpperChest"  # Some senders have this bone; Multicap's skeleton lacks it.
 _JOINTS = {bone: joint for joint, bone in UNITY_BONES.items()} | {_UPPER_CHEST: _UPPER_CHEST}

@@ -20,13 +20,13 @@ import typer
 from api.cli.client import Client, Json, ServiceError
 from api.cli.console import JsonOption, emit, reporting
 from api.cli.served import served
-from pipeline.detect import models
-from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
-from worker.jobs.spec import JobSpec
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import find_scene, record
+from worker.store.spec import JobSpec
 
 _WORKERS = 2
 _LOOK_S = 0.1

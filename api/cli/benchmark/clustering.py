@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from api.cli.console import JsonOption, reporting, show_sizes
-from pipeline.clustering.associate import find_poses, first_lengths, sampled_frames
-from pipeline.clustering.instant.candidates import FieldEvidence
-from pipeline.clustering.instant.work_limits import WorkLimits
-from pipeline.clustering.parameters import derive_parameters
-from pipeline.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.associate import find_poses, first_lengths, sampled_frames
+from pipeline.association.clustering.instant.candidates import FieldEvidence
+from pipeline.association.clustering.instant.work_limits import WorkLimits
+from pipeline.association.clustering.parameters import derive_parameters
+from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.core.joints import COCO_18
 from pipeline.geometry.camera import image_from_world
-from pipeline.joints import COCO_18
-from pipeline.simulation.scenes import SCENES, Simulation, record
-from pipeline.simulation.views.fields import GRID, render
-from pipeline.warm_up import warm_up
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.simulation.scenes import SCENES, Simulation, record
+from pipeline.validation.simulation.views.fields import GRID, render
 
 # Scenes (of 4 and of 7 people) and numbers of cameras.
 _SIZES = (("noisy", 5), ("crowd", 12))

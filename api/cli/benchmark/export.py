@@ -12,20 +12,20 @@ import typer
 
 from api.cli.benchmark.takes import longer_motion, longer_observations, longer_track, peak_rss_mib
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.character.files import write_character_files
-from pipeline.character.source import CharacterSource
-from pipeline.config import Export, ReconstructionConfig, installed_formats, of_people
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
+from pipeline.core.options.rules import require, value_problems
+from pipeline.export.character.files import write_character_files
+from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import write_files
-from pipeline.rules import require, value_problems
-from pipeline.simulation.scenes import SCENES, record
-from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.warm_up import warm_up
+from pipeline.motion.skeleton.animate import animate
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.simulation.scenes import SCENES, record
 
 _SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
 

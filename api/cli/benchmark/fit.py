@@ -10,15 +10,15 @@ import typer
 
 from api.cli.benchmark.takes import longer_observations, longer_track
 from api.cli.console import JsonOption, emit, reporting, show_sizes
-from pipeline.config import ReconstructionConfig
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Observations, Track3D
-from pipeline.simulation.scenes import SCENES, record
-from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.warm_up import warm_up
+from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Observations, Track3D
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.motion.skeleton.animate import animate
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.simulation.scenes import SCENES, record
 
 # Scenes, of 3 and of 4 people, and numbers of cameras.
 _SIZES = (("room", 4), ("store", 12))

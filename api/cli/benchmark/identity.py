@@ -7,17 +7,17 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import People
-from pipeline.identity.identify import identify
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.motion.exchange import PlaceExchange
-from pipeline.simulation.rigs import Layout, Rig
-from pipeline.simulation.scenes import SCENES, Scene, record
-from pipeline.tracking.associate import track_bodies
-from pipeline.tracking.observations import gather
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.warm_up import warm_up
+from pipeline.association.identity.identify import identify
+from pipeline.association.tracking.associate import track_bodies
+from pipeline.association.tracking.observations import gather
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import People
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.motion.exchange import PlaceExchange
+from pipeline.validation.simulation.rigs import Layout, Rig
+from pipeline.validation.simulation.scenes import SCENES, Scene, record
 
 _RIG = Rig(Layout.RING, 8, (5.5, 5.0), 2.6)
 _DOORS_M = ((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))

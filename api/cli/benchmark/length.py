@@ -13,16 +13,16 @@ import typer
 
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import ReconstructionConfig
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.progress import Progress
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Clock, Layout, Rig
-from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.stages.local import reconstruct_to_files
-from pipeline.warm_up import warm_up
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.progress import Progress
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Clock, Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, Simulation, record
 
 _RATE_HZ = 30.0
 _CLIP_S = 20.0

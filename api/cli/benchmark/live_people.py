@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.config import ReconstructionConfig
-from pipeline.data.detections import Detections
-from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import DetectedFrame, detected_frames
-from pipeline.live.records import LiveInstant
-from pipeline.live.settings import LiveSettings
-from pipeline.simulation.clothes import dress
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.scenes import SCENES, Simulation, record
-from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.parameters import derive_parameters
+from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.detections import Detections
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.motion.skeleton.animate import animate
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.recorded import DetectedFrame, detected_frames
+from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.settings import LiveSettings
+from pipeline.validation.simulation.clothes import dress
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
 ROOM = SCENES["room"]
 # Scenes in which people stand and walk, and their length.

@@ -20,11 +20,11 @@ from api.cli.benchmark.takes import loop_video
 from api.cli.client import Client, Json, ServiceError
 from api.cli.console import JsonOption, emit, reporting
 from api.cli.served import served
-from pipeline.detect import models
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from worker.jobs.spec import JobSpec
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from worker.store.spec import JobSpec
 
 _WORKERS = 2
 _POLL_EVERY_S = 1.0

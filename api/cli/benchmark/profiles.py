@@ -11,14 +11,14 @@ import typer
 from api.cli.benchmark.takes import loop_video
 from api.cli.console import JsonOption, console, emit, print_table, reporting
 from pipeline.capture.session import open_session
-from pipeline.config import JOINTS, PROFILES, Detector, ReconstructionConfig
-from pipeline.detect import models
-from pipeline.detect.session import NETWORK_CLOCK
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct_to_files
-from pipeline.warm_up import warm_up
+from pipeline.core.options.config import JOINTS, PROFILES, Detector, ReconstructionConfig
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from pipeline.detection.session import NETWORK_CLOCK
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.run.warm_up import warm_up
 
 _REFERENCE: Detector = "movenet-multipose"
 

@@ -11,15 +11,15 @@ from jaxtyping import Float, UInt8
 
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import ProviderOption, take_provider
-from pipeline.config import PROFILES, Networks, ReconstructionConfig, detected_joints, networks_of
-from pipeline.detect import models
-from pipeline.detect.bodies import ImageBodies
-from pipeline.detect.entries import entry_of
-from pipeline.detect.profiles.detection import open_detection
-from pipeline.detect.providers.find import current_provider
-from pipeline.providers import ProviderName, choose_provider
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.runtime.packages import samples
+from pipeline.core.options.config import PROFILES, Networks, ReconstructionConfig, detected_joints, networks_of
+from pipeline.core.options.providers import ProviderName, choose_provider
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.packages import samples
+from pipeline.detection import models
+from pipeline.detection.bodies import ImageBodies
+from pipeline.detection.entries import entry_of
+from pipeline.detection.profiles.detection import open_detection
+from pipeline.detection.providers.find import current_provider
 
 # One frame in so many, of each camera, up to a number.
 _STEP, _NUM_FRAMES = 10, 12

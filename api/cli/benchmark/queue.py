@@ -19,12 +19,12 @@ import typer
 from api.cli.client import ServiceError
 from api.cli.console import JsonOption, emit, reporting
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.parent_watch import tied_to_parent
-from worker.jobs.model.sessions import InputFile
-from worker.jobs.spec import JobSpec
-from worker.jobs.store import JobStore
-from worker.planning import plan_job
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.parent_watch import tied_to_parent
+from worker.run.planning import plan_job
+from worker.store.model.sessions import InputFile
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
 
 _FEW = 20
 _CAMERAS, _NUM_FRAMES, _RATE_HZ = 4, 3000, 25.0

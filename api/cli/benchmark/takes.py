@@ -7,9 +7,9 @@ from pathlib import Path
 import av
 import numpy as np
 
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.people import Observations, Track3D
-from pipeline.errors import ModelError
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.people import Observations, Track3D
+from pipeline.core.errors import ModelError
 
 
 def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:

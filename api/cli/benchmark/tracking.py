@@ -9,18 +9,18 @@ import numpy as np
 import typer
 
 from api.cli.console import JsonOption, emit, print_table, reporting, require_writable
-from pipeline.evaluation.pairwise import associate_pairwise
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Clock, Layout, Rig
-from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.simulation.views.detector import DetectorAccuracy
-from pipeline.simulation.views.faults import NO_FAULTS
-from pipeline.tracking import reference
-from pipeline.tracking.associate import reconstruct_tracks
-from pipeline.tracking.observations import gather, undistorted
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.tracking.tracker import make_frames, make_rig
-from pipeline.warm_up import warm_up
+from pipeline.association.tracking import reference
+from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.observations import gather, undistorted
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.tracker import make_frames, make_rig
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.evaluation.pairwise import associate_pairwise
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Clock, Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, Simulation, record
+from pipeline.validation.simulation.views.detector import DetectorAccuracy
+from pipeline.validation.simulation.views.faults import NO_FAULTS
 
 RATE_HZ = 25.0
 # Cameras, people and seconds.

@@ -8,7 +8,7 @@ import typer
 
 from api.cli.console import JsonOption, show_list
 from api.cli.store import store_in
-from worker.jobs.model.rights import AuditEvent
+from worker.store.model.rights import AuditEvent
 
 
 def command(

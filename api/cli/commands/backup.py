@@ -10,14 +10,14 @@ from rich.text import Text
 
 from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
 from api.cli.store import settings_in
-from api.settings import Settings
-from pipeline.problem_codes.commands import BACKUP_FAILED, BAD_USAGE
-from pipeline.problem_codes.requests import DATABASE_DAMAGED
-from worker.jobs.backup.contents import BackupReport
-from worker.jobs.backup.create import create_backup
-from worker.jobs.backup.errors import BackupError, BackupUsageError
-from worker.jobs.backup.restore import restore_backup, verify_backup
-from worker.jobs.errors import DamagedDatabase, NewerDatabase
+from api.web.settings import Settings
+from pipeline.core.problems.commands import BACKUP_FAILED, BAD_USAGE
+from pipeline.core.problems.requests import DATABASE_DAMAGED
+from worker.store.backup.contents import BackupReport
+from worker.store.backup.create import create_backup
+from worker.store.backup.errors import BackupError, BackupUsageError
+from worker.store.backup.restore import restore_backup, verify_backup
+from worker.store.errors import DamagedDatabase, NewerDatabase
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
 Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]

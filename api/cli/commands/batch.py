@@ -26,12 +26,12 @@ from api.cli.options import (
 )
 from api.cli.takes import TakeSource, find_takes
 from pipeline.calibration.contents import Units, Up
-from pipeline.config import ReconstructionConfig
-from pipeline.errors import InputError, PipelineError, SessionRefused
+from pipeline.core.errors import InputError, PipelineError, SessionRefused
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.person_files import replacing
+from pipeline.export.quality.report import all_checks
 from pipeline.export.results import not_written
-from pipeline.quality.report import all_checks
-from pipeline.stages.local import reconstruct_to_files
+from pipeline.run.engine.local import reconstruct_to_files
 
 _TABLE = "batch.csv"
 # Kept in the folder of a take's results: what they were made of, and the take's row of the table.

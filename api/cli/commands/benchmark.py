@@ -33,15 +33,15 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from api.cli.served import served
 from pipeline.capture.session import open_session
-from pipeline.detect import models
-from pipeline.detect.session import NETWORK_CLOCK
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from pipeline.stages.local import reconstruct_to_files
-from pipeline.stages.stage import DETECT
-from pipeline.warm_up import warm_up
-from worker.jobs.spec import JobSpec
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from pipeline.detection.session import NETWORK_CLOCK
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.run.engine.stage import DETECT
+from pipeline.run.warm_up import warm_up
+from worker.store.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 app.command("all")(all_costs)

@@ -3,7 +3,7 @@
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting
-from pipeline.body import installed
+from pipeline.motion.body import installed
 
 app = typer.Typer(help="The human body of exports.", no_args_is_help=True)
 

@@ -17,15 +17,15 @@ from jaxtyping import Float
 from api.cli.commands.reconstruct import print_summary
 from api.cli.console import StageBars, console, reporting, writing
 from api.cli.served import served
-from pipeline.body import installed as bodies
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.detect import models
+from pipeline.core.joints import JointSet
+from pipeline.core.runtime.packages import samples
+from pipeline.detection import models
 from pipeline.export.overlay import draw_skeletons, encode_png
-from pipeline.joints import JointSet
-from pipeline.runtime.packages import samples
+from pipeline.motion.body import installed as bodies
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
-from worker.jobs.spec import JobSpec
+from worker.store.spec import JobSpec
 
 
 def people_at(skeletons: Mapping[str, Any], frame: int) -> dict[int, Float[np.ndarray, "joints 3"]]:

@@ -9,10 +9,10 @@ import typer
 
 from api.cli.console import JsonOption, console, refusal, show_list, show_secret, shown_time
 from api.cli.store import opened_store, settings_in, store_in
-from worker.jobs.database.tables import DEFAULT_TENANT
-from worker.jobs.errors import NotFound
-from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model.rights import Key, Scope
+from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.errors import NotFound
+from worker.store.files.disk import DiskSpace
+from worker.store.model.rights import Key, Scope
 
 app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]

@@ -34,18 +34,18 @@ from api.cli.options import (
     with_choices,
 )
 from pipeline.calibration.registry import read_calibration
-from pipeline.config import PROFILES
-from pipeline.errors import ChildError, InputError, Problem
-from pipeline.live.cameras.detection import start_detecting
-from pipeline.live.cameras.detector_pool import DetectorPool
-from pipeline.live.cameras.run import CameraRun, LiveListener
-from pipeline.live.cameras.sources import read_sources
-from pipeline.live.cameras.totals import LiveTotals
-from pipeline.live.vmc import VmcSender
-from pipeline.problem_codes.commands import OUTPUT_EXISTS, PARAMETER_RANGE
-from pipeline.rules import collecting, require
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.warm_up import warm_up
+from pipeline.core.errors import ChildError, InputError, Problem
+from pipeline.core.options.config import PROFILES
+from pipeline.core.options.rules import collecting, require
+from pipeline.core.problems.commands import OUTPUT_EXISTS, PARAMETER_RANGE
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.run.live.cameras.detection import start_detecting
+from pipeline.run.live.cameras.detector_pool import DetectorPool
+from pipeline.run.live.cameras.run import CameraRun, LiveListener
+from pipeline.run.live.cameras.sources import read_sources
+from pipeline.run.live.cameras.totals import LiveTotals
+from pipeline.run.live.vmc import VmcSender
+from pipeline.run.warm_up import warm_up
 
 _MAX_DIGITS = 5  # of a port
 

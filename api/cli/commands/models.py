@@ -9,12 +9,12 @@ from typing import Annotated, cast
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting, show_list
-from pipeline.config import NETWORKS_OF_PROFILES
-from pipeline.detect import models
-from pipeline.detect.own.files import add_own
-from pipeline.detect.own_network import HEADS, Channels, usual_network
-from pipeline.errors import ModelError
-from pipeline.layouts import LAYOUTS
+from pipeline.core.errors import ModelError
+from pipeline.core.layouts import LAYOUTS
+from pipeline.core.options.config import NETWORKS_OF_PROFILES
+from pipeline.detection import models
+from pipeline.detection.own.files import add_own
+from pipeline.detection.own_network import HEADS, Channels, usual_network
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
 

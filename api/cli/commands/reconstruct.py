@@ -13,16 +13,16 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting,
 from api.cli.options import ProviderOption, checked, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
-from pipeline.character.files import DESCRIPTION
-from pipeline.character.mapping import read_bone_table
-from pipeline.character.source import CharacterSource
-from pipeline.config import method_warnings
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.characters import BONES_INVALID
-from pipeline.quality.report import all_checks
-from pipeline.rules import config_problems, require
-from pipeline.stages.local import reconstruct_to_files
-from pipeline.stages.plan import STAGE_BY_NAME
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.config import method_warnings
+from pipeline.core.options.rules import config_problems, require
+from pipeline.core.problems.characters import BONES_INVALID
+from pipeline.export.character.files import DESCRIPTION
+from pipeline.export.character.mapping import read_bone_table
+from pipeline.export.character.source import CharacterSource
+from pipeline.export.quality.report import all_checks
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.run.engine.plan import STAGE_BY_NAME
 
 
 def _what_is_left(paths: Sequence[Path], folder: Path) -> str:

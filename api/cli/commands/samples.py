@@ -3,7 +3,7 @@
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting
-from pipeline.runtime.packages import samples
+from pipeline.core.runtime.packages import samples
 
 app = typer.Typer(help="A real four-camera capture of two people.", no_args_is_help=True)
 

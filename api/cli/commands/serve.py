@@ -16,18 +16,18 @@ from api.cli.console import console, refusal, reporting
 from api.cli.options import ProviderOption, take_provider
 from api.cli.served import READY
 from api.cli.store import opened_store
-from api.settings import Settings
-from api.startup import ExposedError, require_keys_if_exposed
-from pipeline.config import networks_of
-from pipeline.detect import models
-from pipeline.runtime.child_processes import module_command
-from pipeline.runtime.priorities import raise_descriptor_limit
-from worker.jobs.files.private_files import keep_files_private
-from worker.jobs.repositories.rights.keys import Keys
-from worker.jobs.spec import JobSpec
-from worker.process import embedded
-from worker.process.presence import remove_killed
-from worker.process.supervisor import Program, Supervisor
+from api.web.settings import Settings
+from api.web.startup import ExposedError, require_keys_if_exposed
+from pipeline.core.options.config import networks_of
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.detection import models
+from worker.run.process import embedded
+from worker.run.process.presence import remove_killed
+from worker.run.process.supervisor import Program, Supervisor
+from worker.store.files.private_files import keep_files_private
+from worker.store.repositories.rights.keys import Keys
+from worker.store.spec import JobSpec
 
 _POLL_S = 0.2
 # A usual start takes less; a longer start is explained.
@@ -157,7 +157,7 @@ def command(
 
 
 def _default_workers(keys: Keys) -> int:
-    # One worker stays free for the other tenants, see `worker.jobs.repositories.work.fair_share`.
+    # One worker stays free for the other tenants, see `worker.store.repositories.work.fair_share`.
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 

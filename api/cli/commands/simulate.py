@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting, writing
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import SCENES, known_joints, simulate
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import SCENES, known_joints, simulate
 
 
 def command(

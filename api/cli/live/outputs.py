@@ -15,17 +15,17 @@ from rich.status import Status
 from api.cli.console import console, writing
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
-from pipeline.data.cameras import Camera
-from pipeline.errors import PipelineError
-from pipeline.joints import JointSet
-from pipeline.live.cameras.run import LiveListener
-from pipeline.live.cameras.totals import LiveTotals
-from pipeline.live.packing import described_camera, instant_json
-from pipeline.live.recorded import DetectedFrame
-from pipeline.live.records import LiveInstant
-from pipeline.live.vmc import VmcSender
-from pipeline.skeleton.model import SKELETON
-from worker.jobs.files.disk import append_whole
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import PipelineError
+from pipeline.core.joints import JointSet
+from pipeline.motion.skeleton.model import SKELETON
+from pipeline.run.live.cameras.run import LiveListener
+from pipeline.run.live.cameras.totals import LiveTotals
+from pipeline.run.live.packing import described_camera, instant_json
+from pipeline.run.live.recorded import DetectedFrame
+from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.vmc import VmcSender
+from worker.store.files.disk import append_whole
 
 # A receiver whose person is out of sight for so long gets the next person.
 _GONE_S = 2.0

@@ -21,18 +21,18 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from api.cli.live.outputs import ready_document
-from api.http.middleware import SAFE_HEADERS, ForeignPageGuard
-from api.live.backlog import Backlog
-from api.page import PortalFiles
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
-from pipeline.joints import JointSet
-from pipeline.live.cameras.run import LiveListener
-from pipeline.live.cameras.totals import CameraTotals, LiveTotals
-from pipeline.live.packing import pack_instant
-from pipeline.live.records import LiveInstant
-from pipeline.problem_codes.commands import PARAMETER_RANGE
-from pipeline.skeleton.model import SKELETON
+from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
+from api.web.live.backlog import Backlog
+from api.web.page import PortalFiles
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.joints import JointSet
+from pipeline.core.problems.commands import PARAMETER_RANGE
+from pipeline.motion.skeleton.model import SKELETON
+from pipeline.run.live.cameras.run import LiveListener
+from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.packing import pack_instant
+from pipeline.run.live.records import LiveInstant
 
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).parents[2] / "portal" / "live" / "preview.html"

@@ -16,8 +16,8 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.structure import Structure
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
 
 _MIN_SIGMA_PX, _NUM_SCALES, _MAX_STEPS = 0.01, 4, 60
 # Searches while the variances of deviations are estimated, and their relative change that ends them.

@@ -24,7 +24,7 @@ from pipeline.calibration.adjustment.parameters import (
     world_moves,
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 
 # Metric in which cameras hold the world: a turn and a shift that count as much.
 _TURN_RAD, _SHIFT_M = np.radians(0.3), 0.02

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 
 # Standard deviations with which the search begins, and the least ones: radians and metres.
 _FIRST, _LEAST = np.array([0.03, 0.02]), np.array([1e-6, 1e-6])

@@ -18,7 +18,7 @@ from pipeline.calibration.adjustment.parameters import EXTRINSICS, offsets
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import FreePoints, Structure
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
 
 # Added to the diagonal of a block, relative to its trace: a block that is hardly seen stays where it is.

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.links import PointLink
 from pipeline.calibration.adjustment.parameters import Free, Parameters
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
 
 
 class Loss(Enum):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import bend, twelve_coefficients
 from pipeline.geometry.fisheye import fisheye_by_coefficients, fisheye_by_ideal
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 
 
 @runtime_checkable

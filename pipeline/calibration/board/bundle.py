@@ -22,9 +22,9 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
 from pipeline.calibration.adjustment.structure import RigidBodies
 from pipeline.calibration.board.spec import Board
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 
 # Standard deviations of OpenCV's first five coefficients where a lens has none by its model: a simple model fits the

@@ -35,14 +35,14 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import InputError, Problem
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.problems.sessions import KNOWN_POINTS_INVALID
+from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.camera import center_in_world
-from pipeline.job_choices import KnownPoint
-from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
-from pipeline.progress import OnShare, ignore
 
 # Instants to which the whole rig is fitted.
 _INSTANTS = 160

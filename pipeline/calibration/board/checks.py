@@ -10,9 +10,9 @@ from pipeline.calibration.board.rig import BoardPair, BoardRig, match_times, rel
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.calibration.board.world import Places
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.sessions import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
-from pipeline.problem_codes.warnings import (
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.sessions import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
+from pipeline.core.problems.warnings import (
     BOARD_AMBIGUOUS,
     BOARD_DISAGREES,
     BOARD_FEW_SHARED,

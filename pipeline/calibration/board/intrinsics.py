@@ -16,8 +16,8 @@ from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, LensModel
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, LensModel
 from pipeline.geometry.camera import project
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 from pipeline.geometry.undistortion import undistort_px

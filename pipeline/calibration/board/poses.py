@@ -5,9 +5,9 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.board.spec import Board
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 
 # The second solution counts while its error is below this multiple of the first one's, and below this one in pixels.

@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.views import BoardViews
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 
 # Relative poses of two instants agree within these limits: an angle, and a share of the distance to the board.
 _AGREE_RAD, _AGREE_SHARE = np.radians(4.0), 0.06

@@ -13,10 +13,10 @@ from jaxtyping import Float, UInt8
 from pipeline.calibration.board.detection.detect import DetectedBoard, find_board, is_exchanged
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.data.arrays import read_only
-from pipeline.errors import InputError, Problem
-from pipeline.job_choices import BOARD_FRAMES
-from pipeline.problem_codes.sessions import IMAGE_SIZE, IMAGE_UNREADABLE, IMAGES_MISSING
+from pipeline.core.data.arrays import read_only
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import BOARD_FRAMES
+from pipeline.core.problems.sessions import IMAGE_SIZE, IMAGE_UNREADABLE, IMAGES_MISSING
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 

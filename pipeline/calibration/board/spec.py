@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data.arrays import read_only
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.sessions import BOARD_INVALID
+from pipeline.core.data.arrays import read_only
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.sessions import BOARD_INVALID
 
 FORMS = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
 _SPEC = re.compile(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 
 # Views with edges wider than this multiple of the median are blurred by motion or out of focus.
 _MAX_BLUR = 1.5

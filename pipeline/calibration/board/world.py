@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.bundle import PlacedBoard
 from pipeline.calibration.board.motion import BoardMotion
-from pipeline.data.arrays import read_only
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.rigid import Rigid3
 
 # A board lies still while it moves and turns less than this from one instant to the next, and for at least this time.
 _STILL_M, _STILL_RAD, _STILL_S = 0.006, np.radians(0.6), 0.4

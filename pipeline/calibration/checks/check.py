@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 from pipeline.calibration.checks.lenses import check_lens, growing_radius
 from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data.cameras import Camera
-from pipeline.findings import CERTAIN, Finding, Severity
+from pipeline.core.data.cameras import Camera
+from pipeline.core.findings import CERTAIN, Finding, Severity
+from pipeline.core.problems.findings import NO_COMMON_VIEW
+from pipeline.core.problems.warnings import TOO_FEW_CAMERAS
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
-from pipeline.problem_codes.findings import NO_COMMON_VIEW
-from pipeline.problem_codes.warnings import TOO_FEW_CAMERAS
 
 MIN_CAMERAS = 2
 # Places in the view of a camera: a grid on the picture, and distances at which people are, up to thirty times the

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
-from pipeline.data.cameras import Camera
-from pipeline.findings import Finding
+from pipeline.core.data.cameras import Camera
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import DISTORTION_FOLDS, FOCAL_LENGTH, PIXELS_NOT_SQUARE, PRINCIPAL_POINT
 from pipeline.geometry.camera import twelve_coefficients
 from pipeline.geometry.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius
-from pipeline.problem_codes.findings import DISTORTION_FOLDS, FOCAL_LENGTH, PIXELS_NOT_SQUARE, PRINCIPAL_POINT
 
 # Angle of view along the longer side of the picture.
 _ANGLE_RANGE_DEG = (3.0, 140.0)

@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
-from pipeline.data.cameras import Camera
-from pipeline.findings import Finding, Severity
+from pipeline.core.data.cameras import Camera
+from pipeline.core.findings import Finding, Severity
+from pipeline.core.problems.findings import SAME_PLACE, UP_AXIS_UNKNOWN, WORLD_UNIT
+from pipeline.core.problems.requests import CALIBRATION_UNPOSED
+from pipeline.core.problems.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
 from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.findings import SAME_PLACE, UP_AXIS_UNKNOWN, WORLD_UNIT
-from pipeline.problem_codes.requests import CALIBRATION_UNPOSED
-from pipeline.problem_codes.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
 
 UP_AXIS_CODES = (UPSIDE_DOWN, NOT_UPRIGHT, UP_AXIS_UNKNOWN)
 """Codes of findings about the axis that points up."""

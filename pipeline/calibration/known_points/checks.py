@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from math import dist, hypot
 
-from pipeline.errors import Problem
-from pipeline.job_choices import KnownPoint
-from pipeline.problem_codes.sessions import (
+from pipeline.core.errors import Problem
+from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.problems.sessions import (
     CAMERA_UNKNOWN,
     KNOWN_POINTS_FEW,
     KNOWN_POINTS_INVALID,

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
 from pipeline.calibration.similarity import Similarity, umeyama
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.problems.sessions import KNOWN_POINTS_FEW, KNOWN_POINTS_MISFIT
+from pipeline.core.problems.warnings import KNOWN_POINTS_DOUBTFUL
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
-from pipeline.job_choices import KnownPoint
-from pipeline.problem_codes.sessions import KNOWN_POINTS_FEW, KNOWN_POINTS_MISFIT
-from pipeline.problem_codes.warnings import KNOWN_POINTS_DOUBTFUL
 
 # Distances of the points from where cameras see them, as metres and as a share of the points' extent: above the first
 # limit a warning, above the second one an error.

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 
-from pipeline.errors import InputError, Problem
-from pipeline.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
-from pipeline.problem_codes.sessions import KNOWN_POINTS_INVALID
-from pipeline.tables import open_table
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
+from pipeline.core.problems.sessions import KNOWN_POINTS_INVALID
+from pipeline.core.tables import open_table
 
 COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 _MAX_BYTES = 4 << 20

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.tracklets import ViewTracklet
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.tracks import triangulate_instants
 
 

@@ -22,8 +22,8 @@ from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, Poi
 from pipeline.calibration.adjustment.structure import FreePoints
 from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
 
 _BONES = tuple(

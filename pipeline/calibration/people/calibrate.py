@@ -21,13 +21,13 @@ from pipeline.calibration.people.rig import pose_cameras
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of, with_camera
 from pipeline.calibration.people.world import PeopleWorld, find_people_world
 from pipeline.calibration.report import CalibrationResult, report_camera
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, FrameTimes
-from pipeline.data.detections import Detections
-from pipeline.errors import InputError
-from pipeline.job_choices import KnownPoint
-from pipeline.joints import JointSet
-from pipeline.progress import OnShare, ignore
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, FrameTimes
+from pipeline.core.data.detections import Detections
+from pipeline.core.errors import InputError
+from pipeline.core.joints import JointSet
+from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.progress import OnShare, ignore
 
 # Focal lengths that are tried where they are not known, over the guessed one: fields of view from 80 to 28 degrees.
 _FOCAL_FACTORS = (0.6, 0.75, 1.0, 1.4, 2.0)

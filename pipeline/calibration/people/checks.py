@@ -9,17 +9,16 @@ from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
-from pipeline.geometry.camera import center_in_world
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.sessions import (
     PEOPLE_DISAGREE,
     PEOPLE_NOT_FOUND,
     PEOPLE_NOT_WHOLE,
     PEOPLE_ONE_CAMERA,
     PEOPLE_UNLINKED,
 )
-from pipeline.problem_codes.warnings import (
+from pipeline.core.problems.warnings import (
     PEOPLE_FEW_VIEWS,
     PEOPLE_POOR_FIT,
     PEOPLE_SAME_PLACE,
@@ -28,6 +27,7 @@ from pipeline.problem_codes.warnings import (
     PEOPLE_UNCERTAIN_FOCAL,
     PEOPLE_UNCERTAIN_POSE,
 )
+from pipeline.geometry.camera import center_in_world
 
 _FILM = "Let one or two people walk about for a minute where several cameras see them whole."
 _CHECK = "Check that the videos are synchronised, that no camera moved, and that the intrinsics are its own."

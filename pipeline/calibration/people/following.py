@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.data.detections import Detections
-from pipeline.joints import JointSet
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import JointSet
 
 JOINTS = (
     "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.tracklets import MIN_INSTANTS, ViewTracklet
-from pipeline.data.arrays import read_only
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.rigid import Rigid3
 
 # Error of a joint that still fits, as a share of the body's height in the image, and in pixels at least.
 _TOLERANCE, _MIN_TOLERANCE_PX = 0.05, 4.0

@@ -10,9 +10,9 @@ from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.bundle import adjust_poses
 from pipeline.calibration.people.pairs import RelativePose
 from pipeline.calibration.people.stature import scale_from, statures
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.undistortion import undistort_px
 
 # Angle of the rays below which a pair is worse the smaller it is.

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.calibration.people.following import MAX_GAP_S, Followed, follow_bodies
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, FrameTimes
-from pipeline.data.detections import Detections
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, FrameTimes
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import JointSet
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.joints import JointSet
 
 MIN_INSTANTS = 8
 """Instants of the shortest tracklet that is kept, and that two tracklets must share to be compared."""

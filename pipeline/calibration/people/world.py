@@ -10,12 +10,12 @@ from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.stature import match_statures, others_at_once, statures
 from pipeline.calibration.vertical import turn_upright, upright_direction
-from pipeline.data.animation import Floor
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.animation import Floor
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
-from pipeline.skeleton.feet.floor import estimate_floor
+from pipeline.motion.skeleton.feet.floor import estimate_floor
 
 # Feet that reach less far than this along some direction don't determine the slope of the floor.
 _MIN_REACH_M = 0.4

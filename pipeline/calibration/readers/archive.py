@@ -13,9 +13,9 @@ from pipeline.calibration.readers.file_storage import read_object, read_xml, rea
 from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, in_utf_8, parse
-from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError, in_utf_8, parse
+from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
 
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20

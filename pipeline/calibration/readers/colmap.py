@@ -15,9 +15,9 @@ from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.errors import InputError
-from pipeline.parsing import UnreadableError
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
+from pipeline.core.errors import InputError
+from pipeline.core.parsing import UnreadableError
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
 CAMERAS_HEAD = "CAMERA_ID, MODEL, WIDTH, HEIGHT"
 IMAGES_HEAD = "IMAGE_ID, QW, QX, QY, QZ"

@@ -14,9 +14,9 @@ from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.readers.rotations import read_rotation
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import RawCamera
-from pipeline.errors import listed_names
-from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import INVALID_SIZE, UNSUPPORTED_LENS
+from pipeline.core.errors import listed_names
+from pipeline.core.parsing import UnreadableError, read_numbers
+from pipeline.core.problems.sessions import INVALID_SIZE, UNSUPPORTED_LENS
 
 _MATRIX = (
     "camera_matrix",

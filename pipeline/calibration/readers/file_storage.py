@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 from defusedxml.ElementTree import fromstring
 
-from pipeline.parsing import UnreadableError, parse, read_unique_json
+from pipeline.core.parsing import UnreadableError, parse, read_unique_json
 
 # 128 cameras with 12 numbers a matrix take some 20,000 events.
 _MAX_EVENTS = 200_000

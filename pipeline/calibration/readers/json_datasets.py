@@ -15,8 +15,8 @@ from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
+from pipeline.core.parsing import UnreadableError, read_numbers
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
 _PANOPTIC_PASSED_OVER = frozenset({"name", "type", "panel", "node"})

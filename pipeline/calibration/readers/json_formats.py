@@ -9,10 +9,10 @@ from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.data.cameras import LensModel
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, read_unique_json
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNKNOWN_VERSION, UNSUPPORTED_LENS
+from pipeline.core.data.cameras import LensModel
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError, read_unique_json
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNKNOWN_VERSION, UNSUPPORTED_LENS
 
 SCHEMA_VERSION = 1
 

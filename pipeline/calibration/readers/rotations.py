@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.reading import Reading
-from pipeline.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import INVALID_ROTATION
+from pipeline.core.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
+from pipeline.core.problems.sessions import INVALID_ROTATION
 
 _MIN_NORM, _MAX_NORM = 1e-3, 1e3
 

@@ -17,9 +17,9 @@ from pipeline.calibration.readers.fields import flat
 from pipeline.calibration.readers.rotations import read_rotation
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, parse
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError, parse
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Fields that are not the calibration: FreeMoCap's, with the extrinsics once more, and Caliscope's.

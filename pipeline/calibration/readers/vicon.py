@@ -16,8 +16,8 @@ from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.readers.xml_files import NUMBER, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
-from pipeline.problem_codes.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
+from pipeline.core.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
+from pipeline.core.problems.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
 
 ROOT = "Cameras"
 

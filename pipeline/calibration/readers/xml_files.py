@@ -7,9 +7,9 @@ from typing import Any
 from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration.reading import Reading
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import Quantity, UnreadableError, parse
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE, INVALID_NUMBER
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import Quantity, UnreadableError, parse
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, INVALID_NUMBER
 
 NUMBER = Quantity(-1e9, 1e9, "")
 """Range of every number in a file, so that the arithmetic of the readers does not overflow."""

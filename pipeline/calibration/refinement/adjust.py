@@ -18,8 +18,8 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, observations_of_points
 from pipeline.calibration.adjustment.structure import FreePoints
 from pipeline.calibration.refinement.sightings import JointSightings
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
 
 PRIOR_SIGMA = ((ROTATION, np.radians(5.0)), (POSITION, 0.3), (FOCAL, 0.1))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.refinement.sightings import JointSightings
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 
 # Rotations about the camera's x and y axes. Roll is hardly determined by the people of one second.
 _PAN_AND_TILT = slice(0, 2)

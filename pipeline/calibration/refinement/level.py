@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.vertical import cameras_allow, turn_upright, upright_direction
-from pipeline.data.animation import Floor
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.people import Poses3D
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.animation import Floor
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.people import Poses3D
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.joints import JointSet
 from pipeline.geometry.tracks import triangulate_instants
-from pipeline.joints import JointSet
-from pipeline.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG, fit_floor
+from pipeline.motion.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG, fit_floor
 
 _MIN_SCORE = 0.3
 _MIN_POSES = 40

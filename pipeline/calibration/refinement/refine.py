@@ -20,7 +20,7 @@ from pipeline.calibration.refinement.adjust import adjust_to_sightings
 from pipeline.calibration.refinement.bumps import Step, find_steps
 from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
-from pipeline.data.cameras import Camera, CameraMove, Refusal
+from pipeline.core.data.cameras import Camera, CameraMove, Refusal
 from pipeline.geometry.camera import project
 
 MAX_ERROR_SHARE = 0.75

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.people import People, Poses3D
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.people import People, Poses3D
+from pipeline.core.joints import FINGER_JOINTS, JointSet
 from pipeline.geometry.tracks import triangulate_instants
-from pipeline.joints import FINGER_JOINTS, JointSet
 
 MAX_POINTS = 8000
 """Largest number of points; more take longer and hardly move the cameras."""

@@ -26,8 +26,8 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged, joint_of, layout_of_names
 from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
-from pipeline.joints import BODY_FEET, COCO_17
-from pipeline.layouts import LAYOUTS, KeypointLayout
+from pipeline.core.joints import BODY_FEET, COCO_17
+from pipeline.core.layouts import LAYOUTS, KeypointLayout
 
 _BODY, _FEET = "keypoints", "foot_kpts"
 _NUM_BODY, _NUM_FEET = len(COCO_17.names), 6

@@ -23,8 +23,8 @@ from pipeline.capture.keypoint_files.people import (
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import arranged, joint_of, named_layout
-from pipeline.layouts import KeypointLayout
-from pipeline.parsing import UnreadableError
+from pipeline.core.layouts import KeypointLayout
+from pipeline.core.parsing import UnreadableError
 
 _MAX_LINE = 4 * 2**20
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")

@@ -20,7 +20,7 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
-from pipeline.joints import without_hands
+from pipeline.core.joints import without_hands
 
 PEOPLE = "annots"
 """Name of the list of people."""

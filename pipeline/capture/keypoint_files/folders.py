@@ -15,13 +15,13 @@ from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, Keypo
 from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
-from pipeline.data.cameras import Camera
-from pipeline.errors import Problem, listed_names
-from pipeline.findings import Finding
-from pipeline.parsing import UnreadableError, read_json
-from pipeline.paths import StrPath
-from pipeline.problem_codes.findings import FILE_IGNORED
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import Problem, listed_names
+from pipeline.core.findings import Finding
+from pipeline.core.parsing import UnreadableError, read_json
+from pipeline.core.paths import StrPath
+from pipeline.core.problems.findings import FILE_IGNORED
+from pipeline.core.problems.sessions import (
     DUPLICATE_KEYPOINTS,
     KEYPOINTS_MISSING,
     KEYPOINTS_NONE,

@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
-from pipeline.joints import WHOLE_BODY
-from pipeline.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
+from pipeline.core.joints import WHOLE_BODY
+from pipeline.core.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
 
 _POSE = LAYOUTS["mediapipe-33"]
 _POSE_AND_HANDS = KeypointLayout(

@@ -15,12 +15,12 @@ from pipeline.capture.keypoint_files.people import People, is_detected
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import CANDIDATES
 from pipeline.capture.preflight_record import LayoutRead
-from pipeline.data.cameras import Camera
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.layouts import KeypointLayout
-from pipeline.problem_codes.findings import KEYPOINTS_FORM
-from pipeline.problem_codes.sessions import KEYPOINTS_LAYOUT
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.layouts import KeypointLayout
+from pipeline.core.problems.findings import KEYPOINTS_FORM
+from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT
 
 Frames = Mapping[str, Mapping[int, People]]
 """People of each frame by camera and number of the frame; their points are in the order of the files."""

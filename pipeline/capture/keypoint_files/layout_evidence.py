@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
+from pipeline.core.joints import SIDES
+from pipeline.core.layouts import KeypointLayout
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.epipolar import epipolar_distance_px, fundamental_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.joints import SIDES
-from pipeline.layouts import KeypointLayout
 
 # Lengths as shares of stature: limbs as in ``skeleton.model`` (Drillis and Contini 1966), others as detectors mark
 # them.

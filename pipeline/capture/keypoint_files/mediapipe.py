@@ -27,9 +27,9 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.joints import BODY_FEET, SIDES
-from pipeline.layouts import LAYOUTS
-from pipeline.parsing import SIDE_PX, read_numbers
+from pipeline.core.joints import BODY_FEET, SIDES
+from pipeline.core.layouts import LAYOUTS
+from pipeline.core.parsing import SIDE_PX, read_numbers
 
 _POSE, _SIZE = "pose_landmarks", "image_size"
 RESULTS = (_POSE, "poseLandmarks", "landmarks")

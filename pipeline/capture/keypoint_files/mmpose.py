@@ -22,8 +22,8 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged, layout_of_names
 from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
-from pipeline.layouts import KeypointLayout
-from pipeline.parsing import read_numbers
+from pipeline.core.layouts import KeypointLayout
+from pipeline.core.parsing import read_numbers
 
 _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 

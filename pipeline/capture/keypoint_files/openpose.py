@@ -21,9 +21,9 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
-from pipeline.joints import without_hands
-from pipeline.layouts import FILE_LAYOUTS
-from pipeline.parsing import read_numbers
+from pipeline.core.joints import without_hands
+from pipeline.core.layouts import FILE_LAYOUTS
+from pipeline.core.parsing import read_numbers
 
 _BODY = "pose_keypoints_2d"
 

@@ -7,9 +7,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.config import MAX_OUTPUT_FRAMES
-from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, JointSet, finger_joints, hand_bones
-from pipeline.parsing import KEYPOINT_PX, UnreadableError, read_numbers
+from pipeline.core.joints import (
+    BODY_25,
+    BODY_FEET,
+    COCO_17,
+    COCO_18,
+    SIDES,
+    WHOLE_BODY,
+    JointSet,
+    finger_joints,
+    hand_bones,
+)
+from pipeline.core.options.config import MAX_OUTPUT_FRAMES
+from pipeline.core.parsing import KEYPOINT_PX, UnreadableError, read_numbers
 
 MAX_PEOPLE = 128
 """Limit on the people of a camera in a frame; association takes some seconds for a frame with so many people."""

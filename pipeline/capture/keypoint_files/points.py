@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from pipeline.capture.keypoint_files.people import KeypointsError, People
-from pipeline.joints import BODY_FEET, COCO_17, SIDES, without_hands
-from pipeline.layouts import LAYOUTS, KeypointLayout
+from pipeline.core.joints import BODY_FEET, COCO_17, SIDES, without_hands
+from pipeline.core.layouts import LAYOUTS, KeypointLayout
 
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
 _WHOLE = {len(LAYOUTS[name].points): LAYOUTS[name] for name in ("coco-wholebody-133", "halpe-136")}

@@ -13,11 +13,11 @@ from scipy.special import expit
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.capture.keypoint_files.people import People, is_detected
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.parsing import KEYPOINT_PX
-from pipeline.problem_codes.findings import KEYPOINTS_SCALE
-from pipeline.problem_codes.sessions import KEYPOINTS_SCORES
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.parsing import KEYPOINT_PX
+from pipeline.core.problems.findings import KEYPOINTS_SCALE
+from pipeline.core.problems.sessions import KEYPOINTS_SCORES
 
 _Frames = dict[int, People]
 

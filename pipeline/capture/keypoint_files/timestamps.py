@@ -10,12 +10,12 @@ import numpy as np
 from pipeline.capture.clock import TimeSource, clock_problems
 from pipeline.capture.keypoint_files.people import People
 from pipeline.capture.names import nfc
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
-from pipeline.problem_codes.findings import FRAMES_DROPPED
-from pipeline.problem_codes.sessions import (
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.core.problems.findings import FRAMES_DROPPED
+from pipeline.core.problems.sessions import (
     FRAME_RATE,
     NO_FRAME_RATE,
     TIMESTAMPS_INVALID,
@@ -23,7 +23,7 @@ from pipeline.problem_codes.sessions import (
     TIMESTAMPS_ORDER,
     TIMESTAMPS_START,
 )
-from pipeline.tables import Table, open_table
+from pipeline.core.tables import Table, open_table
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 _COLUMNS = ("camera", "frame", "time_s")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from pipeline.capture.keypoint_files.people import KeypointsError
-from pipeline.layouts import FILE_LAYOUTS, KeypointLayout
+from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
 
 CANDIDATES: Mapping[int, tuple[KeypointLayout, ...]] = {
     count: tuple(layout for layout in FILE_LAYOUTS.values() if len(layout.points) == count)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.joints import BODY_25, COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
+from pipeline.core.joints import BODY_25, COCO_17, FINGER_JOINTS, SIDES, JointSet, finger_joints
 
 # Joints of BODY_25 that are the middle of two joints of COCO-17.
 _MIDDLES = {"neck": ("left_shoulder", "right_shoulder"), "mid_hip": ("left_hip", "right_hip")}

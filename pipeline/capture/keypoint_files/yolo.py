@@ -21,8 +21,8 @@ from pipeline.capture.keypoint_files.people import (
 )
 from pipeline.capture.keypoint_files.points import arranged
 from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
-from pipeline.joints import COCO_17
-from pipeline.parsing import UnreadableError
+from pipeline.core.joints import COCO_17
+from pipeline.core.parsing import UnreadableError
 
 _NUM_LEADING = 5
 # Numbers of points of the data sets that networks of YOLO are trained with.

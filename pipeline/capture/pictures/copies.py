@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from pipeline.capture.pictures.check import PICTURES, STILL, CameraPictures, is_dark
 from pipeline.capture.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import SAME_VIDEO
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import SAME_VIDEO
 
 # Correlation of the detail of two views: that of a camera with itself at other times is 0.7 to 1, since people cover
 # parts of it; that of two cameras is 0 up to chance, unless the place is symmetric.

@@ -17,9 +17,9 @@ from pipeline.capture.pictures.check import CameraPictures, check_pictures
 from pipeline.capture.pictures.copies import MIN_INSTANTS, same_video, similar_views
 from pipeline.capture.pictures.figures import PictureFigures, figures_of, reduced
 from pipeline.capture.session import CaptureSession
-from pipeline.errors import ChildError, InputError
-from pipeline.findings import Finding, Severity, from_problem
-from pipeline.problem_codes.findings import PICTURES_LEFT_OUT
+from pipeline.core.errors import ChildError, InputError
+from pipeline.core.findings import Finding, Severity, from_problem
+from pipeline.core.problems.findings import PICTURES_LEFT_OUT
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import reading_s

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.capture.session import Session
-from pipeline.data.cameras import Timebase
-from pipeline.data.heads import HeadRegions
-from pipeline.privacy.blur import blur_ellipses
-from pipeline.progress import OnShare
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.heads import HeadRegions
+from pipeline.core.progress import OnShare
+from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.video.decode import decode
 from pipeline.video.playback.h264 import even_size_px
 from pipeline.video.timeline import frames_in

@@ -24,24 +24,24 @@ from jaxtyping import Bool, Float, Int
 from rerun.chunk import Chunk, RrdReader
 from rerun.error_utils import RerunWarning
 
-from pipeline.angles.compute import joint_angles
-from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.calibration.sizes import scaled
 from pipeline.capture.session import Session
-from pipeline.data.animation import FootContact, SkeletonMotion
-from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.heads import HeadRegions
-from pipeline.data.people import Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import FootContact, SkeletonMotion
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import spoilt
 from pipeline.export.recording.pictures import small_pictures, small_size_px
 from pipeline.export.recording.unmatched import is_unmatched
 from pipeline.export.writers.blocks import frame_blocks
-from pipeline.progress import OnShare, ignore, part_of, split
-from pipeline.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.angles.compute import joint_angles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
 from pipeline.video.timeline import frames_in
 
 MAX_PICTURE_BYTES = 2**28

@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.people import Observations, Track3D
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.people import Observations, Track3D
 
 # Distance of a body's joints from a person's observations, in diagonals of its box, within which the body is theirs.
 # Observations are between two frames of the camera, which take a body a small part of its size further.

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
-from pipeline.body.makehuman import FULL_WEIGHT, UNITS_PER_M
-from pipeline.body.shape import BodyShapes, shape_body
-from pipeline.body.standing import standing_ankle_m
-from pipeline.data.animation import Floor, SkeletonMotion
-from pipeline.skeleton.model import INDEX, WHOLE_SKELETON
+from pipeline.core.data.animation import Floor, SkeletonMotion
+from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
+from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
+from pipeline.motion.body.shape import BodyShapes, shape_body
+from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON
 
 
 def describe_body(shapes: BodyShapes) -> Mapping[str, Any]:

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.angles.compute import joint_angles, observable_angles
-from pipeline.angles.definitions import ANGLE_NAMES
-from pipeline.body.shape import BodyShapes
 from pipeline.capture.session import Session
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Camera, FrameTimes, Synchronization
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Camera, FrameTimes, Synchronization
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import without_hands
 from pipeline.export.colors import color_rgb
+from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.frames import (
     ABSENT,
@@ -32,9 +31,10 @@ from pipeline.export.viewer.frames import (
     record_type,
 )
 from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket, identity_confidence
-from pipeline.joints import without_hands
-from pipeline.quality.views import PersonViews
-from pipeline.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.angles.compute import joint_angles, observable_angles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body.shape import BodyShapes
+from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
 
 SCHEMA_VERSION = 1
 TOLERANCE_S = 1e-3

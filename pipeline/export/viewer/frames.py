@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data.people import Track3D
+from pipeline.core.data.people import Track3D
 from pipeline.export.writers.blocks import frame_blocks
 
 ABSENT = -32768

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Doubt, Source
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Doubt, Source
 from pipeline.export.viewer.frames import UNKNOWN_ERROR, PersonFrames, error_byte, share_byte
 
 MAX_BUCKETS = 1024

@@ -1,9 +1,9 @@
 """Joint angles in tables: CSV for spreadsheets and statistics, and MOT, the form of OpenSim's motion files.
 
 A CSV file has the columns ``frame`` (output frame of the session) and ``time_s`` (on the session's clock), each angle
-of ``pipeline.angles`` in degrees, and then the standard deviation of each. Cells of unknown angles are empty, also in
-frames before and after the track. A MOT file has ``time`` and those angles that are known in some frame; gaps are
-filled in, since OpenSim stops reading at a number that is unknown. Numbers are rounded to 0.001 degrees and 1 us.
+of ``pipeline.motion.angles`` in degrees, and then the standard deviation of each. Cells of unknown angles are empty,
+also in frames before and after the track. A MOT file has ``time`` and those angles that are known in some frame; gaps
+are filled in, since OpenSim stops reading at a number that is unknown. Numbers are rounded to 0.001 degrees and 1 us.
 """
 
 from collections.abc import Iterator
@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.angles.compute import JointAngles
-from pipeline.angles.definitions import ANGLE_NAMES
-from pipeline.data.cameras import Timebase
+from pipeline.core.data.cameras import Timebase
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
 
 _DECIMALS = 3
 _END_OF_HEAD = "endheader"

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.export.writers.euler import halfway_by_angles
-from pipeline.skeleton.model import INDEX, children_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, children_of, skeleton_of
 
 # Length in the file's unit up to which a bone has no direction, and deviation up to which it points straight down.
 _NO_LENGTH, _STRAIGHT_DOWN = 1e-3, 2.5e-4

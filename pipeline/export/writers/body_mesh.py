@@ -10,15 +10,15 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.body.installed import load
-from pipeline.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint
-from pipeline.body.shape import ShapedBody, shape_body
-from pipeline.body.skinning import about, blend, placed
-from pipeline.body.standing import standing_ankle_m
-from pipeline.config import Body
-from pipeline.data.animation import Floor, SkeletonMotion
+from pipeline.core.data.animation import Floor, SkeletonMotion
+from pipeline.core.options.config import Body
 from pipeline.export.presets import Convention
-from pipeline.skeleton.model import INDEX, parents_of, skeleton_of
+from pipeline.motion.body.installed import load
+from pipeline.motion.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint
+from pipeline.motion.body.shape import ShapedBody, shape_body
+from pipeline.motion.body.skinning import about, blend, placed
+from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.skeleton.model import INDEX, parents_of, skeleton_of
 
 _UP = np.array([0.0, 0.0, 1.0])
 # Joint to which the skin of each joint shrinks: the end of the bone for the chest and the shoulders, so that triangles

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.export.writers.blocks import fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
-from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of
 
 _ANGLE_DECIMALS = 4
 

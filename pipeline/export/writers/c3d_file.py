@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.joints import JointSet
 from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.c3d_parameters import (
@@ -40,8 +41,7 @@ from pipeline.export.writers.c3d_parameters import (
     read_numbers,
 )
 from pipeline.export.writers.c3d_segments import SEGMENT_LABELS, segment_poses, segment_reliability
-from pipeline.gait.analysis import MarkedEvent
-from pipeline.joints import JointSet
+from pipeline.motion.gait.analysis import MarkedEvent
 
 _MM_PER_M = 1000.0
 _SECONDS_PER_MINUTE = 60.0

@@ -1,7 +1,7 @@
 """Poses of a body's segments for C3D files, in the axes and by the names that Visual3D and Theia3D use.
 
 The axes are X to the right, Y to the front and Z up along the segment in the anatomical position; they are those of
-``pipeline.angles.definitions`` in another order. The origin of a segment is its proximal joint.
+``pipeline.motion.angles.definitions`` in another order. The origin of a segment is its proximal joint.
 """
 
 from collections.abc import Mapping
@@ -11,12 +11,12 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.angles.compute import observed
-from pipeline.angles.definitions import SEGMENTS
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.people import Track3D
-from pipeline.joints import JointSet
-from pipeline.skeleton.model import INDEX, posed_joints
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
+from pipeline.motion.angles.compute import observed
+from pipeline.motion.angles.definitions import SEGMENTS
+from pipeline.motion.skeleton.model import INDEX, posed_joints
 
 _TRUNK = {"pelvis": "pelvis", "thorax": "torso", "head": "head"}
 _LIMBS = {
@@ -31,7 +31,7 @@ SEGMENT_LABELS: Mapping[str, str] = MappingProxyType(
     {name: f"{label}_4X4" for name, label in _TRUNK.items()}
     | {f"{side}_{name}": f"{side[0]}_{label}_4X4" for side in ("left", "right") for name, label in _LIMBS.items()}
 )
-"""Labels of the segments by their names in ``pipeline.angles.definitions``."""
+"""Labels of the segments by their names in ``pipeline.motion.angles.definitions``."""
 # Columns of Visual3D's axes among those of ISB's: right, front, up.
 _RIGHT_FRONT_UP = [2, 0, 1]
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
 from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
-from pipeline.joints import JointSet
 
 
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:

@@ -25,9 +25,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.spatial.transform import Rotation
 
-from pipeline.body.joints import TWIST_JOINTS
-from pipeline.config import Body, Preset
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.options.config import Body, Preset
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
 from pipeline.export.scene import FLOOR, TakeScene
@@ -55,7 +54,8 @@ from pipeline.export.writers.fbx_scene import (
 )
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
-from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+from pipeline.motion.body.joints import TWIST_JOINTS
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
 
 # Bytes of the angles of a group of joints, which are computed together.
 _GROUP_BYTES = 2**26

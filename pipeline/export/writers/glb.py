@@ -26,16 +26,16 @@ import pygltflib as gltf
 from jaxtyping import Bool, Float, Shaped
 from scipy.spatial.transform import Rotation
 
-from pipeline.body.joints import TWIST_JOINTS, TwistJoint
-from pipeline.config import Body
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.options.config import Body
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import GLTF
 from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, BodyMesh, body_at_rest
-from pipeline.skeleton.model import INDEX, children_of, skeleton_of
+from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
+from pipeline.motion.skeleton.model import INDEX, children_of, skeleton_of
 
 # NumPy types of the components of accessors.
 _COMPONENTS: dict[int, np.dtype[Any]] = {

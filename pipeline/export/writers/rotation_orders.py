@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.export.writers.blender_bones import file_from_bones, halfway_in_blender
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.euler import ORDERS, angle_rad, halfway_by_angles, halfway_on_arc
-from pipeline.skeleton.model import WHOLE_SKELETON, parents_of
+from pipeline.motion.skeleton.model import WHOLE_SKELETON, parents_of
 
 _MM_PER_M = 1000.0
 _USUAL = "ZXY"

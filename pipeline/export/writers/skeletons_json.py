@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.export.writers.blocks import BLOCK_FRAMES, frame_blocks
 
 SCHEMA_VERSION = 1

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
-from pipeline.joints import JointSet
 
 _HEAD_LINES = 6
 

@@ -28,16 +28,16 @@ from jaxtyping import Bool, Float, Int
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from scipy.spatial.transform import Rotation
 
-from pipeline.body.joints import TWIST_JOINTS, TwistJoint
-from pipeline.config import Body
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.options.config import Body
 from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import WORLD, Convention
 from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
-from pipeline.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, parents_of, skeleton_of
+from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, parents_of, skeleton_of
 
 # Positions and normals of vertices, and the vertices of each face, counterclockwise from outside.
 _Surface = tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces corners"]]

@@ -14,12 +14,12 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
-from pipeline.skeleton.humanoid import UNITY_BONES
-from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
+from pipeline.motion.skeleton.humanoid import UNITY_BONES
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
 
 EXTENSION = "VRMC_vrm_animation"
 """Name of the extension."""

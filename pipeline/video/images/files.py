@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from pipeline.errors import UnusableError
-from pipeline.problem_codes.sessions import IMAGES_ARCHIVE, NO_IMAGES
-from pipeline.runtime.zips import ArchiveError, list_entries, name_of, read_entry
+from pipeline.core.errors import UnusableError
+from pipeline.core.problems.sessions import IMAGES_ARCHIVE, NO_IMAGES
+from pipeline.core.runtime.zips import ArchiveError, list_entries, name_of, read_entry
 
 SEQUENCE = "images"
 """Name in place of a codec of a sequence of images."""

@@ -9,7 +9,7 @@ import av
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
 
-from pipeline.runtime.zips import ArchiveError
+from pipeline.core.runtime.zips import ArchiveError
 from pipeline.video.container import MAX_PIXELS
 from pipeline.video.images.files import open_images
 

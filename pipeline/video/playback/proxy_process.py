@@ -12,10 +12,10 @@ from typing import IO, cast
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.model import Code
-from pipeline.problem_codes.sessions import VIDEO_DAMAGED, VIDEO_UNREADABLE
-from pipeline.runtime.child_processes import module_command, uninterrupted
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import VIDEO_DAMAGED, VIDEO_UNREADABLE
+from pipeline.core.runtime.child_processes import module_command, uninterrupted
 from pipeline.video.children import READY, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.h264 import KEYFRAME_S, TICKS_A_SECOND, even_size_px

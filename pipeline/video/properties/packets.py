@@ -8,8 +8,8 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from pipeline.errors import UnusableError
-from pipeline.problem_codes.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
+from pipeline.core.errors import UnusableError
+from pipeline.core.problems.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
 from pipeline.video.stamps import read_packets
 
 MAX_FRAMES = 2_000_000

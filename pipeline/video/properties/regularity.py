@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import Problem
-from pipeline.problem_codes.findings import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
+from pipeline.core.errors import Problem
+from pipeline.core.problems.findings import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
 
 # An interval of 1.6 usual ones or more is a gap, one of 0.4 or less is too short; as ``frame_rate`` has it.
 _EVEN = 0.6

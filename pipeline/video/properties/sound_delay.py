@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pipeline.errors import Problem
-from pipeline.problem_codes.findings import SOUND_DELAY_UNKNOWN
+from pipeline.core.errors import Problem
+from pipeline.core.problems.findings import SOUND_DELAY_UNKNOWN
 from pipeline.video.container import DECODE_ERRORS, open_container
 
 _AAC_SAMPLES = 1024

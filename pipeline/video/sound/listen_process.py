@@ -7,8 +7,8 @@ import subprocess
 import numpy as np
 from jaxtyping import Float32
 
-from pipeline.data.arrays import read_only
-from pipeline.runtime.child_processes import module_command
+from pipeline.core.data.arrays import read_only
+from pipeline.core.runtime.child_processes import module_command
 from pipeline.video.children import READY, child_environment, child_error, is_caused_by_file
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import reading_s

@@ -3,10 +3,10 @@
 import pytest
 
 from api.blender.extension.bone_tree import BoneTree, completed, problems_of, recognised
-from pipeline.character.bone_names import HIPS, REQUIRED
-from pipeline.character.gltf_reader import decode_character
-from pipeline.character.mapping import map_bones
-from tests.pipeline.character.characters import bones_of, character, odd_bones
+from pipeline.export.character.bone_names import HIPS, REQUIRED
+from pipeline.export.character.gltf_reader import decode_character
+from pipeline.export.character.mapping import map_bones
+from tests.pipeline.export.character.characters import bones_of, character, odd_bones
 
 
 def tree_of(rig: str) -> BoneTree:

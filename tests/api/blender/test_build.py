@@ -10,8 +10,8 @@ from pathlib import Path
 from api.blender.build import SHARED, build
 from api.blender.extension.capture_folder import VIDEO_ENDINGS
 from pipeline.capture import video_files
-from pipeline.character.bone_names import FINGERS
-from pipeline.joints import FINGERS as JOINTS_OF_FINGERS
+from pipeline.core.joints import FINGERS as JOINTS_OF_FINGERS
+from pipeline.export.character.bone_names import FINGERS
 
 ROOT = Path(__file__).parents[3]
 OF_BLENDER = {"bpy", "mathutils"}

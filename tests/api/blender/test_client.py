@@ -17,14 +17,14 @@ from api.blender.extension import client as client_module
 from api.blender.extension.answers import FileEntry, RequestError, files_of, job_of, plain
 from api.blender.extension.armature_file import armature_glb
 from api.blender.extension.client import BlenderClient, StoppedTaskError, is_on_this_machine, service_address
-from api.settings import Settings
-from pipeline.character.gltf_reader import decode_character
-from pipeline.character.mapping import map_bones
+from api.web.settings import Settings
+from pipeline.export.character.gltf_reader import decode_character
+from pipeline.export.character.mapping import map_bones
 from tests.api.blender.conftest import WrongService, says
 from tests.api.blender.test_retarget import armature_of
 from tests.api.conftest import Live, running
-from tests.pipeline.character.characters import character, odd_bones
-from worker.jobs.model.rights import Scope
+from tests.pipeline.export.character.characters import character, odd_bones
+from worker.store.model.rights import Scope
 
 ID = "01890a5d-ac96-774b-bcce-b302099a8057"
 ALIVE = says(200, b'{"status": "ok"}')

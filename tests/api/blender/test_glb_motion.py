@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from api.blender.extension.answers import RequestError
 from api.blender.extension.glb_motion import PersonMotion, check_glb, read_motion
 from pipeline.export.writers import glb
-from pipeline.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
 from tests.pipeline.export.writers.test_bvh import walk, with_fingers
 
 RATE_HZ = 30000 / 1001

@@ -18,24 +18,24 @@ import numpy as np
 import pytest
 
 from api.blender.build import build
-from api.settings import Settings
-from pipeline.character.bone_names import LIMBS
-from pipeline.character.gltf_reader import decode_character
-from pipeline.character.mapping import map_bones
-from pipeline.config import Export
-from pipeline.data.reconstruction import Reconstruction
+from api.web.settings import Settings
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import Export
+from pipeline.export.character.bone_names import LIMBS
+from pipeline.export.character.gltf_reader import decode_character
+from pipeline.export.character.mapping import map_bones
 from pipeline.export.results import write_results
-from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
-from pipeline.live.vmc import VmcSender
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
+from pipeline.run.live.vmc import VmcSender
 from tests.api.blender.conftest import WrongService, says
 from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
 from tests.e2e.foreign import BLENDER
-from tests.pipeline.character.characters import bones_of, character, odd_bones
+from tests.pipeline.export.character.characters import bones_of, character, odd_bones
 from tests.pipeline.export.test_scene import FBX, GLB, NAMES, named
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, nearest_m, two_people
-from worker.jobs.model.rights import Scope
+from worker.store.model.rights import Scope
 
 __all__ = ["named", "two_people"]
 pytestmark = pytest.mark.blender

@@ -12,12 +12,12 @@ from api.blender.extension.bone_tree import BoneMap, completed, recognised
 from api.blender.extension.glb_motion import PersonMotion, read_motion
 from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
 from api.blender.extension.turns import Quat
-from pipeline.character.bone_names import LIMBS
+from pipeline.export.character.bone_names import LIMBS
 from pipeline.export.writers import glb
 from tests.api.blender.test_bone_tree import tree_of
 from tests.api.blender.test_glb_motion import posed_m
 from tests.cases import slow_but
-from tests.pipeline.character.characters import Bones, bones_of
+from tests.pipeline.export.character.characters import Bones, bones_of
 from tests.pipeline.export.writers.test_bvh import walk, with_fingers
 
 Posed = dict[str, np.ndarray]

@@ -7,11 +7,11 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
 from api.blender.extension.vmc_person import VmcPerson, is_same_person
-from pipeline.data.animation import SkeletonMotion
-from pipeline.live.records import LivePerson, LiveSkeleton
-from pipeline.live.vmc import vmc_bundle
-from pipeline.skeleton.humanoid import UNITY_BONES
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.motion.skeleton.humanoid import UNITY_BONES
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.run.live.records import LivePerson, LiveSkeleton
+from pipeline.run.live.vmc import vmc_bundle
 
 NUM_BONES = len(SKELETON)
 

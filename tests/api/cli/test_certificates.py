@@ -21,7 +21,6 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from typer.testing import CliRunner
 
-from api.app import create_app
 from api.cli import certificates as module
 from api.cli.certificate_authority import (
     VALID_DAYS,
@@ -32,12 +31,13 @@ from api.cli.certificate_authority import (
 )
 from api.cli.certificates import CertificateError, Encryption, given_encryption, machine_names, own_encryption
 from api.cli.main import app
-from api.http.server import server_config
-from api.settings import Settings
+from api.web.app import create_app
+from api.web.http.server import server_config
+from api.web.settings import Settings
 from tests.api.conftest import Live, problem_of
 from tests.waiting import wait_for
-from worker.jobs.model.rights import Scope
-from worker.jobs.store import JobStore
+from worker.store.model.rights import Scope
+from worker.store.store import JobStore
 
 runner = CliRunner()
 

@@ -21,19 +21,19 @@ from api.cli.commands import keys
 from api.cli.commands.reconstruct import print_summary
 from api.cli.console import print_table, reporting
 from api.cli.main import COMMANDS, app
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Timebase
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.detect import models
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_17
+from pipeline.detection import models
 from pipeline.export.results import write_results
-from pipeline.joints import COCO_17
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
 from tests.pipeline.simulations import write_simulation
 from tests.small_disk import fill, small_disk
-from worker.jobs.files.disk import DiskSpace
-from worker.jobs.model.rights import Key, Scope
+from worker.store.files.disk import DiskSpace
+from worker.store.model.rights import Key, Scope
 
 runner = CliRunner()
 

@@ -6,12 +6,12 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Timebase
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.errors import PipelineError
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.errors import PipelineError
+from pipeline.core.joints import COCO_17
 from pipeline.export.results import write_results
-from pipeline.joints import COCO_17
 
 runner = CliRunner()
 

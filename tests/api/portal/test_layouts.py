@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from pipeline.layouts import FILE_LAYOUTS
+from pipeline.core.layouts import FILE_LAYOUTS
 
 VIEW = Path(__file__).parents[3] / "api/portal/send/view.js"
 

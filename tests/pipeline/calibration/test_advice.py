@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.calibration.registry import read_contents
-from pipeline.errors import InputError, Problem
+from pipeline.core.errors import InputError, Problem
 
 
 def refusal(path: Path, content: bytes) -> Problem:

@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import FORMATS
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
 from tests.pipeline.calibration.readers import test_colmap, test_qca
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
 from tests.pipeline.calibration.readers.test_archive import biocv, write_zip

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.write import FORMATS
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 PEERS = Path(__file__).parents[3] / ".venv-peers"
 TRIANGULATE = Path(__file__).parent / "programs" / "triangulate.py"

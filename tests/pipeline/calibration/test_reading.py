@@ -8,7 +8,7 @@ import pytest
 from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import RawCamera
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 
 MATRIX = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
 

@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from pipeline.association.tracking.parameters import viewed_point_m
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.registry import MAX_BYTES, read_calibration, read_contents
 from pipeline.calibration.write import encode
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import InputError
+from pipeline.core.runtime.packages import samples
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.runtime.packages import samples
-from pipeline.tracking.parameters import viewed_point_m
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 

@@ -5,8 +5,8 @@ import json
 import numpy as np
 
 from pipeline.calibration.report import CalibrationResult, CameraReport, report_document
-from pipeline.errors import Problem
-from pipeline.problem_codes.warnings import FEW_VIEWS
+from pipeline.core.errors import Problem
+from pipeline.core.problems.warnings import FEW_VIEWS
 
 
 def test_report_as_json_has_no_number_that_is_not_finite() -> None:

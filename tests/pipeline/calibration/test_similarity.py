@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.parameters import move_camera, offsets
 from pipeline.calibration.similarity import Similarity, align_world, shift_m, turn_deg, umeyama
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.refinement.people import ring
 

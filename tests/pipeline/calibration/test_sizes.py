@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.sizes import fit_to_picture, fit_to_video
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 
 POINTS_M = np.array([[0.0, 0.0, 0.0], [0.7, -0.4, 0.2], [-0.6, 0.5, -0.3]])

@@ -7,9 +7,9 @@ import pytest
 
 from pipeline.calibration.contents import Units, scaled
 from pipeline.calibration.units import possible_units, question
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 RING = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS, FORMATS
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
 
 

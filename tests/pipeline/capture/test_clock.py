@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.capture.clock import TimeSource, clock_problems
-from pipeline.data.cameras import FrameTimes
-from pipeline.errors import Problem
+from pipeline.core.data.cameras import FrameTimes
+from pipeline.core.errors import Problem
 
 DAY_S = 86_400.0
 

@@ -14,10 +14,10 @@ from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.recordings import Recording
-from pipeline.data.detections import Detections
-from pipeline.errors import InputError
-from pipeline.joints import BODY_25, COCO_17, COCO_18
-from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.core.data.detections import Detections
+from pipeline.core.errors import InputError
+from pipeline.core.joints import BODY_25, COCO_17, COCO_18
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from pipeline.capture import keypoints_zip
 from pipeline.capture.keypoints_zip import unpack_keypoints
-from pipeline.errors import InputError
-from pipeline.runtime import zips
+from pipeline.core.errors import InputError
+from pipeline.core.runtime import zips
 
 FRAME = "frame_000000000000_keypoints.json"
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from pipeline.capture.pairing import pair
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 
 
 def camera(name: str, section: str = "") -> Camera:

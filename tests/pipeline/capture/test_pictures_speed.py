@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.runtime.child_processes import module_command
+from pipeline.core.runtime.child_processes import module_command
 from tests.pipeline.capture.test_session import calibration
 
 pytestmark = pytest.mark.benchmark

@@ -5,10 +5,10 @@ import numpy as np
 
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession
-from pipeline.data.cameras import Camera, FrameTimes
-from pipeline.data.rigid import Rigid3
-from pipeline.findings import Finding
-from pipeline.problem_codes.findings import CALIBRATION_NOTE
+from pipeline.core.data.cameras import Camera, FrameTimes
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
 
 RNG = np.random.default_rng(3)

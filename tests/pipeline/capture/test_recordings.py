@@ -11,7 +11,7 @@ from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.preflight_record import Preflight
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import cut_at_keyframes, write_video

@@ -16,7 +16,7 @@ from pipeline.capture.preflight import main, report
 from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
 from tests.pipeline.media import rewrite_packets, write_audio, write_video
 from tests.pipeline.video.corpus import write_clip

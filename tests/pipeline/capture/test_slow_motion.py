@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.slow_motion import slow_motion
-from pipeline.data.cameras import FrameTimes
+from pipeline.core.data.cameras import FrameTimes
 
 
 def found(lengths: dict[str, tuple[float, float]], stated: tuple[str, ...] = ()) -> dict[str, tuple[float, float]]:

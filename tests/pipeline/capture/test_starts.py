@@ -15,7 +15,7 @@ from pipeline.capture.preflight_record import Clock, Preflight
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import open_session
 from pipeline.capture.starts import starts_s
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.probe import probe
 from pipeline.video.properties.container_clocks import read_timecode

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.angles.compute import JointAngles
-from pipeline.angles.definitions import ANGLE_NAMES
-from pipeline.config import Export
-from pipeline.data.cameras import Timebase
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.options.config import Export
 from pipeline.export.results import write_files
 from pipeline.export.writers import angle_tables
+from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
 from tests.pipeline.export.test_results import take
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 CLOCK = Timebase(2.0, 50.0, 12)
 FRAMES = range(12)

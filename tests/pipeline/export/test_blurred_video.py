@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.heads import HeadRegions
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.heads import HeadRegions
 from pipeline.export.blurred_video import write_blurred
 from pipeline.export.overlay_video import draw_video
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
+from tests.pipeline.export.privacy.test_blur import detail, patterned
 from tests.pipeline.export.test_overlay import CAMERA
 from tests.pipeline.export.test_overlay_video import NUM_FRAMES, RATE_HZ, runner, take_of
 from tests.pipeline.media import write_pictures
-from tests.pipeline.privacy.test_blur import detail, patterned
 
 # A head that moves by 20 pixels a frame.
 FRAMES = np.arange(NUM_FRAMES)

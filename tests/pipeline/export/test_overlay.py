@@ -3,13 +3,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from pipeline.data.cameras import Camera, Timebase
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.joints import COCO_17, JointSet
 from pipeline.export.colors import color_rgb
 from pipeline.export.overlay import draw_skeletons, encode_png, people_at
 from pipeline.geometry.camera import project
-from pipeline.joints import COCO_17, JointSet
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker, without
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker, without
 
 GREY = np.full((480, 640, 3), 90, dtype=np.uint8)
 # Looks along the world's +Y from 4 m behind the origin, 1 m up, through a lens with distortion.

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Camera, FrameTimes, Timebase
-from pipeline.data.people import Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_17
 from pipeline.export.overlay_video import draw_video, overlay_names
 from pipeline.geometry.camera import project
-from pipeline.joints import COCO_17
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.pipeline.export.test_overlay import CAMERA
 from tests.pipeline.media import write_pictures
-from tests.pipeline.skeleton.synthetic_tracks import track_of
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of
 
 RATE_HZ, OFFSET_S, NUM_FRAMES = 25.0, 0.313, 12
 LARGE = replace(CAMERA, size_px=(1600, 1200), matrix=np.diag([2.5, 2.5, 1.0]) @ CAMERA.matrix)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from trc import TRCData
 
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Track3D
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.export.writers import c3d_file, csv_table, trc
-from pipeline.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 RATES_HZ = (25.0, 30000 / 1001, 120000 / 1001)
 START = 7

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import Preset
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
 from tests.cases import slow_but
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, walk, with_fingers

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import ReconstructionConfig
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.resample import _rotations_at, resample
 from pipeline.export.results import write_results
-from pipeline.skeleton.model import forward_kinematics
-from pipeline.stages.local import reconstruct
+from pipeline.motion.skeleton.model import forward_kinematics
+from pipeline.run.engine.local import reconstruct
 from tests.pipeline.export.writers.test_bvh import with_fingers
 from tests.pipeline.test_restrict import session
 

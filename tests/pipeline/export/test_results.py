@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 from pygltflib import GLTF2
 
-from pipeline.config import Export, ReconstructionConfig, ending_of, installed_formats, of_people
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import InputError
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import InputError
+from pipeline.core.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
+from pipeline.core.options.config import Export, ReconstructionConfig, ending_of, installed_formats, of_people
 from pipeline.export.formats import FORMATS
 from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
 from pipeline.export.writers.fbx_stored import StoredScene, numbers
-from pipeline.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
-from pipeline.skeleton.animate import animate
+from pipeline.motion.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
+from tests.pipeline.export.quality.test_report import CAMERAS, observe
 from tests.pipeline.export.writers.test_bvh import tumbling
-from tests.pipeline.quality.test_report import CAMERAS, observe
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 EXPORTS = of_people(installed_formats())
 # Files with a whole take.

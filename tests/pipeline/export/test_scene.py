@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.config import Body, Export
-from pipeline.data.animation import Floor
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.animation import Floor
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.options.config import Body, Export
 from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import TakeScene, scene_of
 from pipeline.export.writers import fbx, glb
@@ -20,7 +20,7 @@ from pipeline.export.writers.fbx_nodes import read
 from pipeline.export.writers.fbx_scene import ticks
 from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
 from pipeline.geometry.camera import center_in_world
-from pipeline.skeleton.model import INDEX, SKELETON
+from pipeline.motion.skeleton.model import INDEX, SKELETON
 from tests.e2e.foreign import read_take_with_blender, read_take_with_three, validate_with_khronos
 from tests.pipeline.export.test_timelines import (
     NUM_FRAMES,

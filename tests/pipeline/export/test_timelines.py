@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from trc import TRCData
 
-from pipeline.angles.compute import joint_angles
-from pipeline.config import ending_of, installed_formats, of_people
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ending_of, installed_formats, of_people
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
 from pipeline.export.writers.blocks import BLOCK_FRAMES, held_blocks
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.motion.angles.compute import joint_angles
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.export.test_results import take
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 EXPORTS = of_people(installed_formats())
 NUM_FRAMES, RATE_HZ = 60, 25.0

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, image_from_world, project, rays_in_world
 from pipeline.geometry.epipolar import distance_to_line_px, epipolar_distance_px, fundamental_matrices
 from pipeline.geometry.undistortion import undistort_px

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 from pipeline.geometry.fisheye import (
     MAX_ANGLE_RAD,

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world, project
 from pipeline.geometry.tracks import triangulate_instants
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust

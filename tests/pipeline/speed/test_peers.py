@@ -20,19 +20,19 @@ import pytest
 from pipeline.calibration.write import encode_toml
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.config import ReconstructionConfig, Smoothing, detected_joints, networks_of
-from pipeline.data.cameras import Timebase
-from pipeline.data.detections import Detections
-from pipeline.detect import models
-from pipeline.detect.profiles.detection import detection_joints, open_detection
-from pipeline.evaluation.datasets.rendered import RenderedTruth, load_rendered, score_rendered
-from pipeline.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import ReconstructionConfig, Smoothing, detected_joints, networks_of
+from pipeline.detection import models
+from pipeline.detection.profiles.detection import detection_joints, open_detection
 from pipeline.geometry.camera import project
-from pipeline.joints import COCO_17
-from pipeline.simulation.files import simulation_files
-from pipeline.simulation.scenes import find_scene, record
-from pipeline.stages.local import detect_people, reconstruct
-from pipeline.warm_up import warm_up
+from pipeline.run.engine.local import detect_people, reconstruct
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.evaluation.datasets.rendered import RenderedTruth, load_rendered, score_rendered
+from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy
+from pipeline.validation.simulation.files import simulation_files
+from pipeline.validation.simulation.scenes import find_scene, record
 
 PEERS = Path(__file__).parents[3] / ".venv-speed"
 RUNNERS = Path(__file__).parent / "peers"

@@ -7,7 +7,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pipeline.runtime import child_processes
+from pipeline.core.runtime import child_processes
 from tests.warm_programs import PYTHON_COMMAND
 
 

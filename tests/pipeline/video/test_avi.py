@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.errors import Problem
+from pipeline.core.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe

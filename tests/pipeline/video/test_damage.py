@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError, Problem
+from pipeline.core.errors import InputError, Problem
 from pipeline.video.container import MAX_PIXELS
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from pipeline.video.container import decode_from, display_pts
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo

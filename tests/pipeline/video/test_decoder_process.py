@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pipeline.errors import ChildError, InputError, Problem
+from pipeline.core.errors import ChildError, InputError, Problem
 from pipeline.video import decoder_process
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo

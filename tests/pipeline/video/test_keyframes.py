@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.errors import Problem
+from pipeline.core.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.info import seek_points
 from pipeline.video.probe import probe

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.errors import Problem
+from pipeline.core.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo

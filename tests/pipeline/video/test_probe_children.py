@@ -11,8 +11,8 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.errors import ChildError, Problem
-from pipeline.runtime.child_processes import python_command
+from pipeline.core.errors import ChildError, Problem
+from pipeline.core.runtime.child_processes import python_command
 from pipeline.video import probe_process as probing
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe_process import probe_in_children

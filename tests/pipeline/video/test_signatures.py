@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import Problem
+from pipeline.core.errors import Problem
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe, reading_s
 from pipeline.video.probe_process import probe_in_children

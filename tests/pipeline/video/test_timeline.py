@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.stages.stage import FrameCut
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.run.engine.stage import FrameCut
 from pipeline.video.timeline import (
     frames_in,
     recorded_stretches,

@@ -14,14 +14,14 @@ from api.cli.benchmark.cost.tables import MINUTE_CAMERA_FRAMES, SCHEMA_VERSION, 
 from api.cli.benchmark.profiles import looped_sample
 from api.cli.console import JsonOption, console, emit, print_table, reporting
 from pipeline.capture.session import open_session
-from pipeline.config import PROFILES, Profile, ReconstructionConfig
-from pipeline.detect import models
-from pipeline.detect.providers.find import find_provider
-from pipeline.providers import PACKAGES, ProviderName, choose_provider
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.runtime.packages import samples
-from pipeline.runtime.packages.samples import Sample
-from pipeline.warm_up import warm_up
+from pipeline.core.options.config import PROFILES, Profile, ReconstructionConfig
+from pipeline.core.options.providers import PACKAGES, ProviderName, choose_provider
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.packages import samples
+from pipeline.core.runtime.packages.samples import Sample
+from pipeline.detection import models
+from pipeline.detection.providers.find import find_provider
+from pipeline.run.warm_up import warm_up
 
 # Repetitions of the sample in its videos.
 _LOOPS = (1, 2)

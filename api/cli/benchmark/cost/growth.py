@@ -13,9 +13,9 @@ from api.cli.benchmark.cost.job import measure_job
 from api.cli.benchmark.providers import sample_pictures
 from api.cli.benchmark.tracking import crowd
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.config import ReconstructionConfig, detected_joints, networks_of
-from pipeline.detect.profiles.detection import open_detection
-from pipeline.simulation.scenes import Simulation
+from pipeline.core.options.config import ReconstructionConfig, detected_joints, networks_of
+from pipeline.detection.profiles.detection import open_detection
+from pipeline.validation.simulation.scenes import Simulation
 
 _BASE: Mapping[str, float] = {"cameras": 4, "people": 3, "duration_s": 10.0}
 _SIZES: Mapping[str, tuple[float, ...]] = {

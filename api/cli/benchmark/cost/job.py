@@ -10,13 +10,13 @@ from typing import Any
 
 from api.cli.benchmark.takes import peak_rss_mib
 from pipeline.capture.session import Session
-from pipeline.config import ReconstructionConfig
-from pipeline.detect.session import NETWORK_CLOCK
-from pipeline.progress import Progress
-from pipeline.providers import ProviderName, choose_provider
-from pipeline.runtime.child_processes import ProcessPool
-from pipeline.stages.local import reconstruct_to_files
-from pipeline.warm_up import warm_up
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.providers import ProviderName, choose_provider
+from pipeline.core.progress import Progress
+from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.detection.session import NETWORK_CLOCK
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.run.warm_up import warm_up
 
 
 @dataclass(frozen=True, slots=True)

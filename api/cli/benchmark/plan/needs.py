@@ -7,10 +7,10 @@ from typing import Any
 
 from api.cli.benchmark.plan.queue_simulation import StageLoad
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.config import Profile, ReconstructionConfig
-from pipeline.space import foreseen_space
-from pipeline.stages.plan import plan
-from pipeline.stages.stage import SessionFacts
+from pipeline.core.options.config import Profile, ReconstructionConfig
+from pipeline.run.engine.plan import plan
+from pipeline.run.engine.stage import SessionFacts
+from pipeline.run.space import foreseen_space
 
 DAY_S = 86_400.0
 _DAYS_OF_MONTH = 30.0

@@ -1,7 +1,7 @@
 """Simulation of the queue: tenants, jobs, stages one after another, workers that fail.
 
-It follows the rules of ``worker.jobs.repositories.work.fair_share``: a free worker takes a chunk of the tenant with the
-fewest running ones, of its oldest job; a stage begins when the one before is done.
+It follows the rules of ``worker.store.repositories.work.fair_share``: a free worker takes a chunk of the tenant with
+the fewest running ones, of its oldest job; a stage begins when the one before is done.
 """
 
 import heapq

@@ -25,10 +25,10 @@ from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.registry import read_intrinsics
 from pipeline.capture.keypoint_files.timestamps import times_from_file
 from pipeline.capture.session import CaptureSession
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.commands import SOURCES
-from pipeline.problem_codes.sessions import CAMERA_UNKNOWN
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.commands import SOURCES
+from pipeline.core.problems.sessions import CAMERA_UNKNOWN
 
 
 @with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up"))

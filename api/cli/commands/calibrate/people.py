@@ -14,13 +14,13 @@ from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
-from pipeline.detect.profiles.detection import detection_joints
-from pipeline.errors import InputError, Problem
-from pipeline.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
-from pipeline.problem_codes.commands import SOURCES
-from pipeline.progress import Progress
-from pipeline.stages.local import detect_people
-from pipeline.stages.stage import CALIBRATE
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.core.problems.commands import SOURCES
+from pipeline.core.progress import Progress
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people
+from pipeline.run.engine.stage import CALIBRATE
 
 _PERCENT = 100
 

@@ -7,8 +7,8 @@ from api.cli.console import console, emit, print_table, require_writable, warn, 
 from pipeline.calibration.known_points.table import COLUMNS
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS
-from pipeline.errors import InputError, Problem
-from pipeline.problem_codes.sessions import CALIBRATION_FORMAT
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.sessions import CALIBRATION_FORMAT
 
 POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
 """Help of the option that names a table of known points."""

@@ -14,12 +14,12 @@ from api.cli.console import JsonOption, console, emit, print_table, reporting, w
 from api.cli.options import UnitsOption, UpOption
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.write import ENCODERS
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem, listed_names
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.parsing import SIDE_PX
+from pipeline.core.problems.commands import PARAMETER_UNREADABLE
+from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 from pipeline.geometry.camera import center_in_world
-from pipeline.parsing import SIDE_PX
-from pipeline.problem_codes.commands import PARAMETER_UNREADABLE
-from pipeline.problem_codes.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 
 app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
 

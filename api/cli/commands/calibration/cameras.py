@@ -10,7 +10,7 @@ import typer
 from api.cli.options import known_units, known_up
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]

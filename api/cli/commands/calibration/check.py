@@ -13,14 +13,14 @@ from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.checks.check import check_cameras
 from pipeline.capture.session import Session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
-from pipeline.findings import Finding, documents, from_problem, has_error
-from pipeline.problem_codes.findings import CALIBRATION_NOTE
-from pipeline.quality.findings import join_findings, people_findings
-from pipeline.quality.report import quality_report
-from pipeline.stages.local import reconstruct
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
+from pipeline.core.findings import Finding, documents, from_problem, has_error
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.problems.findings import CALIBRATION_NOTE
+from pipeline.export.quality.findings import join_findings, people_findings
+from pipeline.export.quality.report import quality_report
+from pipeline.run.engine.local import reconstruct
 
 
 @with_choices("profile", "detector")

@@ -25,16 +25,16 @@ from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.config import ReconstructionConfig
-from pipeline.errors import InputError
-from pipeline.findings import Finding, documents, from_problem, has_error
-from pipeline.preflight.instants import check_at_instants
-from pipeline.preflight.session import check_bodies, check_detections, with_clocks
-from pipeline.preflight.sightings import NUM_INSTANTS
-from pipeline.preflight.verdict import session_findings
-from pipeline.progress import OnProgress, Progress
-from pipeline.stages.stage import CHECK
-from pipeline.synchronization.session import clock_findings, on_measured_clocks
+from pipeline.capture.synchronization.session import clock_findings, on_measured_clocks
+from pipeline.core.errors import InputError
+from pipeline.core.findings import Finding, documents, from_problem, has_error
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.progress import OnProgress, Progress
+from pipeline.run.engine.stage import CHECK
+from pipeline.run.preflight.instants import check_at_instants
+from pipeline.run.preflight.session import check_bodies, check_detections, with_clocks
+from pipeline.run.preflight.sightings import NUM_INSTANTS
+from pipeline.run.preflight.verdict import session_findings
 
 
 @with_choices("profile", "detector", "sync")

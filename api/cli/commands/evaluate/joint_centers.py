@@ -11,12 +11,12 @@ import typer
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, users_cache, writing
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
-from pipeline.config import networks_of
-from pipeline.errors import InputError, Problem
-from pipeline.evaluation.datasets.rendered import load_rendered
-from pipeline.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
-from pipeline.problem_codes.commands import DATASET_INCOMPLETE
-from pipeline.stages.local import reconstruct
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.config import networks_of
+from pipeline.core.problems.commands import DATASET_INCOMPLETE
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.evaluation.datasets.rendered import load_rendered
+from pipeline.validation.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
 
 
 @with_choices("profile", "joints", "detector")

@@ -12,12 +12,15 @@ from api.cli.commands.evaluate.shared import shown
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.detections import Detections
-from pipeline.detect.chunk import concatenate
-from pipeline.detect.profiles.detection import detection_joints
-from pipeline.evaluation.average_precision import InstantPoses, poses_at
-from pipeline.evaluation.datasets.mvor import (
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.progress import OnProgress
+from pipeline.detection.chunk import concatenate
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people, reconstruct
+from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
+from pipeline.validation.evaluation.datasets.mvor import (
     MvorBenchmark,
     at_instants,
     keypoint_session,
@@ -25,10 +28,7 @@ from pipeline.evaluation.datasets.mvor import (
     load_mvor,
     read_keypoints,
 )
-from pipeline.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
-from pipeline.joints import COCO_17
-from pipeline.progress import OnProgress
-from pipeline.stages.local import detect_people, reconstruct
+from pipeline.validation.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
 
 _RATE_HZ = 1.0
 

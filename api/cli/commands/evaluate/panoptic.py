@@ -11,7 +11,8 @@ from api.cli.commands.evaluate.shared import shown
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import KeypointsOption, checked, with_choices
 from api.cli.sources import SourceOptions
-from pipeline.evaluation.datasets.panoptic import (
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.evaluation.datasets.panoptic import (
     CAMERAS,
     EVERY,
     FRAME_RATE_HZ,
@@ -19,7 +20,6 @@ from pipeline.evaluation.datasets.panoptic import (
     load_panoptic,
     score_panoptic,
 )
-from pipeline.stages.local import reconstruct
 
 
 @with_choices("frame_range", "profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")

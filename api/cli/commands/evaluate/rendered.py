@@ -11,12 +11,12 @@ from api.cli.commands.evaluate.shared import StatureOption, refinement_scores, s
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
-from pipeline.detect.profiles.detection import detection_joints
-from pipeline.evaluation.camera_errors import without_extrinsics
-from pipeline.evaluation.covered_heads import score_covered_heads
-from pipeline.evaluation.datasets.rendered import load_rendered, score_rendered
-from pipeline.evaluation.extremities.feet import score_foot_directions
-from pipeline.stages.local import detect_people, reconstruct
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people, reconstruct
+from pipeline.validation.evaluation.camera_errors import without_extrinsics
+from pipeline.validation.evaluation.covered_heads import score_covered_heads
+from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_rendered
+from pipeline.validation.evaluation.extremities.feet import score_foot_directions
 
 
 @with_choices("profile", "joints", "detector", "follow_s", "method", "smoothing", "joint_centers", "refine_calibration")

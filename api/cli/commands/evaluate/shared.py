@@ -5,14 +5,14 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.config import ReconstructionConfig
-from pipeline.data.cameras import Camera, FrameTimes, Refinement, Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.people import People
-from pipeline.job_choices import MAX_STATURE_M, MIN_STATURE_M
-from pipeline.joints import JointSet, without_hands
-from pipeline.stages.association import Association
-from pipeline.stages.refinement import refine_from_bodies
+from pipeline.core.data.cameras import Camera, FrameTimes, Refinement, Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.people import People
+from pipeline.core.joints import JointSet, without_hands
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.job_choices import MAX_STATURE_M, MIN_STATURE_M
+from pipeline.run.engine.association import Association
+from pipeline.run.engine.refinement import refine_from_bodies
 
 StatureOption = Annotated[
     list[float] | None,

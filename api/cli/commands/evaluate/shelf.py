@@ -11,23 +11,23 @@ import typer
 from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import checked, with_choices
-from pipeline.clustering.associate import reconstruct_by_clustering
-from pipeline.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.config import Method
-from pipeline.data.people import People
-from pipeline.errors import InputError, Problem
-from pipeline.evaluation.camera_errors import without_extrinsics
-from pipeline.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
-from pipeline.evaluation.datasets.shelf_ablation import ablate
-from pipeline.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
-from pipeline.evaluation.live import live_tracks
-from pipeline.joints import COCO_17
-from pipeline.problem_codes.commands import NO_ABLATION
-from pipeline.quality.report import bone_length_std_cm, mean_jitter_m_s2
-from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import associate, locate_people
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.warm_up import warm_up
+from pipeline.association.clustering.associate import reconstruct_by_clustering
+from pipeline.association.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.association.tracking.associate import associate, locate_people
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.people import People
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import Method
+from pipeline.core.problems.commands import NO_ABLATION
+from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
+from pipeline.motion.skeleton.animate import animate
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.evaluation.camera_errors import without_extrinsics
+from pipeline.validation.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
+from pipeline.validation.evaluation.datasets.shelf_ablation import ablate
+from pipeline.validation.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
+from pipeline.validation.evaluation.live import live_tracks
 
 
 @with_choices("method", "smoothing", "refine_calibration")

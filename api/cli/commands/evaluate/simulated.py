@@ -10,26 +10,26 @@ import typer
 from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores, shown
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import checked, with_choices
-from pipeline.clustering.associate import reconstruct_by_clustering
-from pipeline.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.config import Method, ReconstructionConfig
-from pipeline.data.animation import Animation
-from pipeline.data.cameras import Camera
-from pipeline.data.people import People
-from pipeline.errors import InputError, Problem
-from pipeline.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
-from pipeline.evaluation.extremities.feet import score_feet, score_heels_and_toes
-from pipeline.evaluation.extremities.hands import score_hands
-from pipeline.evaluation.simulated import score_simulated
-from pipeline.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
-from pipeline.joints import COCO_18, FINGER_JOINTS, JointSet
-from pipeline.problem_codes.commands import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
-from pipeline.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
-from pipeline.skeleton.animate import animate
-from pipeline.tracking.associate import track_bodies
-from pipeline.tracking.observations import gather
-from pipeline.tracking.parameters import derive_parameters
-from pipeline.warm_up import warm_up
+from pipeline.association.clustering.associate import reconstruct_by_clustering
+from pipeline.association.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.association.tracking.associate import track_bodies
+from pipeline.association.tracking.observations import gather
+from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.core.data.animation import Animation
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.people import People
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.joints import COCO_18, FINGER_JOINTS, JointSet
+from pipeline.core.options.config import Method, ReconstructionConfig
+from pipeline.core.problems.commands import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
+from pipeline.motion.skeleton.animate import animate
+from pipeline.run.warm_up import warm_up
+from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
+from pipeline.validation.evaluation.extremities.feet import score_feet, score_heels_and_toes
+from pipeline.validation.evaluation.extremities.hands import score_hands
+from pipeline.validation.evaluation.simulated import score_simulated
+from pipeline.validation.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.validation.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
 _ABLATION_VIEWS = 12

@@ -5,18 +5,18 @@ from contextlib import nullcontext
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
-from pipeline.config import ReconstructionConfig
-from pipeline.data.cameras import Synchronization
-from pipeline.data.detections import Detections
-from pipeline.detect.profiles.detection import detection_joints
-from pipeline.joints import JointSet
-from pipeline.progress import OnProgress, Progress
-from pipeline.stages.local import detect_people
-from pipeline.stages.stage import SYNCHRONIZE
-from pipeline.synchronization.motions import excerpt
-from pipeline.synchronization.session import listen
-from pipeline.synchronization.sound.combined import synchronize_with_sound
-from pipeline.synchronization.sound.offsets import SoundOffsets
+from pipeline.capture.synchronization.motions import excerpt
+from pipeline.capture.synchronization.session import listen
+from pipeline.capture.synchronization.sound.combined import synchronize_with_sound
+from pipeline.capture.synchronization.sound.offsets import SoundOffsets
+from pipeline.core.data.cameras import Synchronization
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.progress import OnProgress, Progress
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people
+from pipeline.run.engine.stage import SYNCHRONIZE
 
 _PERCENT = 100
 

@@ -22,9 +22,9 @@ from api.cli.console import (
 )
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
-from pipeline.data.cameras import Synchronization
-from pipeline.synchronization.document import sound_document, sync_document
-from pipeline.synchronization.report import error_pictures
+from pipeline.capture.synchronization.document import sound_document, sync_document
+from pipeline.capture.synchronization.report import error_pictures
+from pipeline.core.data.cameras import Synchronization
 
 _REPORT = "sync.json"
 

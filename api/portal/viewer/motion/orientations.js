@@ -1,7 +1,7 @@
 // Orientations of a skeleton's joints from their positions, and the transforms by which they move a body's skin.
 //
 // Positions tell all but turns about a bone. Those of an upper arm and of a thigh follow from the plane of the elbow or
-// the knee, as in the fit (pipeline/skeleton/rotations.py); of a straight leg from the foot; of the head from the face.
+// the knee, as in the fit (pipeline/motion/skeleton/rotations.py); of a straight leg from the foot; of the head from the face.
 
 const SIDES = [["Left", 1], ["Right", -1]];
 const ELBOW_HINGES = { Left: [0, 0, -1], Right: [0, 0, 1] };

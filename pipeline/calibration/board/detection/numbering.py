@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from pipeline.calibration.board.detection.squares import SquareGrid
 from pipeline.calibration.board.spec import Board
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 
 # Shades and bits must correlate at least so much, with at least so many standard deviations of Fisher's z; the second
 # best place may have this share of them.

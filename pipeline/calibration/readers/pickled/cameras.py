@@ -18,9 +18,9 @@ from pipeline.calibration.readers.pickled.interpreter import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.calibration.vertical import AXES, nearest_axis, turned_upright, up_of_cameras
-from pipeline.errors import InputError, Problem
-from pipeline.parsing import UnreadableError, read_numbers
-from pipeline.problem_codes.sessions import CALIBRATION_UNREADABLE
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError, read_numbers
+from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.parsing import UnreadableError
+from pipeline.core.parsing import UnreadableError
 
 # OpenCap's files have about 130 operations and 2 kB; names of columns, as PyTables stores them, some 5 a column.
 _MAX_OPERATIONS = 100_000

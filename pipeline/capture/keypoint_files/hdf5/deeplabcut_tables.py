@@ -15,7 +15,7 @@ from pipeline.capture.keypoint_files.deeplabcut import columns_of
 from pipeline.capture.keypoint_files.hdf5.nodes import attribute, dataset, names_in, node, text, texts, values
 from pipeline.capture.keypoint_files.hdf5.tracks import Tracks
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames, frame_number, number_in_name
-from pipeline.parsing import UnreadableError
+from pipeline.core.parsing import UnreadableError
 
 _LEVELS: Mapping[int, tuple[str, ...]] = {
     3: ("scorer", "bodyparts", "coords"),

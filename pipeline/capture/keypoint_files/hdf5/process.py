@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.capture.keypoint_files.hdf5.tracks import PeopleByFrame, decoded
 from pipeline.capture.keypoint_files.people import KeypointsError
-from pipeline.runtime.child_processes import module_command
+from pipeline.core.runtime.child_processes import module_command
 from pipeline.video.children import READY, child_environment, child_error, is_caused_by_file
 
 # Far above the second or two of a file of the largest size.

@@ -16,7 +16,7 @@ from pipeline.capture.keypoint_files.hdf5.nodes import attribute, dataset, names
 from pipeline.capture.keypoint_files.hdf5.tracks import Tracks
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames
 from pipeline.capture.keypoint_files.points import joint_of, named_layout
-from pipeline.parsing import UnreadableError
+from pipeline.core.parsing import UnreadableError
 
 _AXES = ("frame", "track", "node", "xy")
 _MATLAB = ("track", "xy", "node", "frame")

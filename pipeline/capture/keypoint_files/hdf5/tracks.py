@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
 from pipeline.capture.keypoint_files.points import arranged, named_layout
-from pipeline.layouts import KeypointLayout
-from pipeline.parsing import UnreadableError
+from pipeline.core.layouts import KeypointLayout
+from pipeline.core.parsing import UnreadableError
 
 MAX_POINTS = 2**24
 """Limit on the points of a file, those of people of a frame without any detected point left out."""

@@ -16,10 +16,10 @@ from api.cli.benchmark.cost.machine import processor_name
 from api.cli.benchmark.cost.tables import CostTable, cost_tables
 from api.cli.benchmark.tracking import crowd
 from api.cli.main import app
-from pipeline.config import PROFILES, ReconstructionConfig
-from pipeline.detect import models
-from pipeline.runtime.packages import samples
-from pipeline.stages.stage import LOOK
+from pipeline.core.options.config import PROFILES, ReconstructionConfig
+from pipeline.core.runtime.packages import samples
+from pipeline.detection import models
+from pipeline.run.engine.stage import LOOK
 
 COST = JobCost(
     cameras=4,

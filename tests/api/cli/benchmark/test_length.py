@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from api.cli.benchmark.length import growth, long_session
 from api.cli.main import app
-from pipeline.simulation.scenes import SCENES, record
+from pipeline.validation.simulation.scenes import SCENES, record
 
 # Loose: two runs on a busy machine differ by a quarter.
 MAX_RATIO = 1.6

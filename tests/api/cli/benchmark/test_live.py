@@ -8,9 +8,9 @@ import pytest
 
 from api.cli.benchmark import live
 from api.cli.benchmark.tracking import crowd
-from pipeline.live.capture import LiveCapture
-from pipeline.live.records import LiveInstant
-from pipeline.simulation.scenes import SCENES, record
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.records import LiveInstant
+from pipeline.validation.simulation.scenes import SCENES, record
 
 
 def test_sizes_have_latencies_of_tracks_and_of_skeletons(monkeypatch: pytest.MonkeyPatch) -> None:

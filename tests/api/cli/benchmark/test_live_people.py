@@ -7,9 +7,9 @@ import pytest
 
 from api.cli.benchmark import live_people
 from api.cli.benchmark.live_people import StandingJoints, measure_feet, measure_returns
-from pipeline.live.feet import StandingFeet
-from pipeline.live.identities import Identities
-from pipeline.simulation.scenes import Simulation, simulate
+from pipeline.run.live.feet import StandingFeet
+from pipeline.run.live.identities import Identities
+from pipeline.validation.simulation.scenes import Simulation, simulate
 
 pytestmark = pytest.mark.slow
 

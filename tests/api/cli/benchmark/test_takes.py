@@ -3,8 +3,8 @@
 import numpy as np
 
 from api.cli.benchmark.takes import longer_motion
-from pipeline.data.animation import FootContact, SkeletonMotion
-from pipeline.skeleton.model import SKELETON
+from pipeline.core.data.animation import FootContact, SkeletonMotion
+from pipeline.motion.skeleton.model import SKELETON
 
 
 def test_contacts_of_a_long_motion_are_where_feet_stand() -> None:

@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from tests.worker.jobs.backups import opened_data
-from worker.jobs.database.connection import Database
+from tests.worker.store.backups import opened_data
+from worker.store.database.connection import Database
 
 runner = CliRunner()
 

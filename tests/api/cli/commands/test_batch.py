@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from api.cli.takes import find_takes
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 from tests.waiting import wait_for
 

@@ -10,7 +10,7 @@ from api.cli.commands.calibrate.board import timed
 from api.cli.main import app
 from api.cli.sources import SourceOptions
 from pipeline.capture.session import CaptureSession
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from tests.pipeline.media import write_video
 
 TIMES_S = {"left": [0.0, 0.17, 0.32, 0.51], "right": [0.01, 0.16, 0.34, 0.5]}

@@ -8,10 +8,10 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from pipeline.calibration.registry import read_calibration
-from pipeline.evaluation.camera_errors import camera_errors
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Layout, Rig
-from pipeline.simulation.scenes import Scene, record
+from pipeline.validation.evaluation.camera_errors import camera_errors
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, record
 from tests.pipeline.simulations import write_simulation
 
 runner = CliRunner()

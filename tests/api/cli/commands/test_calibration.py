@@ -16,11 +16,11 @@ from pipeline.calibration.contents import scaled
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.calibration.write import encode, encode_opencv
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
 from tests.pipeline.simulations import write_simulation
 

@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 
 from api.cli.main import app
 from pipeline.capture.pictures.look import NUM_PICTURES
-from pipeline.simulation.motion.script import Gesture
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.motion.script import Gesture
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.pictures.rooms import walk
+from tests.pipeline.capture.synchronization.conftest import alone
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_pictures
 from tests.pipeline.simulations import write_simulation
-from tests.pipeline.synchronization.conftest import alone
 
 SIMULATION = record(replace(find_scene("room"), duration_s=4.0), seed=3)
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from tests.worker.jobs.files.test_orphans import id_of
-from worker.jobs.files.artifacts import record_key
-from worker.jobs.files.stores import open_artifacts
+from tests.worker.store.files.test_orphans import id_of
+from worker.store.files.artifacts import record_key
+from worker.store.files.stores import open_artifacts
 
 runner = CliRunner()
 

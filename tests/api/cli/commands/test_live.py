@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from api.cli.commands.live import _stopped_by_signals
 from api.cli.main import app
-from pipeline.detect.models import status
-from pipeline.runtime.packages.samples import locate
+from pipeline.core.runtime.packages.samples import locate
+from pipeline.detection.models import status
 from tests.pipeline.capture.test_session import calibration
 
 runner = CliRunner()

@@ -5,9 +5,9 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.detect.own.files import own_names
-from tests.pipeline.detect.own.networks import simcc, write
-from worker.jobs.spec import JobSpec
+from pipeline.detection.own.files import own_names
+from tests.pipeline.detection.own.networks import simcc, write
+from worker.store.spec import JobSpec
 
 runner = CliRunner()
 

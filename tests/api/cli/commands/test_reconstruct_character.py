@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.simulation.scenes import record
-from tests.pipeline.character.characters import bones_of, character
+from pipeline.validation.simulation.scenes import record
+from tests.pipeline.capture.synchronization.conftest import shortened
+from tests.pipeline.export.character.characters import bones_of, character
 from tests.pipeline.simulations import write_simulation
-from tests.pipeline.synchronization.conftest import shortened
 
 runner = CliRunner()
 

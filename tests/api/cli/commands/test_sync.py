@@ -7,10 +7,10 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.simulation.motion.script import Gesture
-from pipeline.simulation.scenes import Scene, record
+from pipeline.validation.simulation.motion.script import Gesture
+from pipeline.validation.simulation.scenes import Scene, record
+from tests.pipeline.capture.synchronization.conftest import alone, shortened
 from tests.pipeline.simulations import write_simulation
-from tests.pipeline.synchronization.conftest import alone, shortened
 
 runner = CliRunner()
 

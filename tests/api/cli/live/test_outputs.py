@@ -12,15 +12,15 @@ import pytest
 
 from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, VmcReceivers, opened_output, summary_line
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.errors import PipelineError
-from pipeline.live.cameras.totals import CameraTotals, LiveTotals
-from pipeline.live.capture import LiveCapture
-from pipeline.live.recorded import detected_frames
-from pipeline.live.records import LiveInstant, LivePerson
-from pipeline.live.settings import LiveSettings
-from pipeline.runtime.child_processes import python_command
-from pipeline.simulation.clothes import dress
-from pipeline.simulation.scenes import SCENES, Joints, record
+from pipeline.core.errors import PipelineError
+from pipeline.core.runtime.child_processes import python_command
+from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.recorded import detected_frames
+from pipeline.run.live.records import LiveInstant, LivePerson
+from pipeline.run.live.settings import LiveSettings
+from pipeline.validation.simulation.clothes import dress
+from pipeline.validation.simulation.scenes import SCENES, Joints, record
 from tests.small_disk import fill, small_disk
 
 RATE_HZ = 25.0
@@ -143,8 +143,8 @@ import itertools, sys
 from dataclasses import replace
 from pathlib import Path
 from api.cli.live.outputs import KeptKeypoints
-from pipeline.live.recorded import detected_frames
-from pipeline.simulation.scenes import SCENES, record
+from pipeline.run.live.recorded import detected_frames
+from pipeline.validation.simulation.scenes import SCENES, record
 simulation = record(replace(SCENES["room"], duration_s=2.0), 0, 3)
 kept = KeptKeypoints(Path(sys.argv[1]))
 kept.begin(simulation.cameras, simulation.joints, 25.0)

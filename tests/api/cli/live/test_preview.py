@@ -13,13 +13,13 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from api.cli.live.preview import PreviewPage
-from pipeline.errors import InputError
-from pipeline.live.cameras.totals import CameraTotals, LiveTotals
-from pipeline.live.capture import LiveCapture
-from pipeline.live.packing import unpack_instant
-from pipeline.live.recorded import recorded_frames
-from pipeline.live.settings import LiveSettings
-from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.core.errors import InputError
+from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.packing import unpack_instant
+from pipeline.run.live.recorded import recorded_frames
+from pipeline.run.live.settings import LiveSettings
+from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
 RATE_HZ = 25.0
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.joints import COCO_17
-from pipeline.live.packing import pack_instant, pack_keypoints
-from pipeline.live.records import LiveInstant, LivePerson, LiveSkeleton
-from pipeline.skeleton.model import SKELETON
+from pipeline.core.joints import COCO_17
+from pipeline.motion.skeleton.model import SKELETON
+from pipeline.run.live.packing import pack_instant, pack_keypoints
+from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 from tests.api.portal.node import run_by_node
 
 NUM_BONES = len(SKELETON)

@@ -9,32 +9,32 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.angles.compute import joint_angles, observable_angles
-from pipeline.angles.definitions import ANGLE_NAMES
-from pipeline.body import installed
-from pipeline.body.shape import shape_body
-from pipeline.character.retarget import retarget
-from pipeline.character.writers import character_glb
-from pipeline.character.writers.posed import PosedCharacter
-from pipeline.data.cameras import Camera, LensModel
-from pipeline.data.people import Doubt
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera, LensModel
+from pipeline.core.data.people import Doubt
+from pipeline.core.data.rigid import Rigid3
+from pipeline.export.character.retarget import retarget
+from pipeline.export.character.writers import character_glb
+from pipeline.export.character.writers.posed import PosedCharacter
+from pipeline.export.quality.report import quality_report
+from pipeline.export.quality.views import views_of
 from pipeline.export.viewer.bodies import describe_body, describe_shape
 from pipeline.export.viewer.description import ViewerMotion
 from pipeline.geometry.camera import project
-from pipeline.quality.report import quality_report
-from pipeline.quality.views import views_of
-from pipeline.skeleton.model import forward_kinematics, joint_pose, skeleton_of
+from pipeline.motion.angles.compute import joint_angles, observable_angles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body import installed
+from pipeline.motion.body.shape import shape_body
+from pipeline.motion.skeleton.model import forward_kinematics, joint_pose, skeleton_of
 from tests.api.portal.node import run_by_node
-from tests.pipeline.body.conftest import in_pose
-from tests.pipeline.character.takes import take_of
-from tests.pipeline.character.test_retarget import figure
+from tests.pipeline.export.character.takes import take_of
+from tests.pipeline.export.character.test_retarget import figure
+from tests.pipeline.export.quality.test_report import shifted
 from tests.pipeline.export.viewer.takes import FOOTAGE, take
 from tests.pipeline.export.writers.test_bvh import walk
 from tests.pipeline.media import add_sound, write_video
-from tests.pipeline.quality.test_report import shifted
-from tests.pipeline.skeleton.hands.people import gesturing
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.body.conftest import in_pose
+from tests.pipeline.motion.skeleton.hands.people import gesturing
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 from tests.pipeline.video.corpus import write_clip
 
 HERE = Path(__file__).parent

@@ -23,9 +23,9 @@ from pipeline.calibration.adjustment.parameters import (
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, observations_of_points
 from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 from tests.cases import slow_but
 
 CAMERAS = build_cameras(Rig(Layout.RING, 4, (3.0, 2.5), 2.0), np.random.default_rng(0))

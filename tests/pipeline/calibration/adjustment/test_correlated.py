@@ -17,9 +17,9 @@ from pipeline.calibration.adjustment.parameters import (
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, observations_of_points
 from pipeline.calibration.adjustment.structure import FreePoints
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
-from pipeline.data.arrays import read_only
+from pipeline.core.data.arrays import read_only
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 NUM_SUBJECTS, NUM_INSTANTS = 30, 8
 

@@ -14,7 +14,7 @@ from pipeline.calibration.adjustment.parameters import EXTRINSICS, FOCAL, move_c
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
 from pipeline.calibration.adjustment.structure import RigidBodies
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 CAMERAS = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), np.random.default_rng(0))
 GRID_M = np.stack([*np.meshgrid([-0.2, 0.0, 0.2], [-0.1, 0.1]), np.zeros((2, 3))], -1).reshape(-1, 3)

@@ -10,7 +10,7 @@ from pipeline.calibration.adjustment.parameters import EXTRINSICS, no_prior, non
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, observations_of_points
 from pipeline.calibration.adjustment.structure import FreePoints
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 CAMERAS = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), np.random.default_rng(0))
 

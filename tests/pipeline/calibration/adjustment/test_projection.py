@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, move_camera, offsets
 from pipeline.calibration.adjustment.projection import linearise
 from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies, Structure
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import look_at
+from pipeline.validation.simulation.rigs import look_at
 
 # All of OpenCV's twelve coefficients, of the size that lenses have.
 COEFFICIENTS = np.array([-0.1, 0.03, 5e-4, -4e-4, 0.01, 0.02, -0.01, 0.004, 2e-4, -1e-4, -3e-4, 1e-4])

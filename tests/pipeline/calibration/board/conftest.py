@@ -6,11 +6,11 @@ import numpy as np
 
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 
 def ring(num_cameras: int) -> tuple[Camera, ...]:

@@ -8,9 +8,9 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.spec import Board, draw_pattern
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.undistortion import undistort_px
 

@@ -12,10 +12,10 @@ from pipeline.calibration.board.rig import BoardRig
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.report import CalibrationResult
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import InputError
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import InputError
 from pipeline.geometry.camera import center_in_world
 from tests.cases import accuracy_but
 from tests.pipeline.calibration.board.conftest import ring, views_of

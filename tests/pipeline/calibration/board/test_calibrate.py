@@ -10,13 +10,13 @@ from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import InputError
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import InputError
+from pipeline.core.options.job_choices import KnownPoint
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.job_choices import KnownPoint
-from pipeline.stages.codec import decode, encode
+from pipeline.run.engine.codec import decode, encode
 from tests.cases import accuracy_but
 from tests.pipeline.calibration.board.conftest import ring, views_of
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera, LensModel
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, LensModel
+from pipeline.core.data.rigid import Rigid3
 from tests.pipeline.calibration.board.conftest import views_of
 
 BOARD = parse_board("charuco:7x5:0.05:0.0375:DICT_4X4_50")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board.source import frames_to_look_at
-from pipeline.job_choices import BOARD_FRAMES
+from pipeline.core.options.job_choices import BOARD_FRAMES
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 30000 / 1001, 60000 / 1001])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board.spec import Board, parse_board
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 
 
 def test_a_chessboard_has_inner_corners() -> None:

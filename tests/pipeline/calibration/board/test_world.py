@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.board.world import BoardWorld, find_board_world
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.rigid import Rigid3
 
 MIDDLE_M = np.array([0.3, 0.2, 0.0])
 ROOT_FROM_WORLD = Rigid3(Rotation.from_rotvec([0.5, -1.2, 0.8]).as_matrix(), np.array([0.4, -2.0, 3.0]))

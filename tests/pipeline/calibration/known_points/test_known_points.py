@@ -11,11 +11,11 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.known_points.table import read_known_points
 from pipeline.calibration.similarity import Similarity
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError, Problem
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import KnownPoint
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.job_choices import KnownPoint
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 CAMERAS = tuple(build_cameras(Rig(Layout.RING, 4, (3.0, 2.5), 2.0), np.random.default_rng(0)))
 SIZES = {camera.name: camera.size_px for camera in CAMERAS}

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.data.arrays import read_only
-from pipeline.data.cameras import Camera
-from pipeline.data.detections import Detections
-from pipeline.data.rigid import Rigid3
-from pipeline.simulation.motion.director import Cast
-from pipeline.simulation.rigs import Layout, Rig
-from pipeline.simulation.scenes import Scene, Simulation, record
-from pipeline.simulation.views.detector import DetectorAccuracy
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.rigid import Rigid3
+from pipeline.validation.simulation.motion.director import Cast
+from pipeline.validation.simulation.rigs import Layout, Rig
+from pipeline.validation.simulation.scenes import Scene, Simulation, record
+from pipeline.validation.simulation.views.detector import DetectorAccuracy
 
 
 def room(num_cameras: int, seed: int, duration_s: float = 60.0) -> Simulation:

@@ -7,12 +7,12 @@ import pytest
 
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.sizes import guessed_camera
-from pipeline.data.cameras import FrameTimes
-from pipeline.errors import InputError
-from pipeline.evaluation.camera_errors import camera_errors
+from pipeline.core.data.cameras import FrameTimes
+from pipeline.core.errors import InputError
+from pipeline.core.options.job_choices import KnownPoint
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.job_choices import KnownPoint
-from pipeline.simulation.scenes import Simulation
+from pipeline.validation.evaluation.camera_errors import camera_errors
+from pipeline.validation.simulation.scenes import Simulation
 from tests.cases import accuracy_but
 from tests.pipeline.calibration.people.conftest import bare, room, without
 

@@ -10,11 +10,11 @@ from pipeline.calibration.people.stature import Statures, match_statures, others
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
 from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
-from pipeline.data.cameras import FrameTimes
-from pipeline.data.detections import Detections
+from pipeline.core.data.cameras import FrameTimes
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import project
-from pipeline.joints import JointSet
-from pipeline.simulation.scenes import Simulation
+from pipeline.validation.simulation.scenes import Simulation
 
 SET = JointSet(JOINTS, ())
 

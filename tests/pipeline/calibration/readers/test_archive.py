@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 
 CAMERAS = """# Camera list with one line of data per camera:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.registry import read_contents
-from pipeline.errors import InputError
-from pipeline.parsing import UnreadableError
+from pipeline.core.errors import InputError
+from pipeline.core.parsing import UnreadableError
 
 YAML = b"""%YAML:1.0
 ---

@@ -10,10 +10,10 @@ import pytest
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
-from tests.pipeline.evaluation.datasets.mvor_files import cameras_info
+from tests.pipeline.validation.evaluation.datasets.mvor_files import cameras_info
 
 # Panoptic's world: y = -z, z = y.
 PANOPTIC_FROM_UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
 from tests.pipeline.calibration.readers.filestorage import write_storage
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye, problems_of
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 

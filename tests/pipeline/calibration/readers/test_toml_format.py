@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, fisheye, problems_of
 

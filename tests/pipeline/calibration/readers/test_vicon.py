@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.registry import read_contents
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.undistortion import undistort_px
 from tests.pipeline.calibration.readers.rigs import POINTS_M, RIG, problems_of

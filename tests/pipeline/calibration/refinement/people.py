@@ -5,9 +5,9 @@ from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.sightings import JointSightings
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
-from pipeline.simulation.rigs import Layout, Rig, build_cameras
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 BODY_M = np.array([[x, y, z] for z in (0.1, 0.5, 0.9, 1.1, 1.4, 1.6) for x, y in ((-0.2, 0.0), (0.2, 0.05))])
 

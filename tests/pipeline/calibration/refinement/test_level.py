@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.similarity import move_world
-from pipeline.data.cameras import Camera
-from pipeline.data.people import Poses3D
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.people import Poses3D
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import project
-from pipeline.joints import JointSet
 from tests.pipeline.calibration.refinement.people import ring
 
 JOINTS = JointSet(("left_shoulder", "right_shoulder", "left_ankle", "right_ankle"), ())

@@ -8,7 +8,7 @@ import pytest
 from pipeline.calibration.adjustment.parameters import FOCAL, move_camera
 from pipeline.calibration.refinement.refine import refine
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
-from pipeline.data.cameras import Camera
+from pipeline.core.data.cameras import Camera
 from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
 
 CAMERAS = ring(4)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Observations, People, Poses3D, Track3D
-from pipeline.joints import COCO_17
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Observations, People, Poses3D, Track3D
+from pipeline.core.joints import COCO_17
 
 TIMEBASE = Timebase(2.0, 50.0, 100_000)
 

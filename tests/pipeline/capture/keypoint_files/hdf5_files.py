@@ -8,7 +8,7 @@ from pathlib import Path
 from pipeline.capture.keypoint_files.hdf5.read import answer
 from pipeline.capture.keypoint_files.hdf5.tracks import decoded
 from pipeline.capture.keypoint_files.people import KeypointsError
-from pipeline.parsing import UnreadableError
+from pipeline.core.parsing import UnreadableError
 from pipeline.video.children import is_caused_by_file, start_child
 
 

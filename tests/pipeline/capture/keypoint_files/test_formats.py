@@ -10,10 +10,10 @@ import pytest
 
 from pipeline.capture.keypoint_files.folders import read_folder
 from pipeline.capture.keypoint_files.people import JOINT_SETS, People, joint_set_of
-from pipeline.errors import Problem
-from pipeline.findings import Finding
-from pipeline.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
-from pipeline.layouts import LAYOUTS
+from pipeline.core.errors import Problem
+from pipeline.core.findings import Finding
+from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
+from pipeline.core.layouts import LAYOUTS
 
 Numbers = list[float]
 

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
 from pipeline.capture.keypoints_zip import unpack_keypoints
-from pipeline.errors import InputError, Problem
+from pipeline.core.errors import InputError, Problem
 
 SIZE_PX = (640, 480)
 LABELS = "0 0.5 0.5 0.1 0.1" + " 0.5" * 51

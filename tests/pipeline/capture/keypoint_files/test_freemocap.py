@@ -9,9 +9,9 @@ import pytest
 
 from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.errors import InputError, Problem
-from pipeline.joints import BODY_FEET, WHOLE_BODY
-from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.joints import BODY_FEET, WHOLE_BODY
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.keypoint_programs import freemocap_array, write_session
 
 

@@ -18,10 +18,10 @@ from pipeline.capture.keypoint_files import folders
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
 from pipeline.capture.keypoint_files.hdf5.read import answer
 from pipeline.capture.keypoint_files.hdf5.tracks import decoded
-from pipeline.errors import Problem
-from pipeline.joints import COCO_17
-from pipeline.runtime.child_processes import python_command
-from pipeline.simulation.scenes import find_scene, record
+from pipeline.core.errors import Problem
+from pipeline.core.joints import COCO_17
+from pipeline.core.runtime.child_processes import python_command
+from pipeline.validation.simulation.scenes import find_scene, record
 from tests.cases import slow_but
 from tests.pipeline.capture.keypoint_files import hdf5_files
 from tests.pipeline.keypoint_programs import keypoint_files

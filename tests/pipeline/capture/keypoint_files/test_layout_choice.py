@@ -12,11 +12,11 @@ from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_npz import decode_keypoints, encode_keypoints
-from pipeline.data.detections import Detections
-from pipeline.errors import InputError
-from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, finger_joints
-from pipeline.layouts import FILE_LAYOUTS
-from pipeline.simulation.scenes import SCENES, Simulation, record
+from pipeline.core.data.detections import Detections
+from pipeline.core.errors import InputError
+from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, finger_joints
+from pipeline.core.layouts import FILE_LAYOUTS
+from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
 RATE_HZ = 25.0
 # Points that are no joints, by their places: shares of the way from the middle of a part to the middle of another one.

@@ -15,10 +15,10 @@ from pipeline.capture.keypoint_files.folders import Contents, read_folder
 from pipeline.capture.keypoint_files.people import joint_set_of
 from pipeline.capture.keypoint_files.points import joint_of
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.errors import Problem
-from pipeline.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
-from pipeline.layouts import LAYOUTS
-from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.core.errors import Problem
+from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
+from pipeline.core.layouts import LAYOUTS
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.keypoint_programs import PROGRAMS, write_session
 
 SIZE_PX = (640, 480)

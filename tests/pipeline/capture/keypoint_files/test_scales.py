@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.errors import InputError
-from pipeline.findings import Finding
-from pipeline.simulation.scenes import Simulation, find_scene, record
+from pipeline.core.errors import InputError
+from pipeline.core.findings import Finding
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 Change = Callable[[np.ndarray], np.ndarray]

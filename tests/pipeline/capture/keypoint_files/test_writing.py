@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoint_files.writing import encode_frame
-from pipeline.joints import BODY_25, COCO_17, WHOLE_BODY, JointSet
+from pipeline.core.joints import BODY_25, COCO_17, WHOLE_BODY, JointSet
 
 
 @pytest.mark.parametrize("joints", [COCO_17, BODY_25, WHOLE_BODY], ids=["body", "feet", "whole"])

@@ -8,8 +8,8 @@ import pytest
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
 from pipeline.capture.keypoint_files.yolo import LINES
-from pipeline.errors import Problem
-from pipeline.layouts import LAYOUTS
+from pipeline.core.errors import Problem
+from pipeline.core.layouts import LAYOUTS
 
 SIZE_PX = (640, 480)
 

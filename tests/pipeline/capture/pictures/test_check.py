@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.pictures.check import check_pictures
-from pipeline.findings import Finding
+from pipeline.core.findings import Finding
 from tests.pipeline.capture.pictures.rooms import pictures_of, room, walk
 
 WALKS = {name: walk(seed, 6) for seed, name in enumerate(("left", "right"))}

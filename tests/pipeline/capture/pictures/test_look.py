@@ -13,8 +13,8 @@ from pipeline.capture.pictures import look as looking
 from pipeline.capture.pictures.look import NUM_PICTURES, frames_to_look_at, look_at_pictures
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import open_session
-from pipeline.errors import ChildError
-from pipeline.findings import Finding
+from pipeline.core.errors import ChildError
+from pipeline.core.findings import Finding
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.cases import slow_but

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.session import CaptureSession
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.heads import HeadRegions
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.heads import HeadRegions
+from pipeline.core.progress import ignore
 from pipeline.export.recording.pictures import MAX_RATE_HZ, small_pictures, thinned
-from pipeline.progress import ignore
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.pipeline.export.test_overlay import CAMERA

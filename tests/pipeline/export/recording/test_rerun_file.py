@@ -13,25 +13,25 @@ pytest.importorskip("rerun", reason="rerun-sdk is not installed (the extra `reru
 
 from rerun.chunk import RrdReader
 
-from pipeline.angles.compute import joint_angles
-from pipeline.angles.definitions import ANGLE_NAMES
 from pipeline.calibration.sizes import scaled
-from pipeline.config import Export
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Timebase
-from pipeline.data.detections import Detections
-from pipeline.data.people import Observations
-from pipeline.data.reconstruction import Reconstruction
-from pipeline.data.rigid import Rigid3
-from pipeline.errors import PipelineError
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.detections import Detections
+from pipeline.core.data.people import Observations
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.rigid import Rigid3
+from pipeline.core.errors import PipelineError
+from pipeline.core.options.config import Export
 from pipeline.export.colors import color_rgb
 from pipeline.export.recording import rerun_file
 from pipeline.export.recording.rerun_file import RecordedFootage, write_recording
 from pipeline.export.results import write_results
-from pipeline.skeleton.model import forward_kinematics
+from pipeline.motion.angles.compute import joint_angles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.skeleton.model import forward_kinematics
 from tests.pipeline.export.test_overlay_video import LARGE, NUM_FRAMES, OFFSET_S, RATE_HZ, runner, session_of, take_of
 from tests.pipeline.export.test_results import take
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 TOLERANCE = 1e-6
 RERUN: tuple[Export, ...] = ("rerun",)

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config import ReconstructionConfig
-from pipeline.data.cameras import FrameTimes, Timebase
-from pipeline.data.people import Doubt, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.cameras import FrameTimes, Timebase
+from pipeline.core.data.people import Doubt, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.viewer.description import Footage
-from pipeline.joints import COCO_17
-from pipeline.skeleton.animate import animate
-from tests.pipeline.quality.test_report import CAMERAS, RATE_HZ, observe
+from pipeline.motion.skeleton.animate import animate
+from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, observe
 
 FOOTAGE = {
     camera.name: Footage(

@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.angles.compute import joint_angles
-from pipeline.angles.definitions import ANGLE_NAMES
-from pipeline.body import installed
-from pipeline.body.makehuman import NUM_COARSE_TRIANGLES
-from pipeline.body.shape import shape_body
-from pipeline.body.standing import standing_ankle_m
-from pipeline.data.people import Doubt
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.people import Doubt
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import COCO_17
+from pipeline.export.quality.report import quality_report
+from pipeline.export.quality.views import views_of
 from pipeline.export.viewer.description import ViewerMotion, person_frames
 from pipeline.export.viewer.frames import ABSENT, ANGLE_STEP_DEG, encode_person, record_type
-from pipeline.joints import COCO_17
-from pipeline.quality.report import quality_report
-from pipeline.quality.views import views_of
-from pipeline.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.angles.compute import joint_angles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body import installed
+from pipeline.motion.body.makehuman import NUM_COARSE_TRIANGLES
+from pipeline.motion.body.shape import shape_body
+from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
+from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, shifted
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take
-from tests.pipeline.quality.test_report import CAMERAS, RATE_HZ, shifted
-from tests.pipeline.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 
 def written(reconstruction: Reconstruction) -> tuple[dict[str, Any], bytes]:

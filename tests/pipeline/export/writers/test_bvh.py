@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from pipeline.config import Preset
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.joints import COCO_17
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS, Convention
 from pipeline.export.writers import bvh
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.rotation_orders import rotation_orders
-from pipeline.joints import COCO_17
-from pipeline.skeleton.fitting.fit import SkeletonFit
-from pipeline.skeleton.model import (
+from pipeline.motion.skeleton.fitting.fit import SkeletonFit
+from pipeline.motion.skeleton.model import (
     INDEX,
     SKELETON,
     WHOLE_SKELETON,
@@ -28,7 +28,7 @@ from pipeline.skeleton.model import (
 )
 from tests.pipeline.export.blender_curves import positions_in_blender
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
-from tests.pipeline.skeleton.synthetic_tracks import timebase, track_of, walker
+from tests.pipeline.motion.skeleton.synthetic_tracks import timebase, track_of, walker
 
 TOLERANCE_CM = 0.1
 NTSC_HZ = 30000 / 1001

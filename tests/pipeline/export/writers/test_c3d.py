@@ -10,18 +10,18 @@ import ezc3d
 import numpy as np
 import pytest
 
-from pipeline.angles.compute import segments_from
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
 from pipeline.export.writers.c3d_parameters import parameter_bytes, read_numbers
 from pipeline.export.writers.c3d_segments import SEGMENT_LABELS
-from pipeline.gait.analysis import MarkedEvent
-from pipeline.joints import BODY_FEET
-from pipeline.skeleton.model import INDEX, posed_joints
+from pipeline.motion.angles.compute import segments_from
+from pipeline.motion.gait.analysis import MarkedEvent
+from pipeline.motion.skeleton.model import INDEX, posed_joints
 from tests.pipeline.export.writers.test_bvh import walk
-from tests.pipeline.gait.walks import track_of
-from tests.pipeline.gait.walks import walk as walk_act
+from tests.pipeline.motion.gait.walks import track_of
+from tests.pipeline.motion.gait.walks import walk as walk_act
 
 RATE_HZ = 60.0
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config import Preset
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import fbx
 from pipeline.export.writers.fbx_nodes import ArrayProperty, Node, read
 from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
-from pipeline.skeleton.model import INDEX, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, forward_kinematics, skeleton_of
 from tests.e2e.foreign import read_with_three
 from tests.pipeline.export.writers.test_bvh import tumbling, walk, with_fingers
 

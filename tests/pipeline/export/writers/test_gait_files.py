@@ -10,15 +10,15 @@ import ezc3d
 import numpy as np
 import pytest
 
-from pipeline.data.cameras import Timebase
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
 from pipeline.export.writers.gait_tables import gait_tables
-from pipeline.gait.analysis import MarkedEvent, PersonGait, marked_events
-from pipeline.gait.document import gait_document, movement_documents
-from pipeline.joints import BODY_FEET
-from pipeline.simulation.motion.script import Gesture
-from pipeline.simulation.motion.truth import flights_s, step_times
-from tests.pipeline.gait.walks import exercise, gait_of, performed, track_of, walk
+from pipeline.motion.gait.analysis import MarkedEvent, PersonGait, marked_events
+from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.validation.simulation.motion.script import Gesture
+from pipeline.validation.simulation.motion.truth import flights_s, step_times
+from tests.pipeline.motion.gait.walks import exercise, gait_of, performed, track_of, walk
 
 ACT = walk(1.2)
 TIMEBASE = Timebase(2.0, 60.0, 1000)

@@ -9,11 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import glb
 from pipeline.export.writers.body_mesh import BodyMesh, capsules
-from pipeline.skeleton.model import INDEX, children_of, forward_kinematics, parents_of, rest_offsets_m, skeleton_of
+from pipeline.motion.skeleton.model import (
+    INDEX,
+    children_of,
+    forward_kinematics,
+    parents_of,
+    rest_offsets_m,
+    skeleton_of,
+)
 from tests.e2e.foreign import read_with_three, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
 

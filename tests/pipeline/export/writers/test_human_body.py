@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.body import installed
-from pipeline.body.joints import TWIST_JOINTS
-from pipeline.body.shape import shape_body
-from pipeline.config import Preset
-from pipeline.data.animation import Floor, SkeletonMotion
-from pipeline.errors import ModelError
+from pipeline.core.data.animation import Floor, SkeletonMotion
+from pipeline.core.errors import ModelError
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import fbx, glb
 from pipeline.export.writers.body_mesh import BodyChoice, body_at_rest
 from pipeline.export.writers.fbx import convention_of_fbx
-from pipeline.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.body import installed
+from pipeline.motion.body.joints import TWIST_JOINTS
+from pipeline.motion.body.shape import shape_body
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics, skeleton_of
 from tests.e2e.foreign import (
     Animated,
     read_with_assimp,
@@ -29,9 +29,9 @@ from tests.e2e.foreign import (
     validate_with_khronos,
 )
 from tests.e2e.test_exports import is_a_picture_of_people
-from tests.pipeline.body.conftest import in_pose
 from tests.pipeline.export.writers.test_bvh import walk
-from tests.pipeline.skeleton.hands.people import gesturing
+from tests.pipeline.motion.body.conftest import in_pose
+from tests.pipeline.motion.skeleton.hands.people import gesturing
 
 HUMAN = BodyChoice("human")
 ORIGIN_M = np.zeros(3)

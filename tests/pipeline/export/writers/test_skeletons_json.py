@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.data.animation import Animation, SkeletonMotion
-from pipeline.data.cameras import Timebase
-from pipeline.data.people import Source, Track3D
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import Animation, SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import BODY_FEET, WHOLE_BODY, JointSet
 from pipeline.export.writers import skeletons_json
-from pipeline.joints import BODY_FEET, WHOLE_BODY, JointSet
-from pipeline.skeleton.model import SKELETON
+from pipeline.motion.skeleton.model import SKELETON
 
 
 def encoded(of: Reconstruction) -> bytes:

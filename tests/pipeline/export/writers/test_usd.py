@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.body import installed
-from pipeline.body.shape import shape_body
-from pipeline.config import Export
-from pipeline.data.animation import SkeletonMotion
-from pipeline.data.cameras import Camera
-from pipeline.data.reconstruction import Reconstruction
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Camera
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import Export
 from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import scene_of
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.geometry.camera import center_in_world
-from pipeline.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.body import installed
+from pipeline.motion.body.shape import shape_body
+from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
 from tests.e2e.foreign import read_take_with_blender
-from tests.pipeline.body.conftest import in_pose
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, joints_m, nearest_m, two_people
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
-from tests.pipeline.skeleton.hands.people import gesturing
+from tests.pipeline.motion.body.conftest import in_pose
+from tests.pipeline.motion.skeleton.hands.people import gesturing
 
 pytest.importorskip("pxr", reason="usd-core is not installed (the extra `usd`)")
 

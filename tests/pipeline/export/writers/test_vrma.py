@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.data.animation import SkeletonMotion
+from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import vrma
 from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
-from pipeline.skeleton.model import INDEX, forward_kinematics, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, forward_kinematics, parents_of, skeleton_of
 from tests.e2e.foreign import play_on_vrm, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
 

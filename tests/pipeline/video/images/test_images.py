@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError, Problem
-from pipeline.runtime import zips
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.runtime import zips
 from pipeline.video.decode import decode
 from pipeline.video.images import files
 from pipeline.video.images.probe import at_rate

@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
+from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.proxy_process import make_proxy_in_child, proxy_size_px

@@ -10,7 +10,7 @@ import pytest
 from pipeline.calibration.board.detection.detect import DetectedBoard, find_board, is_exchanged
 from pipeline.calibration.board.source import look_in_photographs
 from pipeline.calibration.board.spec import Board, parse_board
-from pipeline.data.rigid import Rigid3
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.camera import project
 from tests.pipeline.calibration.board.conftest import ring
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses

@@ -12,8 +12,8 @@ import pytest
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
-from pipeline.data.cameras import Camera
-from pipeline.errors import InputError
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError
 from pipeline.geometry.camera import center_in_world
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
 

@@ -1,0 +1,252 @@
+"""Intake of calibrations, from a form or from uploads: what each method needs, and the check of the files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from fastapi import Request
+
+from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
+from api.web.dependencies import Services
+from api.web.errors import ErrorItem, pointer_to, unprocessable
+from api.web.http.bodies.form import Form, ReceivedFile
+from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS
+from api.web.jobs.spec_checks import limit_errors, network_errors
+from api.web.sessions.intake import CheckedSession, arguments_of, located, record_path_in
+from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
+from api.web.sessions.receiving import Sent, adopted, document, form_of
+from api.web.sessions.schemas import Manifest
+from pipeline.calibration.known_points.checks import point_problems
+from pipeline.capture.preflight_record import Preflight
+from pipeline.core.errors import listed
+from pipeline.core.options.job_choices import CalibrationChoices
+from pipeline.core.problems.requests import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
+from worker.run.planning import has_videos
+from worker.store.model.sessions import Session
+from worker.store.spec import JobSpec
+from worker.store.tenant_records import TenantRecords
+
+_BOARD, _STATURE, _SESSION, _POINTS = "board", "stature_m", "session_id", "known_points"
+_NEEDED: Mapping[Method, tuple[str, ...]] = {
+    "file": (CALIBRATION,),
+    "board": (VIDEOS, _BOARD),
+    "people": (VIDEOS, _STATURE),
+}
+_ALLOWED: Mapping[Method, frozenset[str]] = {
+    "file": frozenset({CALIBRATION}),
+    "board": frozenset({VIDEOS, INTRINSICS, _BOARD, _POINTS}),
+    "people": frozenset({VIDEOS, INTRINSICS, _STATURE, _POINTS}),
+}
+# A session takes the place of the files.
+_NEEDED_OF_SESSION, _ALLOWED_OF_SESSION = (_STATURE,), frozenset({_STATURE, _SESSION, _POINTS})
+# Photographs take the place of videos of a board, and give intrinsics only.
+_NEEDED_OF_IMAGES, _ALLOWED_OF_IMAGES = (IMAGES, _BOARD), frozenset({IMAGES, _BOARD})
+# Photographs have no times: their numbers count at a rate that is allowed.
+_IMAGES_RATE_HZ = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFile:
+    """Calibration file, and what it contains."""
+
+    file: ReceivedFile
+    contents: CalibrationContents
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedCalibration:
+    """A calibration without errors.
+
+    Parameters
+    ----------
+    content
+        A file, videos that were sent, or a session that is there already.
+    has_intrinsics
+        Whether the intrinsics of the cameras are given.
+    has_photographs
+        Whether the files are photographs in place of videos.
+    upload_ids
+        Uploads that the files are from.
+    """
+
+    spec: CalibrationSpec
+    name: str
+    content: ReadFile | CheckedSession | Session
+    has_intrinsics: bool = False
+    has_photographs: bool = False
+    upload_ids: tuple[str, ...] = ()
+
+    def choices(self) -> CalibrationChoices | None:
+        """Choices of the job that makes it; ``None`` for a file."""
+        return self.spec.choices(self.has_intrinsics, self.has_photographs)
+
+
+async def check_calibration(
+    request: Request, services: Services, records: TenantRecords, sent: Sent
+) -> CheckedCalibration:
+    """Check a calibration: its choices and its files.
+
+    Raises
+    ------
+    ApiError
+        With all that is wrong.
+    """
+    owner = request.state.caller.owner
+    if isinstance(sent.content, UploadedCalibration):
+        spec: CalibrationSpec | None = sent.content
+        # Large files are read once, for their digests, in the turn of the checks.
+        form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
+        part, upload_ids, errors = "", sent.content.upload_ids(), [*form.errors]
+    else:
+        form = form_of(sent)
+        spec, spec_problems = document(sent, SPEC, CalibrationSpec)
+        part, upload_ids, errors = SPEC, (), [*form.errors, *spec_problems]
+    if spec is None:
+        raise unprocessable(errors)
+    errors += _method_errors(spec, form, part)
+    if errors:
+        raise unprocessable(errors)
+    if spec.session_id is not None:
+        return _of_session(services, records, spec, str(spec.session_id), part)
+    if spec.method == "file":
+        (file,) = form.files[CALIBRATION]
+        contents = await _contents(services, owner, sent, form, spec)
+        return CheckedCalibration(spec, spec.name or file.name, ReadFile(file, contents), upload_ids=upload_ids)
+    footage = await _checked_footage(services, owner, sent, form, spec, upload_ids, part)
+    name = spec.name or f"{spec.method}, {len(footage.preflight.cameras)} cameras"
+    has_intrinsics, has_photographs = bool(form.files[INTRINSICS]), bool(form.files[IMAGES])
+    return CheckedCalibration(spec, name, footage, has_intrinsics, has_photographs, upload_ids)
+
+
+def _of_session(
+    services: Services, records: TenantRecords, spec: CalibrationSpec, session_id: str, part: str
+) -> CheckedCalibration:
+    """Check that a session's people can calibrate its cameras."""
+    session = records.sessions.get(session_id)
+    if session.purpose == "calibration":
+        message = "The session was sent for a calibration itself."
+        error = ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))
+        raise unprocessable([error])
+    errors = _point_errors(spec, session.preflight, part)
+    if has_videos(session):
+        errors += network_errors(JobSpec(), services, None)
+    if errors:
+        raise unprocessable(errors)
+    return CheckedCalibration(spec, spec.name or f"people, {session.name}", session, has_intrinsics=True)
+
+
+def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorItem]:
+    """Report what a method lacks, and what it has no use for; ``part`` leads to the choices in the request."""
+    chosen = (
+        (_BOARD, spec.board),
+        (_STATURE, spec.stature_m),
+        (_SESSION, spec.session_id),
+        (_POINTS, spec.known_points),
+    )
+    given = {name for name, value in chosen if value}
+    of_session = spec.method == "people" and spec.session_id is not None
+    needed = _NEEDED_OF_SESSION if of_session else _NEEDED[spec.method]
+    allowed = _ALLOWED_OF_SESSION if of_session else _ALLOWED[spec.method]
+    given |= {name for name, files in form.files.items() if files}
+    if spec.method == "board" and IMAGES in given:
+        needed, allowed = _NEEDED_OF_IMAGES, _ALLOWED_OF_IMAGES
+
+    def pointer(name: str) -> str:
+        return pointer_to(name) if name in form.files else _pointer(part, name)
+
+    errors = [
+        ErrorItem(code=MISSING_PART, message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
+        for name in needed
+        if name not in given and not _is_reported(form, name)
+    ]
+    errors += [
+        ErrorItem(
+            code=PART_NOT_ALLOWED, message=f"The method {spec.method} has no use for {name}.", pointer=pointer(name)
+        )
+        for name in sorted(given - allowed)
+    ]
+    return errors
+
+
+def _point_errors(spec: CalibrationSpec, preflight: Preflight, part: str) -> list[ErrorItem]:
+    """Report what is wrong with the known points, now that the cameras are known."""
+    if not spec.known_points:
+        return []
+    points = tuple(point.point() for point in spec.known_points)
+    problems = point_problems(points, {camera.name: camera.size_px for camera in preflight.cameras})
+    return [
+        ErrorItem(
+            code=problem.code,
+            message=problem.message,
+            pointer=_pointer(part, _POINTS),
+            camera=problem.camera,
+            hint=problem.hint,
+        )
+        for problem in listed(problems)
+    ]
+
+
+def _pointer(part: str, field: str) -> str:
+    return pointer_to(part, field) if part else pointer_to(field)
+
+
+def _is_reported(form: Form, part: str) -> bool:
+    """Whether an error already names a part, whose files then are missing."""
+    return any((error.pointer or "").split("/")[1:2] == [part] for error in form.errors)
+
+
+async def _contents(
+    services: Services, owner: str, sent: Sent, form: Form, spec: CalibrationSpec
+) -> CalibrationContents:
+    """Read the calibration file in a child process."""
+    (file,) = form.files[CALIBRATION]
+    arguments = ["--calibration", str(file.path), f"--up={spec.up}"]
+    if spec.units is not None:
+        arguments.append(f"--units={spec.units}")
+    try:
+        return await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
+    except InvalidFilesError as invalid:
+        raise unprocessable([located(item, form, Manifest()) for item in invalid.errors]) from None
+
+
+async def _checked_footage(
+    services: Services,
+    owner: str,
+    sent: Sent,
+    form: Form,
+    spec: CalibrationSpec,
+    upload_ids: tuple[str, ...],
+    part: str,
+) -> CheckedSession:
+    """Check the videos or photographs of a calibration, as a session with guessed or given intrinsics."""
+    photographs = form.files[IMAGES]
+    manifest = Manifest(
+        name=spec.name or f"Calibration from {spec.method}",
+        cameras=spec.cameras,
+        units=spec.units,
+        frame_rate_hz=_IMAGES_RATE_HZ if photographs else None,
+    )
+    # From here on photographs are sequences of images.
+    footage = replace(form, files={**form.files, VIDEOS: photographs, IMAGES: ()}) if photographs else form
+    record_path = record_path_in(sent.folder)
+    arguments = arguments_of(footage, manifest, services.settings.max_session_joints)
+    if photographs:
+        arguments.append("--photographs")
+    if spec.board is not None:
+        arguments.append(f"--board={spec.board}")
+    try:
+        preflight = await services.checks.run(
+            owner,
+            services.preflight.check,
+            arguments,
+            record_path,
+            allowance_s(footage),
+            further_wait_s=further_wait_s(footage),
+        )
+    except InvalidFilesError as invalid:
+        raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
+    errors = [*limit_errors(services, preflight), *_point_errors(spec, preflight, part)]
+    if spec.method == "people":
+        errors += network_errors(JobSpec(), services, None)
+    if errors:
+        raise unprocessable(errors)
+    return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, upload_ids)

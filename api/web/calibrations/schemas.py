@@ -1,0 +1,253 @@
+"""Bodies of requests for calibrations, and of their responses, as Pydantic models."""
+
+import hashlib
+import json
+from typing import Annotated, Any, Literal, Self
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+
+from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
+from api.web.http.bodies.form_kinds import UploadedFootage
+from api.web.jobs.schemas import JobError
+from api.web.sessions.schemas import CameraManifest, Up
+from pipeline.core.options.job_choices import (
+    MAX_KNOWN_POINTS,
+    MAX_POINT_M,
+    MAX_STATURE_M,
+    MAX_STATURES,
+    MIN_STATURE_M,
+    CalibrationChoices,
+    KnownPoint,
+)
+from worker.store.model.calibrations import Calibration
+from worker.store.model.states import JobState
+
+Method = Literal["file", "board", "people"]
+Format = Literal["multicap", "anipose", "caliscope", "opencv"]
+LensModel = Literal["standard", "fisheye"]
+MEDIA_TYPES: dict[Format, tuple[str, str]] = {
+    "multicap": ("json", "application/json"),
+    "anipose": ("toml", "application/toml"),
+    "caliscope": ("toml", "application/toml"),
+    "opencv": ("yml", "application/yaml"),
+}
+"""Ending and media type of each format."""
+
+BOARD_PATTERN = r"^(chessboard|charuco):[0-9]{1,3}x[0-9]{1,3}(:[0-9A-Za-z_.]{1,20}){1,3}$"
+"""Form of a board: `chessboard:...` or `charuco:...`."""
+
+_STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobState.EXPIRED: "failed"}
+
+
+_Coordinate = Annotated[float, Field(ge=-MAX_POINT_M, le=MAX_POINT_M)]
+_Pixel = Annotated[float, Field(ge=-1.0, le=100_000.0)]
+
+
+class KnownPointSpec(BaseModel):
+    """Point whose coordinates in the world are known, and where cameras see it. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=100, description="Name of the point.", examples=["door"]
+    )
+    xyz_m: tuple[_Coordinate, _Coordinate, _Coordinate] = Field(
+        description="Coordinates in metres, right-handed axes, Z up.", examples=[[0.0, 1.5, 0.0]]
+    )
+    seen_px: dict[str, tuple[_Pixel, _Pixel]] = Field(
+        max_length=256,
+        description="Pixel x, y in the full picture of each camera that sees it, by the name of the camera.",
+        examples=[{"cam_0": [812.5, 640.0], "cam_1": [310.0, 655.5]}],
+    )
+
+    def point(self) -> KnownPoint:
+        """Point as the pipeline takes it."""
+        return KnownPoint(self.name, self.xyz_m, tuple((camera, x, y) for camera, (x, y) in self.seen_px.items()))
+
+
+class CalibrationSpec(BaseModel):
+    """Choices of a calibration beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    method: Method = Field(
+        default="file",
+        description=(
+            "`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board, or "
+            "intrinsics from photographs, `images`; `people`: "
+            "made from `videos`, or from a session, of people of known stature who walk about."
+        ),
+    )
+    name: Annotated[str, AfterValidator(printable_name)] | None = Field(
+        default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
+    )
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None,
+        description="Unit of length of a file whose format does not state it. Null: metres; if they are not plausible, "
+        "the answer `calibration_units_unstated` asks for it.",
+    )
+    up: Up = Field(
+        default="z",
+        description="Axis of a file that points up, after the turn that its format needs by itself: the world "
+        "is turned so that it becomes Z.",
+    )
+    board: str | None = Field(
+        default=None,
+        max_length=100,
+        pattern=BOARD_PATTERN,
+        description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
+        examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
+    )
+    stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
+        default=(),
+        max_length=MAX_STATURES,
+        description="Statures of the people in metres, in any order; one is enough.",
+        examples=[[1.78, 1.65]],
+    )
+    session_id: UUID | None = Field(
+        default=None, description="Session whose people serve; its cameras keep their intrinsics."
+    )
+    known_points: tuple[KnownPointSpec, ...] = Field(
+        default=(),
+        max_length=MAX_KNOWN_POINTS,
+        description="Points that determine the world in place of the board on the floor, or of the people.",
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
+    )
+
+    def choices(self, has_intrinsics: bool, has_photographs: bool) -> CalibrationChoices | None:
+        """Choices of the job; ``None`` for a file."""
+        if self.method == "file":
+            return None
+        points = tuple(point.point() for point in self.known_points)
+        return CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
+
+
+class UploadedCalibration(UploadedFootage, CalibrationSpec):
+    """Calibration of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
+    calibration: UUID | None = Field(default=None, description="Upload of a calibration file.")
+    images: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of photographs of a board: for each camera a zip, named as the camera."
+    )
+    intrinsics: UUID | None = Field(
+        default=None, description="Upload of a calibration file whose intrinsics are kept, and poses ignored."
+    )
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
+        images = (("images", upload) for upload in self.images)
+        return [*super().uploads(), *images, *((part, upload) for part, upload in single if upload is not None)]
+
+
+class CalibrationChanges(BaseModel):
+    """Changes of a calibration. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=200, description="Name of the calibration for people."
+    )
+
+
+class CalibratedCamera(ResponseModel):
+    """Camera of a calibration: x = K (R X + t), with OpenCV's distortion."""
+
+    name: str = Field(description="Name of the camera.")
+    size_px: tuple[int, int] | None = Field(description="Width and height of the picture; null if it is unknown.")
+    matrix: tuple[tuple[float, float, float], ...] = Field(description="Camera matrix K, 3 x 3, in pixels.")
+    lens: LensModel = Field(default="standard", description="Distortion model: OpenCV's standard or fisheye model.")
+    distortion: tuple[float, ...] = Field(description="Distortion coefficients in OpenCV's order.")
+    rotation: tuple[tuple[float, float, float], ...] = Field(description="Rotation R from world to camera, 3 x 3.")
+    translation_m: tuple[float, float, float] = Field(description="Translation t in metres.")
+    position_m: tuple[float, float, float] = Field(description="Position of the camera in the world.")
+
+
+class CalibrationLinks(ResponseModel):
+    """Paths of a calibration and of what belongs to it."""
+
+    self: str = Field(description="Path of the calibration.")
+    file: str | None = Field(description="Path of the file; null until the calibration is ready.")
+    job: str | None = Field(description="Path of the job that makes it; null for a file, or once it is deleted.")
+    session: str | None = Field(description="Path of the session from which it is made.")
+
+
+class CalibrationOut(ResponseModel):
+    """Calibration: cameras with their intrinsics and poses."""
+
+    id: Id
+    name: str = Field(description="Name of the calibration for people.")
+    method: Method = Field(description="How it was made.")
+    state: Literal["queued", "running", "canceling", "canceled", "failed", "ready"] = Field(
+        description="`ready`, or the state of the job that makes it."
+    )
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    source: dict[str, Any] = Field(
+        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job."
+    )
+    warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.")
+    cameras: tuple[CalibratedCamera, ...] = Field(description="Cameras; none until the calibration is ready.")
+    sha256: str | None = Field(
+        description="SHA-256 of the file in Multicap's format: calibrations with equal cameras have equal ones. Null "
+        "until the calibration is ready."
+    )
+    report: dict[str, Any] | None = Field(
+        description="Report of a calibration that was made: errors and views by camera, the world, warnings."
+    )
+    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    links: CalibrationLinks
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Build the response from a calibration."""
+        address = f"/v1/calibrations/{calibration.id}"
+        is_ready, has_job = calibration.files is not None, calibration.job_state is not None
+        notes = calibration.source.get("notes", ())
+        found = (calibration.report or {}).get("warnings", ())
+        return cls(
+            id=calibration.id,
+            name=calibration.name,
+            method=calibration.method,  # type: ignore[arg-type]
+            state="ready" if is_ready else _STATES[calibration.job_state],  # type: ignore[arg-type]
+            created_at=calibration.created_at,
+            source={name: value for name, value in calibration.source.items() if name != "notes"},
+            warnings=(*notes, *(warning["message"] for warning in found)),
+            cameras=() if calibration.files is None else _cameras(calibration.files["multicap"]),
+            sha256=None if calibration.files is None else _digest(calibration.files["multicap"]),
+            report=None if calibration.report is None else dict(calibration.report),
+            error=JobError.of(calibration.problem) if calibration.problem else None,
+            links=CalibrationLinks(
+                self=address,
+                file=f"{address}/file" if is_ready else None,
+                job=f"/v1/jobs/{calibration.id}" if has_job else None,
+                session=f"/v1/sessions/{calibration.session_id}" if calibration.session_id and has_job else None,
+            ),
+        )
+
+
+class CalibrationPage(ResponseModel):
+    """Page of calibrations, the newest calibration first."""
+
+    calibrations: tuple[CalibrationOut, ...]
+    next_cursor: NextCursor
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _cameras(text: str) -> tuple[CalibratedCamera, ...]:
+    """Cameras of Multicap's own JSON, with their positions."""
+    return tuple(
+        CalibratedCamera(**camera, position_m=_position_m(camera["rotation"], camera["translation_m"]))
+        for camera in json.loads(text)["cameras"]
+    )
+
+
+def _position_m(rotation: list[list[float]], translation_m: list[float]) -> tuple[float, float, float]:
+    """Position -R^T t of a camera, to the micrometre."""
+    x, y, z = (round(-sum(rotation[i][j] * translation_m[i] for i in range(3)), 6) + 0.0 for j in range(3))
+    return x, y, z

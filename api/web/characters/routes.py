@@ -1,0 +1,201 @@
+"""Characters of the user's own: send, list, read, download, change, delete."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from api.web.auth import RecordsDep
+from api.web.characters import examples
+from api.web.characters.form import CHARACTER_FORM
+from api.web.characters.intake import (
+    MEDIA_TYPES,
+    CheckedCharacter,
+    bones_of,
+    check_again,
+    check_character,
+    download_of,
+    facts_of,
+    stored_character,
+)
+from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
+from api.web.contract.description import answer, file_content, location, problems
+from api.web.contract.examples import CHARACTER_ID
+from api.web.contract.resource import Resource
+from api.web.dependencies import CharacterId, Cursor, Limit, Services, ServicesDep
+from api.web.downloads import ConditionsDep, file_responses, send_file
+from api.web.http.bodies.reading import SmallBodyRoute
+from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
+from api.web.http.idempotency import Answer, IdempotentRequest
+from api.web.sessions.creation import Creation, Texts, add_creation
+from api.web.sessions.preflight import CharacterContents
+from worker.store.files.removals import remove_files
+from worker.store.model.characters import Character
+from worker.store.tenant_records import TenantRecords
+
+router = APIRouter(prefix="/v1/characters", tags=["characters"])
+# A route that takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1/characters", tags=["characters"], route_class=SmallBodyRoute)
+
+_ONE = answer("Character")
+_FILE = file_content(MEDIA_TYPES, "(the file)")
+
+
+def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCharacter) -> Answer:
+    """Store a character and its file."""
+    facts, bones = facts_of(checked.contents), bones_of(checked.contents)
+    with (
+        stored_character(services, checked) as (character_id, file),
+        idempotent.records.transaction() as work,
+    ):
+        work.uploads.use(checked.upload_ids)
+        character = work.characters.add(character_id, checked.name, file, facts, bones, checked.spec.bones)
+        headers = {"Location": f"/v1/characters/{character.id}"}
+        return idempotent.store(work, Answer(201, headers, CharacterOut.of(character).model_dump_json()))
+
+
+_CREATE = """\
+Send a character: a file with a skeleton, onto which motion is retargeted.
+
+The file is read and its bones are recognised at once. `bones` states those that are not recognised, or are recognised
+wrong. Generated clients use `createCharacterFromFiles` and `createCharacterFromUploads`, which do the same with one
+kind of body each.
+"""
+add_creation(
+    router,
+    "",
+    "createCharacter",
+    Creation(CHARACTER_FORM, check_character, _add),
+    (
+        Texts("Send a character", _CREATE),
+        Texts(
+            "Send a character from files", "Send a character by a form with its file; otherwise as `createCharacter`."
+        ),
+        Texts(
+            "Send a character from uploads",
+            "Send a character by JSON that names an upload; otherwise as `createCharacter`.",
+        ),
+    ),
+    status_code=status.HTTP_201_CREATED,
+    response_model=CharacterOut,
+    responses={
+        201: _ONE | {"headers": {"Location": location("character", f"/v1/characters/{CHARACTER_ID}")}},
+        **problems(400, 408, 409, 413, 415, 422, 507),
+    },
+)
+
+
+@router.get(
+    "",
+    operation_id="listCharacters",
+    summary="List characters",
+    responses={200: answer("CharacterPage"), **problems(422)},
+)
+def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> CharacterPage:
+    """List characters without their bones, the newest first."""
+    found = records.characters.page(limit=limit, after=str(cursor) if cursor else None)
+    next_cursor = found[-1].id if len(found) == limit else None
+    return CharacterPage(
+        characters=tuple(CharacterSummaryOut.of(character) for character in found), next_cursor=next_cursor
+    )
+
+
+@router.get(
+    "/{character_id}",
+    operation_id="getCharacter",
+    summary="Read a character",
+    response_model=CharacterOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_character(character_id: CharacterId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
+    """Read a character: facts about its file, the bone of each joint and how it was recognised, and its skeleton."""
+    return conditional(CharacterOut.of(records.characters.get(character_id)), if_none_match)
+
+
+@router.get(
+    "/{character_id}/file",
+    operation_id="getCharacterFile",
+    summary="Download a character",
+    response_class=Response,
+    responses={
+        **file_responses(_FILE, redirect=f"characters/{CHARACTER_ID}/file"),
+        **problems(404, 410, 416),
+    },
+)
+def get_character_file(
+    character_id: CharacterId,
+    request: Request,
+    services: ServicesDep,
+    records: RecordsDep,
+    conditions: ConditionsDep,
+) -> Response:
+    """Download the file of a character as it was sent, or a range of it."""
+    return send_file(request, services, download_of(records.characters.get(character_id)), conditions)
+
+
+@small.patch(
+    "/{character_id}",
+    operation_id="changeCharacter",
+    summary="Change a character",
+    response_model=CharacterOut,
+    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 409, 410, 412, 413, 415, 422, 507)},
+)
+async def change_character(
+    character_id: CharacterId,
+    changes: Annotated[CharacterChanges, Body(openapi_examples={"default": {"value": examples.CHANGES}})],
+    request: Request,
+    services: ServicesDep,
+    records: RecordsDep,
+    if_match: IfMatch = None,
+) -> Response:
+    """Rename a character, or correct its bones, which are recognised anew. With `If-Match`, only an unchanged one.
+
+    Corrections replace earlier ones.
+    """
+    character = await run_in_threadpool(_matching, records, character_id, if_match)
+    contents = None
+    if changes.bones is not None:
+        contents = await check_again(services, request.state.caller.owner, character, changes.bones)
+    changed = await run_in_threadpool(_change, records, character_id, changes, contents, if_match)
+    return conditional(CharacterOut.of(changed), None)
+
+
+def _matching(records: TenantRecords, character_id: str, if_match: str | None) -> Character:
+    """Read a character, in the version that the client has."""
+    character = records.characters.get(character_id)
+    if if_match is not None:
+        require_match(CharacterOut.of(character), if_match)
+    return character
+
+
+def _change(
+    records: TenantRecords,
+    character_id: str,
+    changes: CharacterChanges,
+    contents: CharacterContents | None,
+    if_match: str | None,
+) -> Character:
+    with records.transaction() as work:
+        character = _matching(work, character_id, if_match)
+        if changes.name is not None:
+            character = work.characters.rename(character_id, changes.name)
+        if contents is not None and changes.bones is not None:
+            character = work.characters.correct(character_id, facts_of(contents), bones_of(contents), changes.bones)
+        return character
+
+
+@router.delete(
+    "/{character_id}",
+    operation_id="deleteCharacter",
+    summary="Delete a character",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404),
+)
+def delete_character(character_id: CharacterId, services: ServicesDep, records: RecordsDep) -> None:
+    """Delete a character and its file."""
+    services.disk.using_reserve(lambda: records.characters.delete(character_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+CREATION = Resource(router=router, forms=(CHARACTER_FORM,))
+RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"character_id": CHARACTER_ID})

@@ -1,0 +1,161 @@
+"""Bodies of requests for characters, and of their responses, as Pydantic models."""
+
+from typing import Annotated, Any, Literal, Self
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+
+from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
+from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
+from worker.store.model.characters import Character, CharacterSummary
+
+Method = Literal["vrm", "names", "shape", "table"]
+_METHODS = (
+    "`vrm`: by the table of a VRM; `names`: by names; `shape`: by the shape of the tree; `table`: by corrections, and "
+    "the others in one of these ways."
+)
+_Name = Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)]
+Corrections = Annotated[
+    dict[
+        Annotated[str, Field(min_length=1, max_length=50)],
+        Annotated[str, Field(min_length=1, max_length=250)] | None,
+    ],
+    Field(max_length=100),
+]
+
+
+class CharacterSpec(BaseModel):
+    """Choices of a character beside its file. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: _Name | None = Field(default=None, description="Name for people; by default that of the file.")
+    bones: Corrections = Field(
+        default={},
+        description="Bones by joint that go before those that are recognised; null: the joint has no bone. Others are "
+        "recognised.",
+        examples=[{"LeftArm": "upperarm_l", "LeftShoulder": None}],
+    )
+
+
+class UploadedCharacter(UploadedFiles, CharacterSpec):
+    """Character of an uploaded file, given by the id of its upload. Unknown fields are refused."""
+
+    character: UUID = Field(description="Upload of the character's file.")
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return [(CHARACTER, self.character)]
+
+
+class CharacterChanges(BaseModel):
+    """Changes of a character; what is left out stays. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: _Name | None = Field(default=None, description="Name of the character for people.")
+    bones: Corrections | None = Field(
+        default=None,
+        description="Corrections in place of earlier ones: bones by joint, null for a joint that has no bone. An empty "
+        "object takes all corrections back.",
+    )
+
+
+class CharacterLinks(ResponseModel):
+    """Paths of a character and of its file."""
+
+    self: str = Field(description="Path of the character.")
+    file: str = Field(description="Path of the file.")
+
+    @classmethod
+    def of(cls, character_id: str) -> Self:
+        """Paths of a character with an id."""
+        address = f"/v1/characters/{character_id}"
+        return cls(self=address, file=f"{address}/file")
+
+
+class CharacterSummaryOut(ResponseModel):
+    """Character of the user's own, without its bones."""
+
+    id: Id
+    name: str = Field(description="Name of the character for people.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    file: str = Field(description="Name of the file.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file.")
+    format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.")
+    method: Method = Field(description=f"How the bones were recognised. {_METHODS}")
+    stature: float = Field(
+        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; that of FBX "
+        "is converted to metres."
+    )
+    num_bones: int = Field(description="Number of bones.")
+    num_vertices: int = Field(description="Number of vertices that bones move; those in compressed form don't count.")
+    links: CharacterLinks
+
+    @classmethod
+    def of(cls, character: CharacterSummary) -> "CharacterSummaryOut":
+        """Build the response from a character."""
+        return CharacterSummaryOut(**_summary(character))
+
+
+class JointOut(ResponseModel):
+    """Joint of Multicap's skeleton, and the bone of the character that moves with it."""
+
+    joint: str = Field(description="Name of the joint.")
+    bone: str | None = Field(description="Name of the bone; null: the joint has none.")
+    recognised_by: Method | None = Field(description="How the bone was recognised; `table`: it was stated.")
+    is_required: bool = Field(description="Whether each character must have the bone.")
+
+
+class BoneOut(ResponseModel):
+    """Bone of a character in the rest pose."""
+
+    bone: str = Field(description="Name of the bone.")
+    parent: str | None = Field(description="Name of the next bone above; null at the top.")
+    position: tuple[float, float, float] = Field(
+        description="Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y."
+    )
+
+
+class CharacterOut(CharacterSummaryOut):
+    """Character of the user's own, with its bones."""
+
+    joints: tuple[JointOut, ...] = Field(description="All joints, with and without bones.")
+    spine: tuple[str, ...] = Field(description="Bones between hips and arms, from below.")
+    neck: tuple[str, ...] = Field(description="Bones between arms and head, from below.")
+    twists: dict[str, str] = Field(description="Bones that share the twist of a limb, with the joint at its end.")
+    at_rest: tuple[str, ...] = Field(description="Bones without a counterpart, which stay at rest.")
+    notes: tuple[str, ...] = Field(
+        description="Sentences about hands and feet that hang elsewhere than on their limbs."
+    )
+    skeleton: tuple[BoneOut, ...] = Field(description="All bones, parents before their children.")
+    corrections: dict[str, str | None] = Field(description="Bones by joint that were stated; null: no bone.")
+
+    @classmethod
+    def of(cls, character: CharacterSummary) -> "CharacterOut":
+        """Build the response from a character."""
+        if not isinstance(character, Character):
+            raise TypeError("the character has no bones")
+        return CharacterOut(**_summary(character), **character.bones, corrections=dict(character.corrections))
+
+
+class CharacterPage(ResponseModel):
+    """Page of characters, the newest character first."""
+
+    characters: tuple[CharacterSummaryOut, ...]
+    next_cursor: NextCursor
+
+
+def _summary(character: CharacterSummary) -> dict[str, Any]:
+    file = character.file
+    return {
+        "id": character.id,
+        "name": character.name,
+        "created_at": character.created_at,
+        "file": file.name,
+        "num_bytes": file.num_bytes,
+        "sha256": file.sha256,
+        **character.facts,
+        "links": CharacterLinks.of(character.id),
+    }

@@ -1,0 +1,191 @@
+"""OpenAPI document of the web API, and helpers with which routes declare responses."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode
+
+from api.web.contract import examples
+from api.web.contract.bodies import SCHEMA_REF, form_schema
+from api.web.contract.resource import Resource
+from api.web.errors import ErrorItem, ProblemDetails
+from api.web.http.rates import RATE_HEADERS
+
+Responses = dict[int | str, dict[str, Any]]
+
+_CONVENTIONS = """
+
+- `HEAD` is answered wherever `GET` is, with the same headers and without a body.
+- Every POST that creates or changes something takes an `Idempotency-Key`. A repeated request with the same key gets the
+  first response, with `Idempotent-Replayed: true`.
+- With `ETag` and `If-None-Match` a client gets a job or a session only if it has changed; else the response is 304.
+- If requests a minute are limited, every response to a request with a key has `RateLimit-Limit`, `RateLimit-Remaining`
+  and `RateLimit-Reset` (seconds).
+- Errors are `application/problem+json` with a stable `code`; `errors` lists all problems of the request."""
+_TAGS = {
+    "uploads": "Large files in pieces, by tus 1.0. After an interrupted connection a client continues at the offset.",
+    "calibrations": "Calibrations of cameras: sent as files, or made from a board.",
+    "characters": "Characters of the user's own, onto which motion is retargeted.",
+    "sessions": "Capture sessions: the videos or keypoints of all cameras with their calibration.",
+    "jobs": "Reconstructions of sessions: start, follow, cancel and retry them.",
+    "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
+    "links": "Links that open a job, or something of it, without a key, for a while.",
+    "recordings": "Recordings by phones: rooms in which browsers record takes, and sessions and calibrations of them.",
+    "callers": "Caller of a request, and signing browsers in and out.",
+    "health": "Liveness, readiness and metrics of the service.",
+}
+_RATE_HEADERS = dict(
+    zip(
+        RATE_HEADERS,
+        (
+            {"description": "Allowed requests a minute.", "schema": {"type": "integer"}},
+            {"description": "Requests left.", "schema": {"type": "integer"}},
+            {"description": "Seconds until the limit resets.", "schema": {"type": "integer"}},
+        ),
+        strict=True,
+    )
+)
+RETRY_AFTER = {
+    "Retry-After": {"description": "Seconds to wait before the next request.", "schema": {"type": "integer"}}
+}
+_PROBLEM_HEADERS: Mapping[int, Mapping[str, Any]] = {429: RETRY_AFTER | _RATE_HEADERS, 503: RETRY_AFTER}
+
+_MEANINGS = {
+    400: "The request can't be read.",
+    401: "The request has no valid key.",
+    403: "The request's host, origin or key does not allow this.",
+    404: "There is no such session, job, upload, character, result or address.",
+    408: "The request arrives too slowly.",
+    409: "The state of the job, session or upload does not allow this.",
+    410: "The file was removed.",
+    412: "The record has changed since the client's version, or the upload protocol has another version.",
+    413: "The request is larger than the service accepts.",
+    415: "The address does not accept the content type.",
+    416: "The file has no such range.",
+    422: "Fields, parts or files of the request are wrong; `errors` lists all of them.",
+    421: "The bytes of the upload are at another API process.",
+    423: "Another request is writing to the upload.",
+    460: "The piece that arrived does not have the checksum that was sent.",
+    429: "The tenant has too many unfinished jobs, or makes too many requests.",
+    500: "The service failed.",
+    503: "A part of the service does not respond.",
+    507: "The service's disk is full; nothing of a form was kept.",
+}
+
+
+def answer(example: str) -> dict[str, Any]:
+    """Declare the example of a response, one of ``Resource.answers``."""
+    return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
+
+
+def file_content(media_types: Iterable[str], example: str) -> dict[str, Any]:
+    """Declare the content of a response that is a file of one of some media types, whose bytes clients keep.
+
+    A file of JSON has no `type`: it is no text in JSON, though clients keep it as it is.
+    """
+    binary = {"format": "binary", "contentMediaType": "application/octet-stream"}
+    return {
+        name: {"schema": binary if name == "application/json" else {"type": "string", **binary}, "example": example}
+        for name in media_types
+    }
+
+
+def location(what: str, example: str) -> dict[str, Any]:
+    """Declare the header ``Location`` with an example."""
+    return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": example}
+
+
+def problems(*statuses: int) -> Responses:
+    """Declare error responses by their statuses."""
+    return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
+
+
+def describe(app: FastAPI, resources: Iterable[Resource]) -> dict[str, Any]:
+    """OpenAPI document of the app, with the shared responses, examples and schemas."""
+    if app.openapi_schema is None:
+        schema = get_openapi(
+            title=app.title,
+            version=app.version,
+            description=app.description + _CONVENTIONS,
+            license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
+            servers=[{"url": "/", "description": "Service that serves this document."}],
+            tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
+            routes=app.routes,
+            webhooks=app.webhooks.routes,
+        )
+        for operation in _operations(schema):
+            _finish(operation)
+        for name in ("HTTPValidationError", "ValidationError"):
+            schema["components"]["schemas"].pop(name, None)
+        models = schema["components"]["schemas"]
+        answers = {name: value for resource in resources for name, value in resource.answers.items()}
+        for model in (ErrorItem, ProblemDetails):
+            _describe(models, model, "serialization")
+        for form in (form for resource in resources for form in resource.forms):
+            for part_model in (*form.models.values(), form.uploaded):
+                _describe(models, part_model, "validation")
+            models[form.name] = form_schema(form)
+        schema["components"] |= {
+            "examples": {name: {"value": answers[name]} for name in sorted(answers)},
+            "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
+            "schemas": dict(sorted(models.items())),
+        }
+        _plain_tuples(schema)
+        app.openapi_schema = schema
+    return app.openapi_schema
+
+
+def _operations(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """All operations of the service, and all webhooks that receivers implement."""
+    for path in (*schema["paths"].values(), *schema.get("webhooks", {}).values()):
+        for operation in path.values():
+            yield operation
+            for callback in operation.get("callbacks", {}).values():
+                yield from _operations({"paths": callback})
+
+
+def _finish(operation: dict[str, Any]) -> None:
+    """Remove the framework's own 422, which is never sent; declare operations without a key."""
+    if "content" in operation["responses"].get("422", {}):
+        del operation["responses"]["422"]
+    operation.setdefault("security", [])
+    for answer in operation["responses"].values():
+        if "$ref" in answer:  # the framework's description would override the shared response's
+            answer.pop("description", None)
+
+
+def _plain_tuples(node: Any) -> None:
+    """Describe tuples as lists with a fixed number of items: all generators of clients support these.
+
+    The items of every tuple in the contract have the same type.
+    """
+    if isinstance(node, dict):
+        if "prefixItems" in node:
+            node["items"], *_ = node.pop("prefixItems")
+        for value in node.values():
+            _plain_tuples(value)
+    elif isinstance(node, list):
+        for value in node:
+            _plain_tuples(value)
+
+
+def _describe(models: dict[str, Any], model: type[BaseModel], mode: JsonSchemaMode) -> None:
+    """Add the schema of a model, and the schemas that it contains."""
+    described = model.model_json_schema(ref_template=SCHEMA_REF, mode=mode)
+    parts = described.pop("$defs", {})
+    for name, schema in {**parts, model.__name__: described}.items():
+        models.setdefault(name, schema)
+
+
+def _problem_name(status: int) -> str:
+    return f"Problem{status}"
+
+
+def _problem(status: int) -> dict[str, Any]:
+    schema = {"$ref": SCHEMA_REF.format(model=ProblemDetails.__name__)}
+    content = {"application/problem+json": {"schema": schema, "example": examples.problem(status)}}
+    headers = {"headers": _PROBLEM_HEADERS[status]} if status in _PROBLEM_HEADERS else {}
+    return {"description": _MEANINGS[status], **headers, "content": content}

@@ -1,0 +1,72 @@
+"""Parts that several bodies have."""
+
+import functools
+import unicodedata
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from pipeline.core.findings import Severity
+from pipeline.core.problems.fields import CONTROL_CHARACTERS
+from pipeline.core.problems.model import Code
+from pipeline.run.space import ForeseenSpace
+
+_UUID = {"format": "uuid"}
+Id = Annotated[str, Field(json_schema_extra=_UUID)]
+NextCursor = Annotated[str | None, Field(description="Cursor of the next page; null on the last page.")]
+
+
+def printable_name(text: str) -> str:
+    """Refuse control characters in a name."""
+    if any(unicodedata.category(character).startswith("C") for character in text):
+        raise PydanticCustomError(CONTROL_CHARACTERS, "Control characters are not allowed.")
+    return text
+
+
+class ResponseModel(BaseModel):
+    """Base of the bodies of responses."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+
+class FindingOut(ResponseModel):
+    """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
+
+    code: Code = Field(description="Stable code, such as `same_video`; docs/problems.md lists all codes.")
+    camera: str | None = Field(default=None, description="Name of the camera; null if it is not about one camera.")
+    severity: Severity = Field(
+        default="warning",
+        description="`error`: the result will be wrong or empty; `warning`: it may be; `info`: something to know.",
+    )
+    message: str = Field(description="Sentence for people.")
+    hint: str | None = Field(default=None, description="Remedy; null if there is nothing to mend.")
+    evidence: dict[str, Any] = Field(
+        default_factory=dict, description="What was measured, by name; docs/preflight.md describes it for each code."
+    )
+
+
+class SpaceOut(ResponseModel):
+    """Space on disks that a reconstruction is foreseen to need, if it finds nothing of an earlier job to reuse."""
+
+    store_bytes: int = Field(description="Outputs of stages and result files, which stay in the store.")
+    scratch_bytes: int = Field(description="Temporary files of a worker meanwhile, in its folder for them.")
+    num_people: int = Field(
+        description="Number of people that was assumed: of keypoints as many as a camera shows at a time, of videos "
+        "three, and at most `people` of the spec."
+    )
+
+    @classmethod
+    def of(cls, space: ForeseenSpace) -> Self:
+        """Build the response from what was foreseen."""
+        return cls(store_bytes=space.store_bytes, scratch_bytes=space.scratch_bytes, num_people=space.num_people)
+
+
+def fields_of(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Values of a model's fields from the attributes of a record with the same names."""
+    return {name: getattr(record, name) for name in _names(model, without)}
+
+
+@functools.cache
+def _names(model: type[BaseModel], without: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in model.model_fields if name not in without)

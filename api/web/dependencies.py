@@ -1,0 +1,138 @@
+"""Dependencies of routes: the parts of the service, and ids from paths."""
+
+import uuid
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Path, Query, Request
+
+from api.web.events.changes import JobChanges
+from api.web.health.checks import LimitedChecks
+from api.web.http.bodies.form import FormLimits
+from api.web.http.fair_share import FairShare, FairThreads
+from api.web.http.keys_in_use import KeysInUse
+from api.web.http.rates import Rates, WrongKeys
+from api.web.live.forks import ForkServer
+from api.web.live.places import LivePlaces
+from api.web.recordings.rooms import Rooms
+from api.web.sessions.preflight import PreflightProgram
+from api.web.settings import Settings
+from api.web.uploads.spool import UploadSpool
+from worker.store.database.quotas import Quotas
+from worker.store.errors import NotFound
+from worker.store.files.artifacts import ArtifactStore
+from worker.store.files.disk import DiskSpace
+from worker.store.queue import WorkQueue
+from worker.store.store import JobStore
+
+POLL_AFTER_S = 1
+"""Time after which a client asks for a new job again."""
+
+_UUID = {"format": "uuid"}
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """Parts of the service, put together by ``api.web.app.create_app``."""
+
+    settings: Settings
+    store: JobStore
+    artifacts: ArtifactStore
+    disk: DiskSpace
+    uploads: UploadSpool
+    queue: WorkQueue
+    preflight: PreflightProgram
+    turns: FairShare
+    checks: FairThreads
+    blocks: FairThreads
+    changes: JobChanges
+    keys_in_use: KeysInUse
+    rates: Rates
+    wrong_keys: WrongKeys
+    readiness: LimitedChecks
+    live_places: LivePlaces
+    live_forks: ForkServer
+    rooms: Rooms
+
+    @property
+    def quotas(self) -> Quotas:
+        """Quotas of each tenant."""
+        return Quotas(
+            sessions=self.settings.max_tenant_sessions,
+            unfinished_jobs=self.settings.max_tenant_unfinished_jobs,
+            stored_bytes=self.settings.max_tenant_bytes,
+            uploads=self.settings.max_tenant_uploads,
+        )
+
+    @property
+    def limits(self) -> FormLimits:
+        """Limits of the files of a session."""
+        return FormLimits(
+            max_file_bytes=self.settings.max_file_bytes,
+            max_keypoints_bytes=self.settings.max_keypoints_bytes,
+            max_session_bytes=self.settings.max_session_bytes,
+            max_calibration_bytes=self.settings.max_calibration_bytes,
+            max_character_bytes=self.settings.max_character_bytes,
+            max_json_bytes=self.settings.max_json_bytes,
+            max_cameras=self.settings.max_cameras,
+        )
+
+
+def services_of(request: Request) -> Services:
+    """Parts of the service, from the app."""
+    services: Services = request.app.state.services
+    return services
+
+
+# Dependencies that do not wait are ``async``: others take a thread.
+async def _services(request: Request) -> Services:
+    return services_of(request)
+
+
+async def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
+    return canonical_id(session_id, "session")
+
+
+async def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
+    return canonical_id(job_id, "job")
+
+
+def canonical_id(value: str, kind: str) -> str:
+    """Id in lower case; a malformed id is treated as unknown."""
+    try:
+        return str(uuid.UUID(value))
+    except ValueError:
+        raise NotFound(f"There is no such {kind}.") from None
+
+
+async def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
+    return canonical_id(upload_id, "upload")
+
+
+async def _calibration_id(
+    calibration_id: Annotated[str, Path(description="Id of a calibration.", json_schema_extra=_UUID)],
+) -> str:
+    return canonical_id(calibration_id, "calibration")
+
+
+async def _recording_id(
+    recording_id: Annotated[str, Path(description="Id of a recording.", json_schema_extra=_UUID)],
+) -> str:
+    return canonical_id(recording_id, "recording")
+
+
+async def _character_id(
+    character_id: Annotated[str, Path(description="Id of a character.", json_schema_extra=_UUID)],
+) -> str:
+    return canonical_id(character_id, "character")
+
+
+ServicesDep = Annotated[Services, Depends(_services)]
+SessionId = Annotated[str, Depends(_session_id)]
+CalibrationId = Annotated[str, Depends(_calibration_id)]
+CharacterId = Annotated[str, Depends(_character_id)]
+RecordingId = Annotated[str, Depends(_recording_id)]
+JobId = Annotated[str, Depends(_job_id)]
+UploadId = Annotated[str, Depends(_upload_id)]
+Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]
+Cursor = Annotated[uuid.UUID | None, Query(description="`next_cursor` of the page before.")]

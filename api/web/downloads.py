@@ -1,0 +1,234 @@
+"""Stored files as responses: whole or a range, with strong entity tags, streamed or by the artifact store itself."""
+
+import contextlib
+from collections.abc import AsyncIterator, Generator, Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, BinaryIO, Literal, Self
+
+from fastapi import Depends, Header, Request, Response
+from fastapi.responses import RedirectResponse, StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from api.web.contract.description import location
+from api.web.dependencies import Services
+from api.web.errors import ApiError, ErrorItem
+from api.web.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
+from api.web.http.conditional import NOT_MODIFIED, IfNoneMatch
+from api.web.http.fair_share import FairThreads
+from api.web.http.file_names import disposition_of
+from pipeline.core.problems.requests import ARTIFACT_DAMAGED, EXPIRED, RANGE_NOT_SATISFIABLE, RESULT_DAMAGED
+from worker.store.errors import DamagedArtifact, NotFound
+from worker.store.model.jobs import Result
+
+_BLOCK_BYTES = 2**18
+_DAMAGED_HINT = (
+    "Start another job of its session with the same spec: it writes the file again, from verified outputs of earlier "
+    "stages."
+)
+
+HEADERS: dict[str, Any] = {
+    "ETag": {"description": "SHA-256 of the file.", "schema": {"type": "string"}},
+    "Content-Disposition": {"description": "Name of the file.", "schema": {"type": "string"}},
+    "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A stored file as clients see it."""
+
+    name: str  # Name under which clients save it
+    media_type: str
+    # Key in the artifact store, size and digest
+    key: str
+    num_bytes: int
+    sha256: str
+    disposition: Literal["attachment", "inline"] = "attachment"
+    is_compared: bool = True  # Whether the file is compared with its digest when it is opened; else only with its size
+    remedy: str | None = None  # Advice if a file that is no result is missing or damaged
+
+    @classmethod
+    def of(cls, result: Result, name: str | None = None) -> Self:
+        """Result file, under its own name or another one."""
+        return cls(name or result.name, result.media_type, result.key, result.num_bytes, result.sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Headers of a request that choose what of a file is sent."""
+
+    range: str | None
+    if_range: str | None
+    if_none_match: str | None
+
+
+def _conditions(
+    range_: Annotated[str | None, Header(alias="Range", description="A single range of bytes.")] = None,
+    if_range: Annotated[
+        str | None, Header(description="Entity tag for which `Range` applies; else the whole file is sent.")
+    ] = None,
+    if_none_match: IfNoneMatch = None,
+) -> Conditions:
+    return Conditions(range_, if_range, if_none_match)
+
+
+ConditionsDep = Annotated[Conditions, Depends(_conditions)]
+
+
+def file_responses(content: dict[str, Any], redirect: str | None = None) -> dict[int | str, dict[str, Any]]:
+    """Declare the responses of a route that sends a file.
+
+    ``content`` is the file's by media type; ``redirect`` is an example of its path in a bucket that may send it itself.
+    """
+    sends = {"content": content, "headers": HEADERS}
+    responses: dict[int | str, dict[str, Any]] = {
+        200: {"description": "Whole file."} | sends,
+        206: {"description": "Range of the file."} | sends,
+        **NOT_MODIFIED,
+    }
+    if redirect is not None:
+        address = {"Location": location("file", f"https://bucket.s3.example/{redirect}?X-Amz-...")}
+        responses[307] = {"description": "Redirect to the artifact store, which sends the file.", "headers": address}
+    return responses
+
+
+def send_file(
+    request: Request, services: Services, file: Download, conditions: Conditions, *, may_redirect: bool = True
+) -> Response:
+    """Answer with a file, or with the range of it that the request asks for.
+
+    Attachments may be sent by the artifact store, at a signed address, unless ``may_redirect`` is false. What a page
+    shows is not: its Content-Security-Policy allows the service's own files only.
+    """
+    etag = f'"{file.sha256}"'
+    headers = {
+        "ETag": etag,
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, no-cache",
+        **disposition_of(file.name, file.disposition),
+    }
+    # A signed address is valid for GET only, so HEAD is answered here.
+    is_signed = may_redirect and file.disposition == "attachment" and not request.scope["state"].get("by_head")
+    signed_s = services.settings.signed_downloads_s if is_signed else None
+    if signed_s and (address := services.artifacts.signed_url(file.key, signed_s)):
+        _require_size(services, file)
+        is_known = matches(conditions.if_none_match, etag)
+        return Response(status_code=304, headers=headers) if is_known else RedirectResponse(address)
+    with contextlib.ExitStack() as stack:
+        content = stack.enter_context(opened(services, file))
+        if matches(conditions.if_none_match, etag):
+            return Response(status_code=304, headers=headers)
+        try:
+            wanted = requested_range(conditions.range, file.num_bytes) if conditions.if_range in {None, etag} else None
+        except UnsatisfiableRange:
+            size = {"Content-Range": f"bytes */{file.num_bytes}"}
+            raise ApiError(RANGE_NOT_SATISFIABLE, "The file has no such range.", headers=size) from None
+        stack.pop_all()
+    sent = wanted or ByteRange(0, file.num_bytes)
+    headers["Content-Length"] = str(sent.stop - sent.start)
+    if wanted:
+        headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{file.num_bytes}"
+    status = 206 if wanted else 200
+    return Stream(blocks_of(content, sent), status, headers=headers, media_type=file.media_type, file=content)
+
+
+def opened(services: Services, file: Download) -> BinaryIO:
+    """Open a file, or raise the problem of a missing or damaged file."""
+    try:
+        if file.is_compared:
+            return services.artifacts.open(file.key, file.sha256)
+        _require_size(services, file)
+        return services.artifacts.open(file.key)
+    except NotFound:
+        raise missing_file(file) from None
+    except DamagedArtifact as error:
+        raise damaged_file(file) from error
+
+
+def expired() -> ApiError:
+    """Error for a file that was removed."""
+    return ApiError(
+        EXPIRED,
+        "The file was removed.",
+        hint="Start another job of its session: it reuses what this job detected in the videos.",
+    )
+
+
+def damaged(names: list[str]) -> ApiError:
+    """Error for stored files that differ from what was written, by their names."""
+    message = "The stored file does not have the SHA-256 that it was written with."
+    return ApiError(
+        RESULT_DAMAGED,
+        f"{len(names)} stored result files are damaged." if len(names) > 1 else "The stored result file is damaged.",
+        errors=[ErrorItem(code=RESULT_DAMAGED, message=message, file=name) for name in names],
+        hint=_DAMAGED_HINT,
+    )
+
+
+def _require_size(services: Services, file: Download) -> None:
+    """Raise the problem of a missing file, or of a file with a wrong size.
+
+    A bucket reports the size of a file without its content, so its SHA-256 is not compared here.
+    """
+    try:
+        num_bytes = services.artifacts.size(file.key)
+    except NotFound:
+        raise missing_file(file) from None
+    if num_bytes != file.num_bytes:
+        raise damaged_file(file)
+
+
+def missing_file(file: Download) -> ApiError:
+    """Error for a stored file that is missing."""
+    return expired() if file.remedy is None else ApiError(EXPIRED, "The file is missing.", hint=file.remedy)
+
+
+def damaged_file(file: Download) -> ApiError:
+    """Error for a stored file that differs from what was written."""
+    if file.remedy is None:
+        return damaged([file.key.rpartition("/")[2]])
+    return ApiError(ARTIFACT_DAMAGED, "The stored file is damaged.", hint=file.remedy)
+
+
+class Stream(StreamingResponse):
+    """Response from a generator, which is closed even if the client disconnects early.
+
+    A generator that was never started, as for HEAD, can't close its ``file``, so the response closes it.
+    """
+
+    def __init__(
+        self,
+        content: Generator[bytes, None, None],
+        status_code: int = 200,
+        *,
+        file: BinaryIO | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(content, status_code, **options)
+        self._content, self._file = content, file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the response; its blocks are made in the turns of the caller."""
+        services, owner = scope["app"].state.services, scope["state"]["caller"].owner
+        self.body_iterator = _in_turns(services.blocks, owner, self._content)
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._content.close()
+            if self._file is not None:
+                self._file.close()
+
+
+async def _in_turns(threads: FairThreads, owner: str, content: Iterator[bytes]) -> AsyncIterator[bytes]:
+    while (block := await threads.run(owner, next, content, None)) is not None:
+        yield block
+
+
+def blocks_of(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
+    """Read a range of a file in blocks, and close the file."""
+    with file:
+        file.seek(sent.start)
+        left = sent.stop - sent.start
+        while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+            left -= len(block)
+            yield block

@@ -1,0 +1,122 @@
+"""Metrics for Prometheus: requests and live captures of this process, and jobs of the whole service from the database.
+
+Every replica of the API reports the same figures of jobs: read one replica, or take the largest value.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from api.web.live.metrics import LiveMetrics
+from api.web.recordings.metrics import RecordingMetrics
+from worker.store.database.totals import Total
+from worker.store.files.disk import DiskSpace
+from worker.store.model.work import RunningChunk
+from worker.store.store import JobStore
+
+_PREFIX = "multicap"
+_SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.0)
+# Chunks that have run for less time are no metrics: they would make new labels every few seconds.
+_LONG_S = 60.0
+# Label and help text of each sum.
+_TOTALS = {
+    Total.LEASES_LOST: ("stage", "Chunks whose worker stopped responding."),
+    Total.CHUNKS_COPIED: ("stage", "Chunks that a second worker began because they took long."),
+    Total.COPIES_FIRST: ("stage", "Chunks whose second worker finished first."),
+    Total.CHUNKS_DONE: ("stage", "Chunks that a worker finished."),
+    Total.CHUNKS_REUSED: ("stage", "Chunks whose output existed already."),
+    Total.CHUNKS_RETRIED: ("stage", "Chunks that were tried again."),
+    Total.CHUNKS_GIVEN_BACK: ("stage", "Chunks that were given back because of an outage."),
+    Total.CHUNK_SECONDS: ("stage", "Seconds from the first attempt to the end of finished chunks."),
+    Total.CHUNK_UNITS: ("stage", "Units of work (a camera's frames in the stage detect) of finished chunks."),
+    Total.JOBS_ENDED: ("state", "Jobs that ended."),
+}
+
+
+class RequestMetrics:
+    """Counts and durations of requests by route, and of live captures."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        labels = ("method", "route", "status")
+        self._requests = Counter("http_requests", "Requests.", labels, namespace=_PREFIX, registry=self.registry)
+        self._seconds = Histogram(
+            "http_request_seconds",
+            "Seconds from the first byte of the request to the last byte of the response.",
+            ("method", "route"),
+            namespace=_PREFIX,
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+        self.live = LiveMetrics(self.registry)
+        self.recordings = RecordingMetrics(self.registry)
+        self._free_bytes = Gauge(
+            "disk_free_bytes", "Free bytes on the disk of the data folder.", namespace=_PREFIX, registry=self.registry
+        )
+        self._headroom_bytes = Gauge(
+            "disk_headroom_bytes",
+            "Bytes that are kept free on the disk of the data folder.",
+            namespace=_PREFIX,
+            registry=self.registry,
+        )
+
+    def count(self, method: str, route: str, status: int, seconds: float) -> None:
+        """Count a request. ``route`` is the path template, such as ``/v1/jobs/{job_id}``."""
+        self._requests.labels(method, route, str(status)).inc()
+        self._seconds.labels(method, route).observe(seconds)
+
+    def expose(self, store: JobStore, disk: DiskSpace) -> bytes:
+        """All metrics in Prometheus' text format."""
+        self._free_bytes.set(disk.free_bytes)
+        self._headroom_bytes.set(disk.headroom_bytes)
+        of_jobs = CollectorRegistry()
+        of_jobs.register(_JobCollector(store))
+        return generate_latest(self.registry) + generate_latest(of_jobs)
+
+
+class _JobCollector(Collector):
+    def __init__(self, store: JobStore) -> None:
+        self._store = store
+
+    def describe(self) -> list[Metric]:
+        """Describe no metrics in advance: that would query the database."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """Read the figures of jobs from the database."""
+        figures = self._store.figures()
+        for total, (label, text) in _TOTALS.items():
+            family = CounterMetricFamily(f"{_PREFIX}_{total}", text, labels=(label,))
+            for (name, label_value), value in sorted(figures.totals.items()):
+                if name == total:
+                    family.add_metric((label_value,), value)
+            yield family
+        for name, text, by_state in (
+            ("jobs", "Jobs by state.", figures.jobs),
+            ("chunks", "Unfinished chunks of unfinished jobs.", figures.chunks),
+        ):
+            gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=("state",))
+            for state, number in sorted(by_state.items()):
+                gauge.add_metric((state,), number)
+            yield gauge
+        longest = "Waiting time of the first job in the queue."
+        yield GaugeMetricFamily(f"{_PREFIX}_longest_queued_seconds", longest, figures.longest_queued_s)
+        yield from _of_running_chunks(figures.running)
+
+
+def _of_running_chunks(running: Sequence[RunningChunk]) -> Iterator[Metric]:
+    """Oldest running chunk, and the one that has not moved for longest: no more, as each has labels of its own."""
+    running = [chunk for chunk in running if chunk.age_s >= _LONG_S]
+    oldest = max(running, key=lambda chunk: chunk.age_s, default=None)
+    stillest = max(running, key=lambda chunk: chunk.still_s, default=None)
+    for name, text, chunk, value in (
+        ("oldest_chunk_seconds", "Running time of the oldest chunk.", oldest, oldest.age_s if oldest else 0.0),
+        ("oldest_chunk_progress", "Share of it that is done, 0 to 1.", oldest, oldest.progress if oldest else 0.0),
+        ("stillest_chunk_seconds", "Longest time without progress.", stillest, stillest.still_s if stillest else 0.0),
+    ):
+        gauge = GaugeMetricFamily(f"{_PREFIX}_{name}", text, labels=("tenant", "job_id", "stage", "chunk"))
+        if chunk is not None:
+            gauge.add_metric((chunk.tenant, chunk.job_id, chunk.stage, str(chunk.index)), value)
+        yield gauge

@@ -1,0 +1,173 @@
+"""Routes of health: liveness, readiness, and metrics for Prometheus."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from prometheus_client import CONTENT_TYPE_LATEST
+from sqlalchemy.exc import SQLAlchemyError
+
+from api.web.auth import AdminDep
+from api.web.contract.description import answer, problems
+from api.web.contract.resource import Resource
+from api.web.dependencies import ServicesDep
+from api.web.errors import ErrorItem, database_damaged, problem_response, service_unavailable
+from api.web.health import examples
+from api.web.health.metrics import RequestMetrics
+from api.web.health.schemas import Health, ProviderOut, Readiness
+from pipeline.core.options.config import install_command, networks_of
+from pipeline.core.problems.jobs import (
+    BROKER_UNAVAILABLE,
+    DISK_UNAVAILABLE,
+    MODEL_UNAVAILABLE,
+    WORKER_STARTING,
+    WORKER_UNAVAILABLE,
+)
+from pipeline.core.problems.requests import ARTIFACTS_UNAVAILABLE, DATABASE_UNAVAILABLE, NOT_READY, STORAGE_FULL
+from worker.store.files.disk import DiskSpace
+from worker.store.repositories.work.workers import installed_detectors
+from worker.store.spec import JobSpec
+from worker.store.store import JobStore
+from worker.store.worker_status import WorkerState, WorkerStatus
+
+router = APIRouter(tags=["health"])
+
+_FIGURES: dict[str, Any] = {
+    "text/plain": {"schema": {"type": "string"}, "example": 'multicap_jobs{state="succeeded"} 17.0\n'}
+}
+_UNAVAILABLE = {
+    "database": (DATABASE_UNAVAILABLE, "The database does not respond."),
+    "broker": (BROKER_UNAVAILABLE, "The broker does not respond."),
+    "artifacts": (ARTIFACTS_UNAVAILABLE, "The artifact store can't be used."),
+    "disk": (DISK_UNAVAILABLE, "The disk of the data folder does not respond."),
+}
+
+
+@router.get(
+    "/healthz", operation_id="getHealth", summary="Check that the service is alive", responses={200: answer("Health")}
+)
+def get_health() -> Health:
+    """Answer while the API process is alive."""
+    return Health()
+
+
+@router.get(
+    "/readyz",
+    operation_id="getReadiness",
+    summary="Check that the service is ready",
+    response_model=Readiness,
+    responses={200: answer("Readiness")},
+)
+def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
+    """Check whether a worker could start a job now. If not, `errors` lists what is missing or starting."""
+    results = services.readiness.run(
+        {
+            "database": lambda: {"database": _database_check(services.store), **_worker_checks(services.store)},
+            "broker": lambda: {"broker": _check("broker", services.queue.ping())},
+            "artifacts": lambda: {"artifacts": _check("artifacts", services.artifacts.ping())},
+            "disk": lambda: {"disk": _disk_check(services.disk)},
+        }
+    )
+    checks: dict[str, ErrorItem | None] = {}
+    for name, items in results.items():
+        checks |= {name: _SILENT[name]} if items is None else items
+    if errors := [item for item in checks.values() if item is not None]:
+        # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
+        problem = service_unavailable(NOT_READY, "The service can't start a job now.", errors)
+        return problem_response(request, problem)
+    providers = services.readiness.run({"providers": lambda: _providers(services.store.workers.all())})
+    return Readiness(
+        checks=dict.fromkeys(checks, True),
+        providers=providers["providers"] or (),
+        disk_free_bytes=services.disk.free_bytes,
+    )
+
+
+@router.get(
+    "/metrics",
+    operation_id="getMetrics",
+    summary="Read the metrics",
+    response_class=Response,
+    responses={200: {"description": "Metrics for Prometheus.", "content": _FIGURES}, **problems(401, 429)},
+)
+def get_metrics(_: AdminDep, request: Request, services: ServicesDep) -> Response:
+    """Read counts of requests, jobs and chunks in Prometheus' text format. Needs the scope `admin`."""
+    metrics: RequestMetrics = request.app.state.metrics
+    return Response(metrics.expose(services.store, services.disk), media_type=CONTENT_TYPE_LATEST)
+
+
+def _providers(workers: Sequence[WorkerStatus]) -> tuple[ProviderOut, ...]:
+    """Execution providers of ready workers, the most frequent first."""
+    counts = Counter(worker.provider for worker in workers if worker.state is WorkerState.READY)
+    return tuple(
+        ProviderOut(name=provider.name, device=provider.device, note=provider.note, workers=number)
+        for provider, number in counts.most_common()
+    )
+
+
+def _check(name: str, responds: bool) -> ErrorItem | None:
+    code, message = _UNAVAILABLE[name]
+    return None if responds else ErrorItem(code=code, message=message)
+
+
+# Parts that have not answered in time.
+_SILENT = {
+    "database": _check("database", responds=False),
+    "broker": _check("broker", responds=False),
+    "artifacts": _check("artifacts", responds=False),
+    "disk": _check("disk", responds=False),
+}
+
+
+def _database_check(store: JobStore) -> ErrorItem | None:
+    item = _check("database", store.ping())
+    if not store.is_damaged:
+        return item
+    problem = database_damaged()
+    return ErrorItem(code=problem.code, message=problem.detail, hint=problem.hint)
+
+
+def _disk_check(disk: DiskSpace) -> ErrorItem | None:
+    if disk.has_room():
+        return None
+    if not disk.has_inodes:
+        message = "The disk has no inodes left for new files, so nothing new is accepted."
+        return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
+    left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
+    message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
+    return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
+
+
+def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
+    """Check that a worker is ready and has the default networks; empty if the database does not respond."""
+    try:
+        workers = store.workers.all()
+    except SQLAlchemyError:
+        return {}
+    installed = installed_detectors(workers)
+    if installed is None:
+        return {"worker": _no_worker_ready(workers)}
+    missing = [name for name in networks_of(JobSpec().config).names if name not in installed]
+    if not missing:
+        return {"worker": None, "model": None}
+    item = ErrorItem(
+        code=MODEL_UNAVAILABLE,
+        message=f"Not every worker has the networks of the default profile: {', '.join(missing)}.",
+        hint=install_command(*missing),
+    )
+    return {"worker": None, "model": item}
+
+
+def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
+    if not workers:
+        hint = "Start a worker, and see its log."
+        return ErrorItem(code=WORKER_UNAVAILABLE, message="There is no worker.", hint=hint)
+    furthest = max(workers, key=lambda worker: worker.done)
+    if furthest.total == 0:
+        return ErrorItem(code=WORKER_STARTING, message=f"{furthest.activity}.")
+    message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes some minutes."
+    return ErrorItem(code=WORKER_STARTING, message=message)
+
+
+RESOURCE = Resource(router=router, is_open=True, answers=examples.ANSWERS)

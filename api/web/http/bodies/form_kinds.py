@@ -1,0 +1,101 @@
+"""Forms that create records: names of their parts, and what each kind of form has."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.core.problems.model import Code
+
+VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
+INTRINSICS, IMAGES, CHARACTER = "intrinsics", "images", "character"
+VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
+"""Parts with a file for each camera; the other parts have one file."""
+
+MANIFEST, SPEC = "manifest", "spec"
+
+FORM_TYPE, JSON_TYPE = "multipart/form-data", "application/json"
+"""Content types of the bodies: a form, and JSON that names uploads."""
+EITHER_TYPE = (FORM_TYPE, JSON_TYPE)
+
+CALIBRATION_ID = "calibration_id"
+"""Document that names a stored calibration in place of a file."""
+
+SESSION_ID = "session_id"
+"""Field that names a stored session whose footage is used in place of files."""
+
+
+class UploadedFiles(BaseModel):
+    """Files that are sent as uploads, each given by the id of its upload. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return []
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return ()
+
+    def source_id(self) -> str | None:
+        """Id of the session whose footage takes the place of files; ``None`` if files are sent."""
+        return None
+
+    def upload_ids(self) -> tuple[str, ...]:
+        """Ids of all uploads."""
+        return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
+
+
+class UploadedFootage(UploadedFiles):
+    """Files of cameras that are sent as uploads. Unknown fields are refused."""
+
+    videos: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of the videos, one for each camera, or of a zip of its images."
+    )
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        return [("videos", upload) for upload in self.videos]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormKind:
+    """Kind of a form.
+
+    Parameters
+    ----------
+    name
+        Name of the form's schema in the contract.
+    noun
+        What is sent, for problems.
+    parts
+        Names of the parts with files, with their descriptions.
+    documents
+        Names of the other parts, with the models of their JSON; ``None`` for an id.
+    uploaded
+        Model of the JSON that takes the form's place and names uploads.
+    form_example, uploaded_example
+        Examples of the form, with names of files, and of the JSON in its place.
+    faults
+        Code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
+    has_job
+        Whether the record is reconstructed at once.
+    """
+
+    name: str
+    noun: str
+    parts: Mapping[str, str]
+    documents: Mapping[str, type[BaseModel] | None]
+    uploaded: type[UploadedFiles]
+    form_example: Mapping[str, Any]
+    uploaded_example: Mapping[str, Any]
+    faults: Callable[[Mapping[str, int]], Iterable[tuple[Code, str, str]]] = lambda counts: ()
+    has_job: bool = False
+
+    @property
+    def models(self) -> dict[str, type[BaseModel]]:
+        """Models of the documents that are JSON, by the names of their parts."""
+        return {part: model for part, model in self.documents.items() if model is not None}

@@ -1,0 +1,242 @@
+"""Errors of fields and parameters, translated from Pydantic's errors.
+
+Each wrong field gets one entry with a code of ``api.web.errors.MEANINGS``, a JSON pointer and a sentence with all
+allowed values. The sentence is made from the JSON Schema of the contract, never taken from the library. A body may have
+as many wrong fields as it has room for: of those that no answer lists, only the number is found out.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from itertools import islice
+from typing import Any, get_args
+
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+from pydantic_core.core_schema import ErrorType
+from starlette.requests import Request
+from starlette.responses import Response
+
+from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
+from api.web.http.bodies.field_places import FieldPlaces, path_of
+from pipeline.core.options.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
+from pipeline.core.problems.fields import (
+    INVALID_VALUE,
+    MALFORMED_JSON,
+    MISSING_FIELD,
+    OUT_OF_RANGE,
+    UNKNOWN_FIELD,
+    VALUE_NOT_ALLOWED,
+    WRONG_FORMAT,
+    WRONG_LENGTH,
+    WRONG_TYPE,
+)
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import UNSUPPORTED_MEDIA_TYPE
+
+_CODES: Mapping[str, Code] = {
+    "extra_forbidden": UNKNOWN_FIELD,
+    "unexpected_keyword_argument": UNKNOWN_FIELD,
+    "missing": MISSING_FIELD,
+    "json_invalid": MALFORMED_JSON,
+    "literal_error": VALUE_NOT_ALLOWED,
+    "enum": VALUE_NOT_ALLOWED,
+    "greater_than": OUT_OF_RANGE,
+    "greater_than_equal": OUT_OF_RANGE,
+    "less_than": OUT_OF_RANGE,
+    "less_than_equal": OUT_OF_RANGE,
+    "finite_number": OUT_OF_RANGE,
+    "int_parsing_size": OUT_OF_RANGE,
+    "string_too_short": WRONG_LENGTH,
+    "string_too_long": WRONG_LENGTH,
+    "too_short": WRONG_LENGTH,
+    "too_long": WRONG_LENGTH,
+    "string_pattern_mismatch": WRONG_FORMAT,
+    "uuid_parsing": WRONG_FORMAT,
+    "int_from_float": WRONG_TYPE,
+    "model_attributes_type": WRONG_TYPE,
+}
+_LIBRARY_TYPES = frozenset(get_args(ErrorType))
+
+_MAX_SHOWN = 100
+# Errors that are brought to their fields; each takes some microseconds, and a body has room for thousands.
+_MAX_TRANSLATED = 1000
+
+_NOUNS: Mapping[str, str] = {"query": "parameter", "path": "parameter", "header": "header", "cookie": "cookie"}
+
+
+def model_items(error: ValidationError, model: type[BaseModel], places: FieldPlaces, part: str = "") -> list[ErrorItem]:
+    """Translate Pydantic's errors of a model, which is the body or a part of the form.
+
+    Parameters
+    ----------
+    places
+        Places of all fields of the body.
+    part
+        Name of the part; empty for the body.
+    """
+    schema = _schema_of(model)
+    # Errors with their inputs would copy a large object once for each field that it lacks.
+    errors = error.errors(include_url=False, include_context=False, include_input=False)
+    return _items(errors, schema, schema, places, part)
+
+
+def install(app: FastAPI) -> None:
+    """Register the handler that answers wrong bodies and parameters with problems."""
+    app.add_exception_handler(RequestValidationError, _handle)
+
+
+def _handle(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - the framework's signature is wider
+    return problem_response(request, _from_validation(request, error))
+
+
+def _from_validation(request: Request, error: RequestValidationError) -> ApiError:
+    details = error.errors()
+    if any(detail["type"] == "json_invalid" for detail in details):
+        return ApiError(MALFORMED_JSON, "The body is not JSON.")
+    if isinstance(error.body, bytes):  # a body of another type, which the framework does not parse
+        message = "This address accepts application/json."
+        return ApiError(UNSUPPORTED_MEDIA_TYPE, message, hint="Send Content-Type: application/json.")
+    contract = request.app.openapi()
+    operation = contract["paths"][request.scope["route"].path][request.scope["method"].lower()]
+    in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]
+    items = _parameter_items([detail for detail in details if detail["loc"][0] != "body"], operation, contract)
+    if in_body:
+        schema = operation["requestBody"]["content"]["application/json"]["schema"]
+        items += _items(in_body, schema, contract, FieldPlaces.of(request, "application/json"))
+    return unprocessable(items)
+
+
+def _parameter_items(errors: Iterable[ErrorDetails], operation: Schema, contract: Schema) -> list[ErrorItem]:
+    """Translate errors in the query, the path and the headers, one entry for each parameter."""
+    parameters = operation.get("parameters", ())
+    declared = {(parameter["in"], parameter["name"].lower()): parameter for parameter in parameters}
+    items = {}
+    for error in errors:
+        place, name = (str(step) for step in error["loc"][:2])
+        allowed = requirement(declared[place, name.lower()]["schema"], contract, null=False)
+        items[place, name] = ErrorItem(
+            code=_code(error),
+            message=f"The {_NOUNS[place]} {name} must be {allowed}.",
+            pointer=pointer_to(place, name),
+        )
+    return list(items.values())
+
+
+def _items(
+    errors: Sequence[ErrorDetails], schema: Schema, root: Schema, places: FieldPlaces, part: str = ""
+) -> list[ErrorItem]:
+    """Translate errors in JSON, one entry for each field, with pointers below ``part``.
+
+    Only as many fields are translated as an answer lists; an entry at the end says how many more are wrong. Behind many
+    errors each place counts as a field, although branches of a union are places of one.
+    """
+    fields = _Fields(schema, root)
+    by_field: dict[Steps, list[ErrorDetails]] = {}
+    for error in errors[:_MAX_TRANSLATED]:
+        by_field.setdefault(fields.of(error), []).append(error)
+    num_fields = len(by_field) + len({error["loc"] for error in errors[_MAX_TRANSLATED:]})
+    items = []
+    for steps, of_field in islice(by_field.items(), MAX_LISTED):
+        codes = {_code(error) for error in of_field}
+        if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
+            code = VALUE_NOT_ALLOWED
+        else:
+            code = codes.pop() if len(codes) == 1 else INVALID_VALUE
+        items.append(_item(of_field[0], code, steps, fields, places, part))
+    return [*items, more_problems(more)] if (more := num_fields - len(items)) else items
+
+
+class _Fields:
+    """Fields that Pydantic's errors are about, with their schemas."""
+
+    def __init__(self, schema: Schema, root: Schema) -> None:
+        self.root = root
+        self._followed: dict[Steps, tuple[Steps, Schema]] = {(): ((), schema)}
+
+    def of(self, error: ErrorDetails) -> Steps:
+        """Steps to the field of an error."""
+        if _code(error) == UNKNOWN_FIELD:
+            *holder, name = error["loc"]
+            return (*self.follow(tuple(holder))[0], name)
+        return self.follow(_where(error))[0]
+
+    def follow(self, where: Steps) -> tuple[Steps, Schema]:
+        """Follow Pydantic's location; omit steps that name branches of a union instead of fields."""
+        if where not in self._followed:
+            steps, schema = self.follow(where[:-1])
+            inner = _inner(schema, where[-1], self.root)
+            self._followed[where] = (steps, schema) if inner is None else ((*steps, where[-1]), inner)
+        return self._followed[where]
+
+
+def _item(error: ErrorDetails, code: Code, steps: Steps, fields: _Fields, places: FieldPlaces, part: str) -> ErrorItem:
+    """Entry for a wrong field, by one of its errors."""
+    start = (part,) if part else ()
+    pointer, hint = pointer_to(*start, *steps), None
+    if _code(error) == UNKNOWN_FIELD:
+        unknown = str(steps[-1])[:_MAX_SHOWN]
+        known = ", ".join(_properties(fields.follow(error["loc"][:-1])[1], fields.root))
+        message = f"There is no field {_name((*steps[:-1], unknown), '')} here. The fields are {known}."
+        hint = places.hint(unknown, path_of((*start, *steps[:-1])))
+    elif error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
+        message = error["msg"]
+    elif _code(error) == MALFORMED_JSON:
+        message = f"{_name(steps, part)} is not JSON."
+    else:
+        allowed = requirement(fields.follow(_where(error))[1], fields.root)
+        missing = " is missing. It" if _code(error) == MISSING_FIELD else ""
+        message = f"{_name(steps, part)}{missing} must be {allowed}."
+    return ErrorItem(code=code, message=message, pointer=pointer, hint=hint)
+
+
+def _where(error: ErrorDetails) -> Steps:
+    """Location of a wrong field; of a list that is too short the list, not the item that it lacks."""
+    where = error["loc"]
+    return where[:-1] if _lacks_item(error) else where
+
+
+def _lacks_item(error: ErrorDetails) -> bool:
+    """Whether an error is about a list with a fixed number of items that is too short."""
+    return error["type"] == "missing" and bool(error["loc"]) and isinstance(error["loc"][-1], int)
+
+
+def _code(error: ErrorDetails) -> Code:
+    kind = "too_short" if _lacks_item(error) else error["type"]
+    if kind not in _LIBRARY_TYPES:
+        return Code(kind)
+    is_type = kind.endswith(("_type", "_parsing"))
+    return _CODES.get(kind, WRONG_TYPE if is_type else INVALID_VALUE)
+
+
+def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
+    """Schema of a field or an item; ``None`` if the schema has no such field."""
+    schema = resolve(schema, root)
+    if isinstance(step, int):
+        items = schema.get("items") or next(iter(schema.get("prefixItems", ())), None)
+        if items is not None:
+            return dict(items)
+    elif step in schema.get("properties", {}):
+        return dict(schema["properties"][step])
+    inner = (_inner(branch, step, root) for branch in branches_of(schema))
+    return next((schema for schema in inner if schema is not None), None)
+
+
+def _properties(schema: Schema, root: Schema) -> Iterable[str]:
+    schema = resolve(schema, root)
+    inner = (name for branch in branches_of(schema) for name in _properties(branch, root))
+    return dict.fromkeys([*schema.get("properties", ()), *inner])
+
+
+def _name(steps: Steps, part: str) -> str:
+    """Name of a field, a part or the body in a sentence."""
+    if not steps:
+        return f"The part {part}" if part else "The body"
+    return path_text(steps)
+
+
+@cache
+def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    return model.model_json_schema()

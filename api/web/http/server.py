@@ -1,0 +1,70 @@
+"""Configuration of the HTTP server: limits on connections and open files, and trusted proxies."""
+
+from functools import partial
+
+import uuid_utils
+from fastapi import FastAPI
+from uvicorn import Config
+
+from api.web.http.connections import Connections, bounded_protocol
+from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, message_of
+from api.web.http.websockets import bounded_websocket
+from api.web.live.problems import too_large, wrong_text
+from api.web.live.schemas import LiveProblemOut
+from api.web.recordings import intake as recording_intake
+from api.web.recordings.messages import RecordingProblemOut
+from api.web.settings import Settings
+from pipeline.core.runtime.priorities import raise_descriptor_limit
+
+# Time that open requests have to end after SIGTERM.
+_GRACE_S = 5
+# Idle connections stay open for longer than clients and proxies keep theirs (httpx 5 s, nginx and load balancers 60 s):
+# the side that sends has to close first, or a request meets a connection that is being closed.
+_KEEP_ALIVE_S = 75
+# Descriptors for the database, files and child processes.
+_RESERVED_DESCRIPTORS = 256
+# A connection's socket, and a file that is received or sent.
+_DESCRIPTORS_PER_CONNECTION = 2
+
+
+def _wrong_frames(settings: Settings, path: str, close_code: int) -> str | None:
+    """Last message to a client whose frames are too large or no text, by the path of its WebSocket."""
+    is_recording = path.startswith("/v1/recordings/")
+    if is_recording:
+        max_bytes = max(settings.max_recording_message_bytes, settings.max_thumbnail_bytes)
+        problems = {TOO_LARGE: recording_intake.too_large(max_bytes), WRONG_DATA: recording_intake.wrong_text()}
+    else:
+        problems = {TOO_LARGE: too_large(settings.max_live_message_bytes), WRONG_DATA: wrong_text()}
+    if (problem := problems.get(close_code)) is None:
+        return None
+    model = RecordingProblemOut if is_recording else LiveProblemOut
+    return message_of(problem, str(uuid_utils.uuid7()), model).model_dump_json()
+
+
+def server_config(app: FastAPI, settings: Settings) -> Config:
+    """Configure the server, and raise this process's limit on open files as far as allowed."""
+    descriptors = raise_descriptor_limit()
+    reserved = min(_RESERVED_DESCRIPTORS, descriptors // 2)
+    max_connections = max(1, (descriptors - reserved) // _DESCRIPTORS_PER_CONNECTION)
+    proxies = settings.trusted_proxies
+    connections = Connections(min(settings.max_connections, max_connections), settings.max_client_connections, proxies)
+    return Config(
+        app,
+        host=settings.host,
+        port=settings.port,
+        http=bounded_protocol(settings.client_idle_s, connections),
+        ws=bounded_websocket(connections, partial(_wrong_frames, settings)),
+        ws_max_size=max(
+            settings.max_live_message_bytes, settings.max_recording_message_bytes, settings.max_thumbnail_bytes
+        ),
+        ws_per_message_deflate=False,
+        ssl_certfile=settings.certificate,
+        ssl_keyfile=None if settings.certificate_key is None else str(settings.certificate_key),
+        proxy_headers=bool(proxies),
+        forwarded_allow_ips=[str(network) for network in proxies],
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=_KEEP_ALIVE_S,
+        timeout_graceful_shutdown=_GRACE_S,
+        log_config=None,
+    )

@@ -1,0 +1,136 @@
+"""WebSockets of the HTTP server: their places among the connections, refusals before they open, and wrong frames."""
+
+from collections.abc import Callable
+from typing import Any
+
+import uuid_utils
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame, Opcode
+
+from api.web.errors import ApiError, problem_response
+from api.web.http.connections import Connections
+from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
+
+_PROTOCOL_ERROR = 1002
+# Bytes that are parsed at once. A loop reads 256 KiB, and a thousand small messages would hold up other connections.
+_PIECE_BYTES = 4096
+# Longest time, and time without a byte, until the connection of a client with wrong frames is closed.
+_DISCARDING_S, _QUIET_S = 5.0, 0.3
+
+
+async def deny(websocket: WebSocket, error: ApiError) -> None:
+    """Answer the request to open a WebSocket by a problem, as a request of HTTP."""
+    response = problem_response(websocket, error)
+    response.headers.update({**SAFE_HEADERS, "X-Request-ID": websocket.state.request_id})
+    await websocket.send_denial_response(response)
+
+
+class WebSocketGuard:
+    """Middleware of WebSockets: gives each an id, and refuses those that pages of other origins open."""
+
+    def __init__(self, app: ASGIApp, guard: ForeignPageGuard) -> None:
+        self._app, self._guard = app, guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a WebSocket; other scopes pass."""
+        if scope["type"] == "websocket":
+            scope.setdefault("state", {})["request_id"] = str(uuid_utils.uuid7())
+            if error := self._guard.refusal(HTTPConnection(scope).headers):
+                await deny(WebSocket(scope, receive, send), error)
+                return
+        await self._app(scope, receive, send)
+
+
+def bounded_websocket(
+    connections: Connections, message_of: Callable[[str, int], str | None]
+) -> type[WebSocketsSansIOProtocol]:
+    """Protocol of WebSockets that count among the open connections.
+
+    Of what a client sends at once, a piece is parsed at a time, and no more than is received. A client whose frames are
+    wrong gets a last message before the connection is closed: ``message_of`` the path and the close code, ``None`` for
+    no message.
+    """
+
+    class BoundedWebSocket(WebSocketsSansIOProtocol):
+        _admitted: Any = None
+        _is_discarding = False
+        _discarding_until_s = 0.0
+
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self._unread = bytearray()
+
+        def connection_made(self, transport: Any) -> None:
+            # The connection was admitted with the protocol that has read the request.
+            self._admitted = transport.get_protocol()
+            super().connection_made(transport)
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            connections.remove(self._admitted)
+            super().connection_lost(exc)
+
+        def data_received(self, data: bytes) -> None:
+            if self._is_discarding:
+                self._close_when_quiet()
+                return
+            self._unread += data
+            self._parse()
+
+        def _parse(self) -> None:
+            """Parse a piece of what has come, and soon the next one, unless messages wait for being received."""
+            if self.read_paused or self.transport.is_closing():
+                return
+            if self._unread:
+                piece = bytes(self._unread[:_PIECE_BYTES])
+                del self._unread[:_PIECE_BYTES]
+                super().data_received(piece)
+            if self._is_discarding:
+                self._unread.clear()
+            if self.read_paused or self.transport.is_closing():
+                return
+            if self._unread:
+                self.transport.pause_reading()
+                self.loop.call_soon(self._parse)
+            else:
+                self.transport.resume_reading()
+
+        async def receive(self) -> Any:
+            message = await self.queue.get()
+            if self.read_paused and self.queue.empty():
+                self.read_paused = False
+                self._parse()
+            return message
+
+        async def send(self, message: Any) -> None:
+            await super().send(message)
+            self._parse()  # behind a close the answer to it may be there
+            if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+                # The answer in place of the WebSocket is complete, and nothing has failed.
+                self.handshake_complete = True
+
+        def handle_parser_exception(self) -> None:
+            """Send the last message, and discard what still comes: closed at once, the client would not get it."""
+            self._is_discarding = True
+            close = self.conn.close_sent
+            code, reason = (close.code, close.reason) if close is not None else (_PROTOCOL_ERROR, "")
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": code, "reason": reason})
+            text = message_of(self.scope["path"], code) if self.handshake_complete else None
+            message = b"" if text is None else Frame(Opcode.TEXT, text.encode()).serialize(mask=False)
+            self.transport.write(b"".join([message, *self.conn.data_to_send()]))
+            self.close_sent = True
+            self._discarding_until_s = self.loop.time() + _DISCARDING_S
+            self._close_when_quiet()
+            if self.read_paused:
+                self.read_paused = False
+                self.transport.resume_reading()
+
+        def _close_when_quiet(self) -> None:
+            if self.close_timer is not None:
+                self.close_timer.cancel()
+            close_s = min(self._discarding_until_s, self.loop.time() + _QUIET_S)
+            self.close_timer = self.loop.call_at(close_s, self.transport.close)
+
+    return BoundedWebSocket

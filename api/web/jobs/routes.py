@@ -1,0 +1,316 @@
+"""Jobs: reconstruct a session, follow it, cancel, retry, delete."""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Response, status
+
+from api.web.auth import JobViewDep, RecordsDep, ViewerDep
+from api.web.characters.copies import copied_character
+from api.web.contract.description import RETRY_AFTER, Responses, answer, location, problems
+from api.web.contract.examples import JOB_ID
+from api.web.contract.resource import Resource
+from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.web.errors import ApiError, unprocessable
+from api.web.http.bodies.reading import SmallBodyRoute
+from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
+from api.web.jobs import examples
+from api.web.jobs.queueing import announce, planned, queue_proxies, session_and_job
+from api.web.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
+from api.web.jobs.space import require_space
+from api.web.jobs.spec_checks import (
+    body_errors,
+    callback_errors,
+    character_errors,
+    for_session,
+    format_errors,
+    network_errors,
+    session_errors,
+    spec_errors,
+)
+from api.web.jobs.webhooks import job_ended_callbacks
+from api.web.sessions.creation import Creation, Texts, add_creation
+from api.web.sessions.form import CAPTURE_FORM
+from api.web.sessions.intake import CheckedSession, check
+from pipeline.core.problems.requests import CONFLICT
+from worker.run.planning import has_videos, plan_again, plan_visuals
+from worker.run.telemetry import tracing
+from worker.store.files.removals import remove_files
+from worker.store.model.jobs import JobKind, JobRecord
+from worker.store.model.states import RETRYABLE, JobState
+from worker.store.spec import JobSpec
+from worker.store.tenant_records import TenantRecords
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+# One of these routes takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
+
+_ONE, _PAGE = answer("Job"), answer("JobPage")
+State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
+_ACCEPTED: Responses = {
+    202: _ONE | {"headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER}},
+}
+
+
+@small.post(
+    "/sessions/{session_id}/jobs",
+    operation_id="createJob",
+    summary="Reconstruct a session",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 410, 413, 415, 422, 507)},
+    callbacks=job_ended_callbacks("jobEndedOfJob", "/callback_url"),
+)
+def create_job(
+    session_id: SessionId,
+    services: ServicesDep,
+    idempotent: IdempotentRequestDep,
+    spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.SPEC}})] = JobSpec(),  # noqa: B008 - frozen
+) -> Response:
+    """Reconstruct a session."""
+    if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
+        return earlier
+    with idempotent.working():
+        session = idempotent.records.sessions.get(session_id)
+        if session.purpose == "calibration":
+            message = "The session was sent for a calibration, and its cameras are not calibrated."
+            raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
+        spec = for_session(spec, session.preflight.sync, session.preflight.timeline)
+        errors = [
+            *session_errors(spec, session.preflight),
+            *spec_errors(spec, session.preflight),
+            *callback_errors(spec, services, idempotent.records),
+            *character_errors(spec, idempotent.records),
+            *body_errors(spec, services, ()),
+            *format_errors(spec, services, ()),
+        ]
+        if has_videos(session):
+            errors += network_errors(spec, services, ())
+        if errors:
+            raise unprocessable(errors)
+        services.disk.require_room()
+        with copied_character(services, idempotent.records, spec) as moved:
+            require_space(services, session.preflight, spec, None if moved is None else moved[1])
+            stages = planned(services, session, spec, moved)
+            with idempotent.records.transaction() as work:
+                retention_s = services.settings.retention_s
+                job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
+                queue_proxies(work, services, session)
+                answer = idempotent.store(work, _accepted(job))
+    announce(services, job)
+    return answer.response()
+
+
+def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
+    """Store the files of a session, and record both or neither."""
+    with session_and_job(services, idempotent.records, checked) as (work, job):
+        return idempotent.store(work, _accepted(job))
+
+
+_CREATE = """\
+Send a session and reconstruct it, in one call: as a form with the files, or as JSON that names uploads.
+
+The choices of the job, its `callback_url` too, are in `spec`. Generated clients use `createSessionAndJobFromFiles`
+and `createSessionAndJobFromUploads`, which do the same with one kind of body each.
+"""
+add_creation(
+    router,
+    "/jobs",
+    "createSessionAndJob",
+    Creation(CAPTURE_FORM, check, _add_session_and_job),
+    (
+        Texts(
+            "Send and reconstruct a session",
+            _CREATE,
+            job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
+        ),
+        Texts(
+            "Reconstruct a session's files",
+            "Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`.",
+            job_ended_callbacks("jobEndedOfFiles", "/spec/callback_url"),
+        ),
+        Texts(
+            "Reconstruct a session's uploads",
+            "Send a session as JSON that names finished uploads, and reconstruct it; "
+            "otherwise as `createSessionAndJob`.",
+            job_ended_callbacks("jobEndedOfUploads", "/spec/callback_url"),
+        ),
+    ),
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 408, 409, 410, 413, 415, 422, 507)},
+)
+
+
+@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})
+def list_jobs(
+    records: RecordsDep,
+    state: State = None,
+    session_id: Annotated[uuid.UUID | None, Query(description="Only jobs of this session.")] = None,
+    kind: Annotated[
+        JobKind | None, Query(description="Only jobs of this kind; without it all but `proxies` and `visuals`.")
+    ] = None,
+    limit: Limit = 50,
+    cursor: Cursor = None,
+) -> JobPage:
+    """List jobs, the newest first: all of them, or those of a session or in a state."""
+    return _page(records, state, str(session_id) if session_id else None, limit, cursor, kind)
+
+
+@small.get(
+    "/sessions/{session_id}/jobs",
+    operation_id="listSessionJobs",
+    summary="List a session's jobs",
+    responses={200: _PAGE, **problems(404, 422)},
+)
+def list_session_jobs(
+    session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
+) -> JobPage:
+    """List the jobs of a session, the newest first."""
+    records.sessions.get(session_id)
+    return _page(records, state, session_id, limit, cursor)
+
+
+@small.get(
+    "/jobs/{job_id}",
+    operation_id="getJob",
+    summary="Read a job",
+    response_model=JobOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None) -> Response:
+    """Read a job: its state, its stages, how far they are."""
+    job = JobOut.of(records.jobs.get(job_id))
+    return conditional(job.for_link() if viewer.link else job, if_none_match)
+
+
+@small.get(
+    "/jobs/{job_id}/attempts",
+    operation_id="listAttempts",
+    summary="List a job's attempts",
+    responses={200: answer("AttemptList"), **problems(404)},
+)
+def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
+    """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
+    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.jobs.attempts(job_id)))
+
+
+@small.post(
+    "/jobs/{job_id}/cancel",
+    operation_id="cancelJob",
+    summary="Cancel a job",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
+)
+def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Cancel a job. What runs of it stops within seconds."""
+    return services.disk.using_reserve(lambda: _cancel(services, idempotent, job_id))
+
+
+def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> Response:
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        # Tried again before the key is given back, which may need the reserve too.
+        return services.disk.using_reserve(lambda: _canceled(idempotent, job_id)).response()
+
+
+def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
+    with idempotent.records.transaction() as work:
+        return idempotent.store(work, _accepted(work.jobs.cancel(job_id)))
+
+
+@small.post(
+    "/jobs/{job_id}/retry",
+    operation_id="retryJob",
+    summary="Retry a job",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+)
+def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Try a failed or canceled job again. What it had finished is not done again."""
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        session = idempotent.records.sessions.get(job.session_id)
+        may_retry = job.state in RETRYABLE  # else the store says why not
+        errors = [*body_errors(job.spec, services, None), *format_errors(job.spec, services, None)] if may_retry else []
+        if may_retry and has_videos(session):
+            errors += network_errors(job.spec, services, None)
+        if errors:
+            raise unprocessable(errors)
+        services.disk.require_room()
+        provider = services.store.workers.provider(job.provider)
+        stages = plan_again(session, job, provider)
+        with idempotent.records.transaction() as work:
+            answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.post(
+    "/jobs/{job_id}/visuals",
+    operation_id="makeJobVisuals",
+    summary="Make visuals of a job anew",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+)
+def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Make overlay videos, report and recording of an edited job anew, by a job of their own, which is answered.
+
+    It is the same job if it is at work already. A newer edit deletes it. Each file takes the place of the earlier one.
+    """
+    if (earlier := idempotent.begin(None)) is not None:
+        return earlier
+    with idempotent.working():
+        job = idempotent.records.jobs.get(job_id)
+        services.disk.require_room()
+        session = idempotent.records.sessions.get(job.session_id)
+        stages = plan_visuals(session, job)
+        with idempotent.records.transaction() as work:
+            made = work.visuals.add(job_id, stages, job.revision, tracing.current())
+            answer = idempotent.store(work, _accepted(made))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.delete(
+    "/jobs/{job_id}",
+    operation_id="deleteJob",
+    summary="Delete a job",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404, 409),
+)
+def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
+    """Delete a finished job with its results."""
+    services.disk.using_reserve(lambda: records.jobs.delete(job_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+def _page(
+    records: TenantRecords,
+    state: JobState | None,
+    session_id: str | None,
+    limit: int,
+    cursor: uuid.UUID | None,
+    kind: JobKind | None = None,
+) -> JobPage:
+    """Build a page of a list of jobs."""
+    after = str(cursor) if cursor else None
+    jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
+    next_cursor = jobs[-1].id if len(jobs) == limit else None
+    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
+
+
+def _accepted(job: JobRecord) -> Answer:
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
+    return Answer(202, headers, JobOut.of(job).model_dump_json())
+
+
+CREATION = Resource(router=router, forms=(CAPTURE_FORM,))
+RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"job_id": JOB_ID})

@@ -1,0 +1,297 @@
+"""Bodies of jobs: the envelope that every answer, event and webhook has, with stages, attempts and results."""
+
+from typing import Literal, Self
+
+from pydantic import AwareDatetime, Field
+
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of
+from pipeline.core.options.providers import ProviderName, provider_name
+from pipeline.core.problems.model import Code
+from pipeline.run.engine.plan import STAGE_BY_NAME
+from worker.store.model.jobs import (
+    Attempt,
+    Failure,
+    JobKind,
+    JobProblem,
+    JobRecord,
+    StageProgress,
+    is_worth_a_retry,
+    kind_of,
+)
+from worker.store.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
+from worker.store.spec import JobSpec
+
+
+class StageOut(ResponseModel):
+    """Stage of a job with its progress."""
+
+    name: str = Field(description="Name of the stage, such as `detect`.")
+    label: str = Field(description="Name of the stage for people.")
+    state: ChunkState = Field(description="State of the stage.")
+    done: int = Field(description="Units of work that are done, such as a camera's frames.")
+    total: int = Field(description="All units of work.")
+    unit: Literal["frames", "steps"] = Field(description="Unit of `done` and `total`.")
+    fraction: float = Field(ge=0, le=1, description="Share of the units that are done.")
+    started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.")
+    finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.")
+    reused: bool = Field(description="Whether the outputs of an earlier job were used.")
+
+    @classmethod
+    def of(cls, stage: StageProgress) -> Self:
+        """Build the response from a stage."""
+        fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
+        declared = STAGE_BY_NAME[stage.name]
+        return cls(
+            label=declared.label,
+            unit=declared.unit,
+            fraction=min(1.0, fraction),
+            **fields_of(stage, cls, without=("label", "unit", "fraction")),
+        )
+
+
+class SessionErrorOut(ResponseModel):
+    """Error that the check of a job's session found."""
+
+    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
+    message: str = Field(description="Description of the error, a sentence for a person.")
+    camera: str | None = Field(description="Camera that the error is about; null if it is not about one.")
+    hint: str | None = Field(description="Advice to the caller.")
+
+
+class JobError(ResponseModel):
+    """Error of a job or of an attempt at a chunk."""
+
+    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
+    detail: str = Field(description="Description of the error, a sentence for a person.")
+    stage: str | None = Field(description="Stage that failed.")
+    camera: str | None = Field(description="Camera whose file caused the error.")
+    hint: str | None = Field(description="Advice to the caller.")
+    retryable: bool = Field(description="Whether another attempt may succeed.")
+    errors: tuple[SessionErrorOut, ...] = Field(
+        default=(),
+        description="Errors of the session with `session_refused`; with `force` another job reconstructs it all the "
+        "same.",
+    )
+
+    @classmethod
+    def of(cls, problem: JobProblem) -> Self:
+        """Build the response from a problem."""
+        errors = tuple(SessionErrorOut(**fields_of(error, SessionErrorOut)) for error in problem.errors)
+        return cls(errors=errors, **fields_of(problem, cls, without=("errors",)))
+
+
+class FailureOut(ResponseModel):
+    """Failed attempt at a chunk of a stage."""
+
+    stage: str = Field(description="Name of the stage.")
+    chunk: int = Field(description="Number of the chunk in its stage, from 0.")
+    chunk_try: int = Field(description="Number of the attempt at the chunk, from 1.")
+    failed_at: AwareDatetime = Field(description="Time of the failure.")
+    reason: JobError = Field(description="Error of the attempt.")
+
+    @classmethod
+    def of(cls, failure: Failure) -> Self:
+        """Build the response from a failure."""
+        return cls(
+            chunk=failure.chunk_index,
+            reason=JobError.of(failure.problem),
+            **fields_of(failure, cls, without=("chunk", "reason")),
+        )
+
+
+class AttemptOut(ResponseModel):
+    """Attempt of a job: its first run, or a retry."""
+
+    attempt: int = Field(description="Number of the attempt, from 1.")
+    state: JobState = Field(description="State of the job in this attempt.")
+    queued_at: AwareDatetime = Field(description="Time at which the attempt was queued.")
+    started_at: AwareDatetime | None = Field(description="Start of the attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the attempt; null before.")
+    error: JobError | None = Field(description="Error that ended the attempt; null if it did not fail.")
+    failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
+
+    @classmethod
+    def of(cls, attempt: Attempt) -> Self:
+        """Build the response from an attempt."""
+        return cls(
+            error=JobError.of(attempt.problem) if attempt.problem else None,
+            failures=tuple(FailureOut.of(failure) for failure in attempt.failures),
+            **fields_of(attempt, cls, without=("error", "failures")),
+        )
+
+
+class AttemptList(ResponseModel):
+    """All attempts of a job, in the order of time."""
+
+    attempts: tuple[AttemptOut, ...]
+
+
+class WarningOut(FindingOut):
+    """Warning about a result."""
+
+
+class JobLinks(ResponseModel):
+    """Paths of a job and of everything that belongs to it."""
+
+    self: str = Field(description="Path of the job.")
+    session: str = Field(description="Path of the job's session.")
+    attempts: str = Field(description="Path of the job's attempts.")
+    events: str = Field(description="Path of the job's event stream.")
+    results: str = Field(description="Path of the list of result files.")
+    results_zip: str = Field(description="Path of the archive of all result files.")
+    people: str | None = Field(description="Path of the job's people, to edit them; null until they are found.")
+    cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
+    visuals: str | None = Field(
+        description="Path that makes overlay videos, report and recording anew; null unless they are of earlier edits "
+        "than the other files, and no job makes them; of overlay videos also if the session's videos were deleted."
+    )
+    retry: str | None = Field(
+        description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
+    )
+
+
+class VisualsJobOut(ResponseModel):
+    """Job that makes overlay videos, the report and the recording of an edited job anew."""
+
+    id: Id
+    state: JobState = Field(description="State of that job.")
+
+
+class JobOut(ResponseModel):
+    """Job: a reconstruction of a session, or the making of a calibration, of proxies of its videos, or of visuals.
+
+    Visuals are the overlay videos, the report and the recording of an edited job.
+    """
+
+    id: Id
+    kind: JobKind = Field(description="What the job makes.")
+    calibration_id: Id | None = Field(description="Calibration that the job makes; null of others.")
+    session_id: Id
+    session_name: str = Field(description="Name of the session.")
+    num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
+    duration_s: float = Field(description="Duration of the session: output frames divided by the frame rate.")
+    state: JobState = Field(description="State of the job.")
+    spec: JobSpec = Field(description="Choices of the job.")
+    attempt: int = Field(description="Number of the current attempt, from 1.")
+    revision: int = Field(description="Number of times that the edits of the job's people were changed.")
+    results_revision: int | None = Field(
+        description="Revision whose result files can be read, also while those of `revision` are made; null before the "
+        "first files are."
+    )
+    visuals_job: VisualsJobOut | None = Field(
+        description="Job that makes the visuals of these edits; null without one."
+    )
+    provider: ProviderName | None = Field(
+        description="Execution provider that its networks run on, such as `cuda`; null if it runs none."
+    )
+    stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
+    progress: float = Field(
+        ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
+    )
+    queue_position: int | None = Field(description="Position in the queue, from 1; null once the job runs.")
+    eta_s: float | None = Field(
+        ge=0,
+        description="Estimated seconds left, from the work that is done; null before any work is done, and at the end.",
+    )
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    started_at: AwareDatetime | None = Field(description="Start of the current attempt; null while it is queued.")
+    finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.")
+    expires_at: AwareDatetime | None = Field(
+        description="Time at which results are deleted; null if they are kept until the job is deleted."
+    )
+    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    waiting_for: JobError | None = Field(
+        description="Outage that the job waits for, such as `artifacts_unavailable`: a part of the service does not "
+        "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
+    )
+    warnings: tuple[str, ...] = Field(
+        description="Warnings about the files, the choices and, once finished, the result."
+    )
+    result_warnings: tuple[WarningOut, ...] = Field(
+        description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
+    )
+    space: SpaceOut | None = Field(
+        default=None,
+        description="Space that the reconstruction was foreseen to need before it started; null of other jobs.",
+    )
+    links: JobLinks
+
+    @classmethod
+    def of(cls, job: JobRecord) -> Self:
+        """Build the response from a job."""
+        address = f"/v1/jobs/{job.id}"
+        return cls(
+            **fields_of(
+                job,
+                cls,
+                without=(
+                    *("kind", "calibration_id", "provider", "stages", "error", "waiting_for"),
+                    *("result_warnings", "visuals_job", "space", "links"),
+                ),
+            ),
+            kind=kind_of(job.making),
+            calibration_id=job.id if kind_of(job.making) == "calibration" else None,
+            provider=provider_name(job.provider) if _runs_networks(job) else None,
+            stages=tuple(StageOut.of(stage) for stage in job.stages),
+            error=JobError.of(job.problem) if job.problem else None,
+            visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
+            waiting_for=JobError.of(job.waiting_for) if job.waiting_for else None,
+            space=None if job.space is None else SpaceOut.of(job.space),
+            result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
+            links=JobLinks(
+                self=address,
+                session=f"/v1/sessions/{job.session_id}",
+                attempts=f"{address}/attempts",
+                events=f"{address}/events",
+                results=f"{address}/results",
+                results_zip=f"{address}/results.zip",
+                people=None if job.people is None else f"{address}/people",
+                cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
+                visuals=f"{address}/visuals" if _may_make_visuals(job) else None,
+                retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
+            ),
+        )
+
+    def for_link(self) -> Self:
+        """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
+        links = self.links.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
+        return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
+
+
+def _runs_networks(job: JobRecord) -> bool:
+    return any(STAGE_BY_NAME[stage.name].runs_networks for stage in job.stages)
+
+
+def _may_make_visuals(job: JobRecord) -> bool:
+    """Whether a request makes the visuals of a job anew."""
+    has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
+    can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)
+    return job.state is JobState.SUCCEEDED and can_make and (job.has_old_visuals or has_failed)
+
+
+class JobPage(ResponseModel):
+    """Page of jobs, the newest job first."""
+
+    jobs: tuple[JobOut, ...]
+    next_cursor: NextCursor
+
+
+class EndedJob(ResponseModel):
+    """Job that has ended, in short; `GET /v1/jobs/{id}` has all fields."""
+
+    id: Id
+    session_id: Id
+    state: JobState = Field(description="State of the job at its end.")
+    attempt: int = Field(description="Number of the attempt that ended.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the job.")
+
+
+class JobEnded(ResponseModel):
+    """Webhook about the end of a job, by Standard Webhooks.
+
+    Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
+    """
+
+    type: str = Field(description="Type of the message: `job.` and the state of the job.")
+    timestamp: AwareDatetime = Field(description="Time at which the job ended.")
+    data: EndedJob

@@ -1,0 +1,109 @@
+"""Calibrations of live captures: those that clients send are checked in a fork, as they are strangers' files."""
+
+import json
+import os
+import socket
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import IO
+
+from starlette.concurrency import run_in_threadpool
+
+from api.web.auth import Caller
+from api.web.dependencies import Services
+from api.web.errors import ErrorItem
+from api.web.http.socket_problems import SocketProblem
+from api.web.live.forks import ForkServer, start_limit_s
+from api.web.live.problems import failed
+from api.web.live.schemas import LiveStart
+from api.web.sessions.preflight import NICE, InvalidFilesError, PreflightProgram, cpu_limit_s
+from pipeline.core.problems.live import LIVE_FIELDS
+from pipeline.core.problems.requests import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE
+from pipeline.core.runtime.forks import NUMBER, ForkRequest
+from worker.store.errors import NotFound
+from worker.store.tenant_records import TenantRecords
+
+
+async def calibration_file(
+    services: Services, caller: Caller, records: TenantRecords, start: LiveStart, folder: Path
+) -> Path:
+    """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
+    if start.calibration_id is not None:
+        content = await run_in_threadpool(_stored_calibration, records, str(start.calibration_id))
+    else:
+        content = await _sent_calibration(services, caller, start, folder)
+    num_cameras, max_cameras = len(json.loads(content)["cameras"]), services.settings.max_cameras
+    if num_cameras > max_cameras:
+        message = f"The calibration has {num_cameras} cameras; at most {max_cameras} are allowed."
+        raise SocketProblem(LIVE_FIELDS, message)
+    path = folder / "calibration.json"
+    await run_in_threadpool(path.write_text, content, "utf-8")
+    return path
+
+
+async def _sent_calibration(services: Services, caller: Caller, start: LiveStart, folder: Path) -> str:
+    path = folder / "sent.json"
+    await run_in_threadpool(path.write_text, json.dumps(start.calibration), "utf-8")
+    arguments = ["--calibration", str(path), f"--up={start.up}"]
+    if start.units is not None:
+        arguments.append(f"--units={start.units}")
+    try:
+        async with services.live_places.starting():
+            contents = await services.checks.run(caller.owner, _program(services).read_calibration, arguments, folder)
+    except InvalidFilesError as invalid:
+        errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
+        raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
+    return contents.files["multicap"]
+
+
+def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
+    pointer = "/calibration_id"
+    try:
+        files = records.calibrations.get(calibration_id).files
+    except NotFound:
+        message = "There is no such calibration."
+        item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
+        raise SocketProblem(LIVE_FIELDS, message, errors=[item]) from None
+    if files is None:
+        message = "The calibration is not made yet."
+        item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
+        raise SocketProblem(LIVE_FIELDS, message, errors=[item])
+    return files["multicap"]
+
+
+def _program(services: Services) -> PreflightProgram:
+    """Check of files, by a fork."""
+    run = partial(_run_fork, services.live_forks, start_limit_s(services.settings))
+    return replace(services.preflight, command=(), run=run)
+
+
+def _run_fork(
+    server: ForkServer,
+    start_s: float,
+    program: PreflightProgram,
+    arguments: Sequence[str],
+    timeout_s: float,
+    temporary: Path,
+    output: IO[bytes],
+    log: IO[bytes],
+) -> int:
+    """Check a calibration in a fork, as ``run_program`` runs a program."""
+    limits = (program.max_memory_bytes, program.max_record_bytes, cpu_limit_s(timeout_s))
+    request = ForkRequest("calibration", tuple(arguments), str(temporary), *limits, NICE)
+    with Path(os.devnull).open("rb") as nothing:
+        fork = server.fork(request, (nothing.fileno(), output.fileno(), log.fileno()))
+    with fork:
+        # The fork begins when the server has loaded its modules.
+        fork.settimeout(start_s)
+        _number(fork)
+        fork.settimeout(timeout_s)
+        return _number(fork)
+
+
+def _number(fork: socket.socket) -> int:
+    if len(content := fork.recv(NUMBER.size)) < NUMBER.size:
+        raise failed()  # the server has ended
+    number: int = NUMBER.unpack(content)[0]
+    return number

@@ -1,0 +1,155 @@
+"""Intake of messages: what clients send is checked here, before anything is computed from it."""
+
+import math
+from array import array
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import from_json
+
+from api.web.errors import ErrorItem, pointer_to
+from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.validation import model_items
+from api.web.http.socket_problems import WRONG_DATA, SocketProblem
+from api.web.live.problems import too_large
+from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
+from pipeline.core.problems.fields import MISSING_FIELD, UNKNOWN_FIELD
+from pipeline.core.problems.live import (
+    LIVE_CAMERA,
+    LIVE_FIELDS,
+    LIVE_JOINTS,
+    LIVE_MESSAGE,
+    LIVE_PACKET,
+    LIVE_TIME,
+    LIVE_TOO_LARGE,
+)
+from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
+
+_NO_PLACES = FieldPlaces(lambda: ({}, {}))
+_MAX_SHOWN = 40
+_MAX_AHEAD_S = 60.0
+
+
+def read_start(text: str) -> LiveStart:
+    """Parse the first message; raises ``SocketProblem`` with all that is wrong."""
+    try:
+        start = LiveStart.model_validate_json(text)
+    except ValidationError as error:
+        raise _wrong_message(text, error, (LiveStart,)) from None
+    given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
+    if len(given) != 1:
+        code, pointer = (UNKNOWN_FIELD, "calibration_id") if given else (MISSING_FIELD, "calibration")
+        message = "A capture has either a calibration or a calibration_id."
+        raise _wrong_fields([ErrorItem(code=code, message=message, pointer=pointer_to(pointer))])
+    return start
+
+
+def wrong_message(text: str) -> SocketProblem:
+    """Problem of a text that is no message ``keypoints`` and no ``end``."""
+    try:
+        LiveKeypoints.model_validate_json(text)
+    except ValidationError as error:
+        return _wrong_message(text, error, (LiveKeypoints, LiveEnd))
+    raise ValueError("the message is right")
+
+
+def _wrong_message(text: str, error: ValidationError, models: Sequence[type[BaseModel]]) -> SocketProblem:
+    try:
+        content = from_json(text)
+    except ValueError:
+        return SocketProblem(LIVE_MESSAGE, "The message is not JSON.", WRONG_DATA)
+    by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
+    kind = content.get("type") if isinstance(content, dict) else None
+    if not isinstance(kind, str) or kind not in by_type:
+        shown = "" if not isinstance(kind, str) else f", not {kind[:_MAX_SHOWN]!r}"
+        return SocketProblem(LIVE_MESSAGE, f"A message of the type {' or '.join(by_type)} is expected here{shown}.")
+    if (model := by_type[kind]) is not models[0]:
+        try:
+            model.model_validate_json(text)
+        except ValidationError as of_other:
+            error = of_other
+    return _wrong_fields(model_items(error, model, _NO_PLACES))
+
+
+def _wrong_fields(items: Sequence[ErrorItem]) -> SocketProblem:
+    return SocketProblem(LIVE_FIELDS, "Fields of the message are wrong.", errors=items)
+
+
+class Intake:
+    """Messages with keypoints of one capture as packets.
+
+    Parameters
+    ----------
+    cameras
+        Names of the cameras.
+    layout
+        Layout of the points.
+    max_people
+        Largest number of people in a frame.
+    """
+
+    def __init__(self, cameras: Sequence[str], layout: Layout, max_people: int) -> None:
+        self._places: Mapping[str, int] = {name: place for place, name in enumerate(cameras)}
+        self._num_points, self._max_people = POINTS[layout], max_people
+        self._newest_s: float | None = None
+
+    def from_text(self, message: LiveKeypoints) -> bytes:
+        """Packet of a message in JSON; raises ``SocketProblem``."""
+        place = self._places.get(message.camera) if isinstance(message.camera, str) else message.camera
+        if place is None:
+            raise _unknown_camera(message.camera, self._places)
+        for person, points in enumerate(message.people):
+            if len(points) != self._num_points:
+                detail = f"Person {person} has {len(points)} points, and the layout has {self._num_points}."
+                raise SocketProblem(LIVE_JOINTS, detail)
+        self._check(place, len(message.people), message.time_s)
+        numbers = [*chain.from_iterable(chain.from_iterable(message.people))]
+        return encode_keypoints(place, self._num_points, message.time_s, numbers, len(message.people))
+
+    def from_packet(self, packet: bytes) -> bytes:
+        """Packet of a packed message, which is checked; raises ``SocketProblem``."""
+        head = KeypointsHead.decode(packet)
+        if head is None:
+            raise SocketProblem(LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states.")
+        if head.num_people and head.num_points != self._num_points:
+            detail = f"The packet states {head.num_points} points a person, and the layout has {self._num_points}."
+            raise SocketProblem(LIVE_JOINTS, detail)
+        numbers = array("f", bytes(KeypointsHead.body_of(packet)))
+        # The sum of finite numbers of single precision is finite in double precision; of others it is not.
+        if not math.isfinite(sum(numbers)) or not -MAX_TIME_S <= head.time_s <= MAX_TIME_S:
+            raise SocketProblem(LIVE_PACKET, "A number of the packet is not finite, or the time is out of range.")
+        scores = numbers[2::3]
+        if numbers and not (
+            min(scores) >= 0.0 and max(scores) <= 1.0 and min(numbers) >= -MAX_PX and max(numbers) <= MAX_PX
+        ):
+            detail = f"Coordinates are within {MAX_PX:,.0f} pixels, scores from 0 to 1."
+            raise SocketProblem(LIVE_PACKET, detail)
+        self._check(head.camera, head.num_people, head.time_s)
+        return packet
+
+    def _check(self, camera: int, num_people: int, time_s: float) -> None:
+        if camera >= len(self._places):
+            raise _unknown_camera(camera, self._places)
+        if num_people > self._max_people:
+            detail = f"A frame has {num_people} people; at most {self._max_people} are allowed."
+            raise SocketProblem(LIVE_TOO_LARGE, detail)
+        if self._newest_s is not None and time_s > self._newest_s + _MAX_AHEAD_S:
+            ahead_s = time_s - self._newest_s
+            detail = f"A frame is {ahead_s:.1f} s ahead of all others; at most {_MAX_AHEAD_S:g} s are allowed."
+            raise SocketProblem(LIVE_TIME, detail)
+        self._newest_s = time_s if self._newest_s is None else max(time_s, self._newest_s)
+
+
+def require_size(message: Mapping[str, Any], max_bytes: int) -> None:
+    """Raise ``SocketProblem`` for a message of more bytes than allowed."""
+    content = message.get("bytes") or message.get("text") or b""
+    if len(content) > max_bytes:
+        raise too_large(max_bytes)
+
+
+def _unknown_camera(camera: str | int, names: Mapping[str, int]) -> SocketProblem:
+    shown = repr(camera[:_MAX_SHOWN]) if isinstance(camera, str) else str(camera)
+    known = ", ".join([name[:_MAX_SHOWN] for name in names][:8])
+    return SocketProblem(LIVE_CAMERA, f"The calibration has no camera {shown}; it has {known}.")

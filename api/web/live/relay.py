@@ -1,0 +1,235 @@
+"""Relay of a live capture between its WebSocket and its process, with a backlog in each direction."""
+
+import asyncio
+import json
+import time
+from collections import deque
+from collections.abc import Coroutine
+from functools import partial
+from typing import Any
+
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from api.web.http.pace import Pace
+from api.web.http.socket_problems import SocketProblem
+from api.web.live.backlog import Backlog, Waiting
+from api.web.live.intake import Intake, require_size, wrong_message
+from api.web.live.keeping import KeptPackets
+from api.web.live.metrics import LiveMetrics
+from api.web.live.problems import failed
+from api.web.live.process import CaptureProcess
+from api.web.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
+from api.web.settings import Settings
+from pipeline.core.problems.live import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
+from pipeline.run.live.packets import Dropped, with_dropped
+from pipeline.run.live.pipes import CaptureAnswer
+
+# Backlogs of a connection: some seconds of a few cameras, and of instants.
+_MAX_FRAMES, _MAX_INSTANTS = 1024, 256
+_MAX_BACKLOG_BYTES = 8 * 2**20
+# Frames that the process has and has not answered yet: the next one waits in its pipe.
+_MAX_AT_PROCESS = 2
+# Of the rate of the cameras: faster clients wait, in pauses of this length. Files that are played faster are welcome.
+_MAX_SPEED, _PAUSE_S = 4.0, 0.05
+_WATCH_S = 0.25
+
+
+class Relay:
+    """Relay of one capture.
+
+    Parameters
+    ----------
+    kept
+        Where packets are kept; ``None``: they are not.
+    metrics
+        Where messages are counted.
+    rate_hz
+        Rate of the frames of all cameras together.
+    """
+
+    def __init__(
+        self,
+        websocket: WebSocket,
+        process: CaptureProcess,
+        intake: Intake,
+        settings: Settings,
+        kept: KeptPackets | None,
+        metrics: LiveMetrics,
+        rate_hz: float,
+    ) -> None:
+        self._websocket, self._process, self._intake = websocket, process, intake
+        self._settings, self._kept, self._metrics = settings, kept, metrics
+        self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "frame"))
+        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
+        self._pace = Pace(_MAX_SPEED * rate_hz)
+        self._room = asyncio.Semaphore(_MAX_AT_PROCESS)
+        # Times at which the frames came that the process has and has not answered.
+        self._at_process: deque[float] = deque()
+        self._answered_s = time.monotonic()
+        self._num_received = 0
+        self._counts: dict[str, int] = {}
+
+    @property
+    def dropped(self) -> Dropped:
+        """Messages that were dropped so far."""
+        return Dropped(self._frames.num_dropped, self._instants.num_dropped)
+
+    @property
+    def counts(self) -> LiveCountsOut:
+        """Numbers of frames so far."""
+        return LiveCountsOut(
+            received=self._num_received,
+            taken=self._counts.get("taken", 0),
+            late=self._counts.get("late", 0),
+            too_late=self._counts.get("dropped", 0),
+        )
+
+    async def run(self, key_ended: asyncio.Event) -> None:
+        """Relay until the client's ``end`` was computed and everything was sent.
+
+        Raises
+        ------
+        SocketProblem, WebSocketDisconnect
+            If the capture ends early.
+        """
+        ways = (self._receive(), self._feed(), self._collect(), self._send())
+        watches = (self._watch_process(), _watch_key(key_ended))
+        await _all_or_first_error(ways, watches)
+
+    async def _receive(self) -> None:
+        """Take the client's messages until its ``end``."""
+        pace = Pace(self._settings.max_live_messages_per_s)
+        while True:
+            message = await receive(self._websocket, self._settings)
+            since_s = time.monotonic()
+            if not pace.has_room():
+                per_s = self._settings.max_live_messages_per_s
+                raise SocketProblem(LIVE_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
+            if (text := message.get("text")) is None:
+                packet = self._intake.from_packet(message["bytes"])
+            else:
+                content = await _parsed(text)
+                if isinstance(content, LiveEnd):
+                    self._frames.close()
+                    return
+                packet = self._intake.from_text(content)
+            await self._keep_pace()
+            self._num_received += 1
+            self._metrics.frames.inc()
+            if self._kept is not None:
+                await self._kept.add(packet)
+            self._frames.put(packet, since_s)
+            # Messages that have come already are received without a pause: a flood would hold up all other captures.
+            await asyncio.sleep(0)
+
+    async def _keep_pace(self) -> None:
+        """Wait if the client is much faster than its cameras; what it sends meanwhile waits at its side."""
+        while not self._pace.has_room():
+            self._process.stand_behind()
+            await asyncio.sleep(_PAUSE_S)
+
+    async def _feed(self) -> None:
+        """Pass frames on to the process as it takes them."""
+        async for packet in self._frames.taken():
+            await self._pass_on(packet)
+        await self._pass_on(Waiting(b"", time.monotonic()))
+
+    async def _pass_on(self, message: Waiting) -> None:
+        await self._room.acquire()
+        if not self._at_process:
+            self._answered_s = time.monotonic()
+        self._at_process.append(message.since_s)
+        await self._process.send(message.content)
+
+    async def _collect(self) -> None:
+        """Collect the answers of the process until its last one."""
+        while True:
+            kind, content = await self._process.answer()
+            self._answered_s = time.monotonic()
+            if kind is CaptureAnswer.INSTANT:
+                self._instants.put(content, self._at_process[0])
+            else:
+                self._counts = json.loads(content)
+                self._at_process.popleft()
+                self._room.release()
+            if kind is CaptureAnswer.END:
+                self._instants.close()
+                return
+
+    async def _send(self) -> None:
+        """Send instants as the client takes them."""
+        async for content, since_s in self._instants.taken():
+            # The instants of JSON begin with a brace.
+            message: dict[str, Any] = {"type": "websocket.send"}
+            if content[:1] == b"{":
+                message["text"] = self._head() + content[1:].decode()
+            else:
+                message["bytes"] = with_dropped(content, self.dropped)
+            try:
+                async with asyncio.timeout(self._settings.live_idle_s):
+                    await self._websocket.send(message)
+            except TimeoutError:
+                detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
+                raise SocketProblem(LIVE_IDLE, detail) from None
+            self._metrics.sent(since_s)
+
+    def _head(self) -> str:
+        dropped = DroppedOut(**self.dropped._asdict())
+        return f'{{"type":"{LiveInstantOut.model_fields["type"].default}","dropped":{dropped.model_dump_json()},'
+
+    async def _watch_process(self) -> None:
+        """Raise ``SocketProblem`` if the process does not answer in time."""
+        while True:
+            await asyncio.sleep(_WATCH_S)
+            if self._at_process and time.monotonic() > self._answered_s + self._settings.live_answer_s:
+                raise failed()
+
+
+async def receive(websocket: WebSocket, settings: Settings) -> dict[str, Any]:
+    """Next message of a client, of an allowed size and in time; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
+    try:
+        async with asyncio.timeout(settings.live_idle_s):
+            message = dict(await websocket.receive())
+    except TimeoutError:
+        raise SocketProblem(LIVE_IDLE, f"The client sent nothing for {settings.live_idle_s:g} s.") from None
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1005))
+    require_size(message, settings.max_live_message_bytes)
+    return message
+
+
+async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
+    try:
+        return LiveKeypoints.model_validate_json(text)
+    except ValidationError:
+        try:
+            return LiveEnd.model_validate_json(text)
+        except ValidationError:
+            # A message may have tens of thousands of unknown fields.
+            raise await run_in_threadpool(wrong_message, text) from None
+
+
+async def _watch_key(ended: asyncio.Event) -> None:
+    await ended.wait()
+    raise SocketProblem(LIVE_KEY_ENDED, "The key of the connection is no longer valid.")
+
+
+async def _all_or_first_error(
+    ways: tuple[Coroutine[Any, Any, None], ...], watches: tuple[Coroutine[Any, Any, None], ...]
+) -> None:
+    """Run coroutines until all of ``ways`` have ended, or one of all raises an error, which is raised."""
+    running = [asyncio.create_task(way) for way in ways]
+    others = [asyncio.create_task(watch) for watch in watches]
+    try:
+        left = set(running)
+        while left:
+            done, _ = await asyncio.wait([*left, *others], return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+            left -= done
+    finally:
+        for task in (*running, *others):
+            task.cancel()
+        await asyncio.gather(*running, *others, return_exceptions=True)

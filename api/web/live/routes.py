@@ -1,0 +1,179 @@
+"""``WS /v1/live``: a live capture for as long as a WebSocket is open."""
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import structlog
+from fastapi import APIRouter
+from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from api.web.auth import Caller, websocket_caller
+from api.web.contract.resource import Resource
+from api.web.dependencies import Services
+from api.web.errors import ApiError, ErrorItem, as_api_error
+from api.web.http.socket_problems import SocketProblem, message_of
+from api.web.http.websockets import deny
+from api.web.live.calibrations import calibration_file
+from api.web.live.forks import start_limit_s
+from api.web.live.intake import Intake, read_start
+from api.web.live.keeping import KeptPackets, keep_session
+from api.web.live.metrics import LiveMetrics
+from api.web.live.problems import failed, is_fault
+from api.web.live.process import CaptureProcess, capture_process
+from api.web.live.relay import Relay, receive
+from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
+from api.web.sessions.receiving import spool_folder
+from api.web.settings import Settings
+from pipeline.core.problems.live import LIVE_FIELDS, LIVE_MESSAGE
+from pipeline.run.live.pipes import CaptureAnswer
+from worker.store.model.rights import Actor
+
+_log = structlog.get_logger(__name__)
+
+router = APIRouter(prefix="/v1")
+
+SUBPROTOCOL = "multicap.live"
+"""Subprotocol of live captures, for clients that offer one."""
+
+_CLOSE_S = 5.0
+_CLIENT_GONE = 1005
+
+
+@router.websocket("/live")
+async def live(websocket: WebSocket) -> None:
+    """Compute a live capture; openapi/live.asyncapi.json describes the messages."""
+    services: Services = websocket.app.state.services
+    metrics: LiveMetrics = websocket.app.state.metrics.live
+    with contextlib.ExitStack() as held:
+        try:
+            caller = await run_in_threadpool(websocket_caller, websocket, services)
+            held.enter_context(services.live_places.taken(caller.owner))
+            ended = held.enter_context(services.keys_in_use.watching(caller.credential))
+        except Exception as error:
+            refusal = as_api_error(error)
+            metrics.refused(refusal.code)
+            await deny(websocket, refusal)
+            return
+        # Browsers ask for one of the subprotocols that they offered; that with the key is not repeated.
+        await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
+        with metrics.open.track_inprogress():
+            metrics.ended(await _serve(websocket, services, caller, ended))
+
+
+async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> str | None:
+    """Compute a capture, and answer whatever ends it early by a problem and a close code; return the problem's code."""
+    started_s = time.monotonic()
+    code, close_code = None, 1000
+    try:
+        await _capture(websocket, services, caller, key_ended)
+        await websocket.close()
+    except WebSocketDisconnect as gone:
+        code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
+    except Exception as error:
+        problem = message_of(error, websocket.state.request_id, LiveProblemOut)
+        code, close_code = problem.code, problem.close_code
+        if not isinstance(error, SocketProblem | ApiError):
+            _log.exception("live_capture_failed", code=code)
+        with contextlib.suppress(Exception):  # the client may be gone, or take nothing
+            async with asyncio.timeout(_CLOSE_S):
+                await _send(websocket, problem)
+                await websocket.close(close_code, code)
+    finally:
+        key = caller.key
+        seconds = round(time.monotonic() - started_s, 4)
+        tenant = {"tenant": key.tenant, "key": key.id} if key else {}
+        if is_fault(code, close_code):
+            services.live_places.note_bad(caller.owner)
+        _log.info("live_capture", code=code, close_code=close_code, seconds=seconds, **tenant)
+    return code
+
+
+async def _capture(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
+    settings = services.settings
+    actor = Actor(caller.key.id if caller.key else None, websocket.state.request_id)
+    records = services.store.of(caller.tenant, services.quotas, actor)
+    first = await receive(websocket, settings)
+    if (text := first.get("text")) is None:
+        raise SocketProblem(LIVE_MESSAGE, "The first message is start, in JSON.")
+    start = await run_in_threadpool(read_start, text)
+    async with spool_folder(settings.spool_dir) as folder:
+        services.disk.require_room()
+        if start.keep:
+            await run_in_threadpool(records.require_room, 0)
+        calibration = await calibration_file(services, caller, records, start, folder)
+        async with _ready(services, start, calibration) as (process, ready):
+            cameras: Sequence[str] = ready["cameras"]
+            kept = KeptPackets(services, folder, start) if start.keep else None
+            intake = Intake(cameras, start.layout, settings.max_live_people)
+            rate_hz = start.frame_rate_hz * len(cameras)
+            relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
+            request_id = websocket.state.request_id
+            await _send(
+                websocket, LiveReady(**ready, layout=start.layout, limits=_limits(settings), request_id=request_id)
+            )
+            await relay.run(key_ended)
+        session_id = None
+        if kept is not None:
+            session_id = await keep_session(websocket, services, records, kept, start, calibration, cameras)
+        await _send(
+            websocket,
+            LiveEnded(
+                counts=relay.counts,
+                dropped=DroppedOut(**relay.dropped._asdict()),
+                session_id=session_id,
+                kept_frames=0 if kept is None else kept.num_frames,
+            ),
+        )
+
+
+@contextlib.asynccontextmanager
+async def _ready(
+    services: Services, start: LiveStart, calibration: Path
+) -> AsyncIterator[tuple[CaptureProcess, dict[str, Any]]]:
+    """Process that has begun, and the contents of its first answer; raises ``SocketProblem``."""
+    settings = services.settings
+    content = {
+        "calibration": str(calibration),
+        "layout": start.layout,
+        "settings": start.settings(),
+        "format": start.format,
+        "joint_centers": start.joint_centers,
+    }
+    async with contextlib.AsyncExitStack() as held:
+        async with services.live_places.starting():
+            try:
+                async with asyncio.timeout(start_limit_s(settings)):
+                    process = await held.enter_async_context(
+                        capture_process(services.live_forks, calibration.parent, settings.live_memory_bytes)
+                    )
+                    await process.send(json.dumps(content).encode())
+                    kind, answer = await process.answer()
+            except TimeoutError:
+                raise failed() from None
+        if kind is CaptureAnswer.REFUSED:
+            errors = [ErrorItem(**problem) for problem in json.loads(answer)]
+            raise SocketProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
+        yield process, json.loads(answer)
+
+
+def _limits(settings: Settings) -> dict[str, float]:
+    return {
+        "message_bytes": settings.max_live_message_bytes,
+        "messages_per_s": settings.max_live_messages_per_s,
+        "people": settings.max_live_people,
+        "idle_s": settings.live_idle_s,
+    }
+
+
+async def _send(websocket: WebSocket, message: BaseModel) -> None:
+    await websocket.send_text(message.model_dump_json())
+
+
+RESOURCE = Resource(router=router)

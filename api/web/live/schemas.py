@@ -1,0 +1,230 @@
+"""Messages of live captures in JSON: what clients send, and what they get."""
+
+from typing import Annotated, Any, Literal
+from uuid import UUID
+
+from pydantic import BaseModel, ConfigDict, FailFast, Field
+
+from api.web.http.socket_problems import SocketProblemOut
+from api.web.motion.schemas import MotionPose
+from api.web.sessions.schemas import SessionName, Up
+from pipeline.run.live.packets import MAX_PX, MAX_TIME_S
+
+Layout = Literal[
+    "coco-17", "coco-18", "body-25", "body-25b", "halpe-26", "mediapipe-33", "coco-wholebody-133", "halpe-136"
+]
+POINTS: dict[Layout, int] = {
+    "coco-17": 17,
+    "coco-18": 18,
+    "body-25": 25,
+    "body-25b": 25,
+    "halpe-26": 26,
+    "mediapipe-33": 33,
+    "coco-wholebody-133": 133,
+    "halpe-136": 136,
+}
+"""Number of points of each layout."""
+_Pixels = Annotated[float, Field(ge=-MAX_PX, le=MAX_PX, allow_inf_nan=False)]
+_Score = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+# A message has room for tens of thousands of wrong numbers, of which the first one says enough.
+_Points = Annotated[tuple[tuple[_Pixels, _Pixels, _Score], ...], FailFast(), Field(max_length=max(POINTS.values()))]
+
+
+_Length = Annotated[float, Field(ge=0.0, le=2.0, allow_inf_nan=False)]
+_Lengths = Annotated[tuple[_Length, ...], FailFast(), Field(max_length=64)]
+
+
+class _Received(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class LiveStart(_Received):
+    """First message of a client: the cameras, the layout of the keypoints, and what is to be sent back."""
+
+    type: Literal["start"]
+    calibration: dict[str, Any] | list[Any] | None = Field(
+        default=None,
+        description="Content of a calibration file in one of the formats in JSON that sessions accept; or "
+        "`calibration_id`.",
+    )
+    calibration_id: UUID | None = Field(
+        default=None, description="Calibration of the service, of any format; or `calibration`."
+    )
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None, description="Unit of length of a calibration whose format does not state it; null: metres."
+    )
+    up: Up = Field(default="z", description="Axis of the calibration that points up.")
+    layout: Layout = Field(description="Points of a person, in their order.")
+    frame_rate_hz: float = Field(
+        ge=1.0, le=1000.0, allow_inf_nan=False, description="Frame rate of the fastest camera."
+    )
+    output_rate_hz: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Rate of the instants that are sent back; null: that of the cameras.",
+    )
+    window_s: float = Field(
+        default=0.1,
+        ge=0.001,
+        le=10.0,
+        allow_inf_nan=False,
+        description="Longest time that a frame waits for earlier frames of other cameras.",
+    )
+    is_ordered: bool = Field(
+        default=True,
+        description="Whether the frames of each camera come in their order. If not, every frame waits for `window_s`.",
+    )
+    learn_s: float = Field(
+        default=3.0,
+        ge=0.2,
+        le=60.0,
+        allow_inf_nan=False,
+        description="Time in sight after which a person's bones are learnt, and the person has a skeleton.",
+    )
+    bodies: Annotated[tuple[_Lengths, ...], FailFast()] = Field(
+        default=(),
+        max_length=32,
+        description="Lengths of bones of people of earlier takes in metres, in the order of `bones` of `ready`. These "
+        "people have the first numbers, and are recognised by their proportions.",
+    )
+    joint_centers: Literal["off", "movenet-multipose", "openpose-mobilenet-thin"] = Field(
+        default="off",
+        description="Network whose offsets of the marks from the joints' centres are used, as of jobs; off: none.",
+    )
+    format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
+    keep: bool = Field(
+        default=False,
+        description="Whether what is received becomes a session of keypoints when the client sends `end`.",
+    )
+    name: SessionName = "live"
+
+    def settings(self) -> dict[str, Any]:
+        """Settings of the computation."""
+        return self.model_dump(
+            include={"frame_rate_hz", "output_rate_hz", "window_s", "is_ordered", "learn_s", "bodies"}
+        )
+
+
+class LiveKeypoints(_Received):
+    """Keypoints of a camera's frame. Frames without people are sent too: the capture waits for each camera."""
+
+    type: Literal["keypoints"]
+    camera: str | Annotated[int, Field(ge=0, le=65_535)] = Field(
+        description="Name of the camera, or its place in `cameras` of the message `ready`."
+    )
+    time_s: float = Field(
+        ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False, description="Time of the frame on the cameras' clock."
+    )
+    people: Annotated[tuple[_Points, ...], FailFast()] = Field(
+        max_length=128,
+        description="For each person all points of the layout: x and y in pixels, and the score, 0 where a point was "
+        "not found.",
+    )
+
+
+class LiveEnd(_Received):
+    """Last message of a client: the capture is over, and what is held back is to be sent."""
+
+    type: Literal["end"]
+
+
+class _Sent(BaseModel):
+    model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
+
+
+class LiveCameraOut(_Sent):
+    """Camera of a capture in metres, Z up, for those who draw it."""
+
+    name: str = Field(description="Name of the camera.")
+    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
+    matrix: tuple[tuple[float, ...], ...] = Field(description="Rows of the camera matrix.")
+    cam_from_world: MotionPose
+
+
+class LiveReady(_Sent):
+    """First message of the service: the capture has begun."""
+
+    type: Literal["ready"] = "ready"
+    cameras: tuple[str, ...] = Field(description="Names of the cameras; packets state places in this list.")
+    layout: Layout = Field(description="Layout of the keypoints.")
+    joints: tuple[str, ...] = Field(description="Names of the joints in `joints_m` of people.")
+    bones: tuple[str, ...] = Field(description="Names of the joints of skeletons.")
+    parents: tuple[str | None, ...] = Field(description="Parent of each joint of skeletons; null for the root.")
+    rig: tuple[LiveCameraOut, ...] = Field(description="Cameras as the capture uses them, in the order of `cameras`.")
+    limits: dict[str, float] = Field(description="Limits of the connection: bytes, rates, people, times.")
+    request_id: str = Field(description="Id of the connection, also in the service's log.")
+
+
+class DroppedOut(_Sent):
+    """Messages that were dropped so far, the oldest first, because one side was too slow."""
+
+    input: int = Field(description="Frames that waited for the computation for too long.")
+    output: int = Field(description="Instants that waited for the client for too long.")
+
+
+_Point = tuple[float, float, float]
+
+
+class LiveSkeletonOut(_Sent):
+    """Pose of a person's animation skeleton; the rest pose is that of docs/conventions.md."""
+
+    root_m: _Point = Field(description="World position of the root.")
+    rotations_xyzw: tuple[tuple[float, float, float, float], ...] = Field(
+        description="Rotation of each joint to its parent, or of the root to the world, as a quaternion."
+    )
+    bone_lengths_m: tuple[float, ...] = Field(description="Length of the bone from its parent to each joint.")
+    joints_m: tuple[_Point, ...] = Field(description="World position of each joint.")
+
+
+class LivePersonOut(_Sent):
+    """Person at an instant."""
+
+    id: int = Field(description="Number of the person, the same for the whole capture.")
+    joints_m: tuple[_Point | None, ...] = Field(
+        description="World position of each of `joints`; null where it is unknown."
+    )
+    skeleton: LiveSkeletonOut | None = Field(description="Skeleton; null until the person's bones are learnt.")
+
+
+class LiveInstantOut(_Sent):
+    """People at an instant; it is final."""
+
+    type: Literal["instant"] = "instant"
+    dropped: DroppedOut
+    sequence: int = Field(description="Number of the instant, from 0. Dropped instants leave gaps.")
+    time_s: float = Field(description="Time of the instant on the cameras' clock.")
+    lag_s: float = Field(description="Time from the instant to the newest frame when it became final.")
+    people: tuple[LivePersonOut, ...]
+
+
+class LiveCountsOut(_Sent):
+    """Numbers of frames of the whole capture."""
+
+    received: int = Field(description="Frames that came.")
+    taken: int = Field(description="Frames that were used.")
+    late: int = Field(description="Frames that came after later ones, and were sorted in.")
+    too_late: int = Field(description="Frames that came too late, and were not used.")
+
+
+class LiveEnded(_Sent):
+    """Last message of the service, after `end`; it then closes the connection with 1000."""
+
+    type: Literal["ended"] = "ended"
+    counts: LiveCountsOut
+    dropped: DroppedOut
+    session_id: str | None = Field(description="Session of what was kept; null without `keep`.")
+    kept_frames: int = Field(description="Frames that were kept: fewer than `received` if a session can't have more.")
+
+
+class LiveProblemOut(SocketProblemOut):
+    """Reason why the capture ends; the service then closes the connection with `close_code`."""
+
+    close_code: int = Field(description="Code with which the connection is closed.")
+
+
+RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveKeypoints, LiveEnd)
+"""Messages of clients."""
+SENT: tuple[type[BaseModel], ...] = (LiveReady, LiveInstantOut, LiveEnded, LiveProblemOut)
+"""Messages of the service."""

@@ -1,0 +1,116 @@
+"""RecordingIntake of messages: what phones and hosts send is checked here, before anything is done with it."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic_core import from_json
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.validation import model_items
+from api.web.http.pace import Pace
+from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, SocketProblem
+from api.web.recordings.clock import in_time
+from api.web.settings import Settings
+from pipeline.core.problems.recordings import (
+    RECORDING_FIELDS,
+    RECORDING_MESSAGE,
+    RECORDING_THUMBNAIL,
+    RECORDING_TOO_FAST,
+    RECORDING_TOO_LARGE,
+)
+
+_Message = TypeVar("_Message")
+_NO_PLACES = FieldPlaces(lambda: ({}, {}))
+_MAX_SHOWN = 40
+_MAX_THUMBNAIL_PX = 1024
+
+
+class RecordingIntake:
+    """Messages of one connection, of an allowed size and at an allowed rate.
+
+    Parameters
+    ----------
+    must_send
+        Whether the connection ends if it is silent for ``recording_idle_s``.
+    """
+
+    def __init__(self, websocket: WebSocket, settings: Settings, *, must_send: bool) -> None:
+        self._websocket, self._settings, self._must_send = websocket, settings, must_send
+        self._pace = Pace(settings.max_recording_messages_per_s)
+
+    async def receive(self) -> str | bytes:
+        """Next message; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
+        wait_s = self._settings.recording_idle_s if self._must_send else None
+        message: Mapping[str, Any] = await in_time(self._websocket.receive(), wait_s, "The client sent nothing")
+        if message["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(message.get("code", 1005))
+        if not self._pace.has_room():
+            per_s = self._settings.max_recording_messages_per_s
+            raise SocketProblem(RECORDING_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
+        content: str | bytes = message["text"] if message.get("text") is not None else message["bytes"]
+        is_text = isinstance(content, str)
+        max_bytes = self._settings.max_recording_message_bytes if is_text else self._settings.max_thumbnail_bytes
+        if len(content) > max_bytes:
+            raise too_large(max_bytes)
+        return content
+
+
+def parsed(content: str | bytes, adapter: TypeAdapter[_Message], models: Sequence[type[BaseModel]]) -> _Message:
+    """Message in JSON of one of the models; raises ``SocketProblem`` with all that is wrong."""
+    if isinstance(content, bytes):
+        raise SocketProblem(RECORDING_THUMBNAIL, "A message of bytes is not expected here.")
+    try:
+        return adapter.validate_json(content)
+    except ValidationError:
+        raise _wrong(content, models) from None
+
+
+def require_jpeg(content: bytes) -> None:
+    """Raise ``SocketProblem`` for bytes that are no JPEG, or one whose picture would fill the memory of hosts."""
+    if max(_jpeg_size_px(content), default=0) not in range(1, _MAX_THUMBNAIL_PX + 1):
+        detail = f"A thumbnail is a JPEG of at most {_MAX_THUMBNAIL_PX} x {_MAX_THUMBNAIL_PX} pixels."
+        raise SocketProblem(RECORDING_THUMBNAIL, detail)
+
+
+def _jpeg_size_px(content: bytes) -> tuple[int, ...]:
+    """Height and width that the frame of a JPEG states (ITU-T T.81, B.2.2); empty without one."""
+    at = 2 if content.startswith(b"\xff\xd8") else len(content)
+    while at + 9 <= len(content) and content[at] == 0xFF:
+        marker = content[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in {0xC4, 0xC8, 0xCC}:  # start of frame; tables and a reserved code
+            return struct.unpack_from(">HH", content, at + 5)
+        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return ()
+
+
+def too_large(max_bytes: int) -> SocketProblem:
+    """Problem of a message with too many bytes."""
+    return SocketProblem(RECORDING_TOO_LARGE, f"This message has at most {max_bytes:,} bytes.", TOO_LARGE)
+
+
+def wrong_text() -> SocketProblem:
+    """Problem of a message that is no text, or of frames that break the protocol."""
+    return SocketProblem(RECORDING_MESSAGE, "The text of a message is not UTF-8.", WRONG_DATA)
+
+
+def _wrong(text: str, models: Sequence[type[BaseModel]]) -> SocketProblem:
+    try:
+        content = from_json(text)
+    except ValueError:
+        return SocketProblem(RECORDING_MESSAGE, "The message is not JSON.", WRONG_DATA)
+    by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
+    kind = content.get("type") if isinstance(content, dict) else None
+    model = by_type.get(kind) if isinstance(kind, str) else None
+    if model is None:
+        shown = "" if not isinstance(kind, str) else f", not {kind[:_MAX_SHOWN]!r}"
+        detail = f"A message of the type {' or '.join(by_type)} is expected here{shown}."
+        return SocketProblem(RECORDING_MESSAGE, detail)
+    try:
+        model.model_validate_json(text)
+    except ValidationError as error:
+        items = model_items(error, model, _NO_PLACES)
+        return SocketProblem(RECORDING_FIELDS, "Fields of the message are wrong.", errors=items)
+    return SocketProblem(RECORDING_MESSAGE, "The message can't be read.")

@@ -1,0 +1,339 @@
+"""Messages of a recording's WebSocket in JSON: of phones and hosts, and of the service to each."""
+
+from typing import Annotated, Any, Literal
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
+
+from api.web.contract.schemas import ResponseModel, printable_name
+from api.web.http.socket_problems import SocketProblemOut
+from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
+from worker.store.model.recordings import TakeState
+
+_Number = Annotated[int, Field(ge=1, le=100_000)]
+_Count = Annotated[int, Field(ge=0, le=10**15)]
+_Seconds = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+_OwnTime = Annotated[
+    float, Field(ge=-1e12, le=1e12, allow_inf_nan=False, description="Time by the client's own clock, in seconds.")
+]
+_Word = Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=100)]
+_Std = Annotated[
+    float, Field(ge=0.0, le=3600.0, allow_inf_nan=False, description="Standard deviation of the time, in seconds.")
+]
+
+
+class _Received(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class PhoneTrack(_Received):
+    """Video track of a phone's camera, as its browser states it."""
+
+    width: int = Field(ge=1, le=16_384, description="Width of the frames in pixels.")
+    height: int = Field(ge=1, le=16_384, description="Height of the frames in pixels.")
+    frame_rate_hz: float = Field(gt=0.0, le=1000.0, allow_inf_nan=False, description="Frames a second.")
+    facing: _Word | None = Field(default=None, description="`facingMode` of the track.")
+    label: _Word | None = Field(default=None, description="Name of the camera.")
+
+
+class Capabilities(_Received):
+    """Largest video of a phone, and what its browser can lock."""
+
+    max_width: int = Field(ge=1, le=16_384, description="Largest width in pixels.")
+    max_height: int = Field(ge=1, le=16_384, description="Largest height in pixels.")
+    max_frame_rate_hz: float = Field(gt=0.0, le=1000.0, allow_inf_nan=False, description="Largest frame rate.")
+    locks: tuple[_Word, ...] = Field(default=(), max_length=16, description="Settings that can be locked.")
+
+
+class PhoneHello(_Received):
+    """First message of a phone."""
+
+    type: Literal["hello"]
+    phone_id: str = Field(
+        pattern=r"^[A-Za-z0-9_-]{20,64}$",
+        description="Secret that the phone's browser made at random and keeps; its uploads bring it too.",
+    )
+    name: PhoneName | None = Field(default=None, description="Name that the phone proposes at its first time.")
+    device: _Word = Field(default="unknown", description="Short form of the browser and the device.")
+    track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera; null until it is allowed.")
+    capabilities: Capabilities | None = Field(default=None, description="What the camera can do; null: unknown.")
+    mime_types: tuple[_Word, ...] = Field(default=(), max_length=16, description="Types of video that it records.")
+
+
+class ClientPing(_Received):
+    """Question for the service's time; of phones and hosts."""
+
+    type: Literal["ping"]
+    t0_s: _OwnTime
+
+
+class PhoneClock(_Received):
+    """Clock of a phone, measured by its pings: ``server time = offset_s + own time``."""
+
+    offset_s: float = Field(ge=-1e12, le=1e12, allow_inf_nan=False, description="Offset at the moment.")
+    std_s: _Std
+    drift_ppm: float = Field(default=0.0, ge=-1e5, le=1e5, allow_inf_nan=False, description="Drift.")
+
+
+class PhoneSending(_Received):
+    """Upload that a phone sends at the moment."""
+
+    take: _Number
+    part: _Number = 1
+    sent_bytes: _Count
+    num_bytes: _Count
+
+
+class PhoneStatus(_Received):
+    """State of a phone, as it says every second or so."""
+
+    type: Literal["status"]
+    state: Literal["idle", "ready", "recording", "stopping", "sending", "hidden", "failed"] = Field(
+        description="What the phone does."
+    )
+    track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera, if there is one.")
+    battery: float | None = Field(default=None, ge=0.0, le=1.0, description="Charge of the battery, 0 to 1.")
+    charging: bool | None = Field(default=None, description="Whether it charges.")
+    free_bytes: _Count | None = Field(default=None, description="Bytes that the browser may still store.")
+    clock: PhoneClock | None = Field(default=None, description="Clock; null until it is measured.")
+    dropped_frames: _Count = Field(default=0, description="Frames of the take that were dropped so far.")
+    pending_bytes: _Count = Field(default=0, description="Bytes of clips that are not uploaded yet.")
+    sending: PhoneSending | None = Field(default=None, description="Upload that it sends; null: none.")
+    error: _Word | None = Field(default=None, description="What is wrong, for the host.")
+
+
+class PhoneRename(_Received):
+    """Name that the phone's user gives it."""
+
+    type: Literal["rename"]
+    name: PhoneName
+
+
+class PhoneStarted(_Received):
+    """A phone records a take, or goes on with another part of it."""
+
+    type: Literal["started"]
+    take: _Number
+    part: _Number = 1
+    first_frame_s: ServerTime = Field(description="Time of the first frame by the service's clock.")
+    std_s: _Std
+    track: PhoneTrack | None = None
+    mime_type: _Word | None = None
+
+
+class PhoneStopped(_Received):
+    """A phone has stopped to record a take; its clip is on the phone."""
+
+    type: Literal["stopped"]
+    take: _Number
+    num_parts: _Number = 1
+    num_bytes: _Count
+    num_frames: _Count
+    dropped_frames: _Count = 0
+    lost_s: _Seconds = Field(default=0.0, description="Seconds that were lost, such as by a reload.")
+    is_cut: bool = Field(default=False, description="Whether it ended by itself before the stop.")
+
+
+class LostTime(_Received):
+    """Time of a take of which a phone has no pictures."""
+
+    from_s: ServerTime
+    to_s: ServerTime
+
+
+class PhoneFile(_Received):
+    """An upload of a part of a clip is complete."""
+
+    type: Literal["file"]
+    take: _Number
+    part: _Number = 1
+    upload_id: UUID
+    num_bytes: _Count
+    first_frame_s: ServerTime
+    std_s: _Std
+    duration_s: _Seconds
+    num_frames: _Count = 0
+    dropped_frames: _Count = 0
+    lost: tuple[LostTime, ...] = Field(default=(), max_length=100)
+    track: PhoneTrack | None = None
+    mime_type: _Word | None = None
+
+
+class HostStart(_Received):
+    """Start of a take on all phones."""
+
+    type: Literal["start"]
+    name: TakeName | None = Field(default=None, description="Name of the take; null: `Take` and its number.")
+    settings: VideoSettings | None = Field(default=None, description="Size and rate; null: what phones can.")
+
+
+class HostStop(_Received):
+    """Stop of the take on all phones."""
+
+    type: Literal["stop"]
+
+
+class HostRename(_Received):
+    """Another name of a phone."""
+
+    type: Literal["rename"]
+    phone: _Number
+    name: PhoneName
+
+
+class HostRemove(_Received):
+    """Removal of a phone for good."""
+
+    type: Literal["remove"]
+    phone: _Number
+
+
+class HostUpload(_Received):
+    """Request for the clips of a take."""
+
+    type: Literal["upload"]
+    take: _Number
+
+
+class HostDiscard(_Received):
+    """Removal of a take, from the phones too."""
+
+    type: Literal["discard"]
+    take: _Number
+
+
+class Pong(ResponseModel):
+    """Answer to a ping."""
+
+    type: Literal["pong"] = "pong"
+    t0_s: float = Field(description="Time of the ping, by the client's own clock.")
+    server_s: ServerTime
+
+
+class OfferedTake(ResponseModel):
+    """Take as a phone needs to know it."""
+
+    number: int
+    name: str
+    state: TakeState
+    start_s: ServerTime
+    stop_s: ServerTime = Field(description="Time of the stop; until the host stops it, the latest one.")
+    settings: VideoSettings | None = None
+    is_upload_wanted: bool = Field(description="Whether the phone is asked to send its clip.")
+    parts: tuple[int, ...] = Field(description="Parts of the phone's clip that the service has.")
+
+
+class PhoneWelcome(ResponseModel):
+    """First message to a phone. All later messages state changes; after a reconnection this one states all."""
+
+    type: Literal["welcome"] = "welcome"
+    number: int = Field(description="Number of the phone.")
+    name: str = Field(description="Name of the phone.")
+    recording_id: str
+    recording: str = Field(description="Name of the recording.")
+    expires_at: AwareDatetime
+    server_s: ServerTime
+    takes: tuple[OfferedTake, ...]
+    limits: dict[str, float] = Field(
+        description="Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`."
+    )
+    request_id: str
+
+
+class StartOut(ResponseModel):
+    """Start of a take at a time."""
+
+    type: Literal["start"] = "start"
+    take: int
+    name: str
+    at_server_s: ServerTime
+    latest_stop_s: ServerTime = Field(description="Time at which the phone stops by itself.")
+    settings: VideoSettings | None = None
+
+
+class StopOut(ResponseModel):
+    """Stop of a take at a time."""
+
+    type: Literal["stop"] = "stop"
+    take: int
+    at_server_s: ServerTime
+
+
+class RenameOut(ResponseModel):
+    """Name of the phone, which the host or the service has chosen."""
+
+    type: Literal["rename"] = "rename"
+    name: str
+
+
+class UploadOut(ResponseModel):
+    """Request to send the clip of a take."""
+
+    type: Literal["upload"] = "upload"
+    take: int
+
+
+class DeleteOut(ResponseModel):
+    """The clip of a take is no longer needed: a session was made from it, or it was discarded."""
+
+    type: Literal["delete"] = "delete"
+    take: int
+
+
+class EndedOut(ResponseModel):
+    """The recording has ended, or the phone was removed; the connection is closed."""
+
+    type: Literal["ended"] = "ended"
+    reason: Literal["recording", "removed", "replaced"] = Field(
+        description="`recording`: it was deleted or its time is over; `removed`: the host removed the phone; "
+        "`replaced`: the same phone has connected again."
+    )
+
+
+class LivePhoneOut(ResponseModel):
+    """Phone as it is at the moment."""
+
+    number: int
+    is_connected: bool
+    status: dict[str, Any] | None = Field(description="Last message `status` of the phone; null: none yet.")
+    hello: dict[str, Any] | None = Field(
+        description="`track`, `capabilities` and `mime_types` of the phone's message `hello`; null: unknown."
+    )
+
+
+class HostState(ResponseModel):
+    """All that hosts see, at each change; at most four times a second."""
+
+    type: Literal["state"] = "state"
+    recording: RecordingOut | None = Field(
+        description="The recording with its phones and takes; null: as in the state before. Of a take that nobody "
+        "stops the state changes at `stop_s`."
+    )
+    live: tuple[LivePhoneOut, ...] = Field(description="Phones at the moment, in the order of their numbers.")
+    relay: Literal["ok", "away"] = Field(
+        description="`away`: the broker does not answer, and phones at other API processes are seen late or not at "
+        "all; recording goes on."
+    )
+    server_s: ServerTime
+    request_id: str
+
+
+class RecordingProblemOut(SocketProblemOut):
+    """Problem of a message. With a `close_code` the connection is closed; without one it goes on."""
+
+
+PhoneMessage = PhoneHello | ClientPing | PhoneStatus | PhoneRename | PhoneStarted | PhoneStopped | PhoneFile
+HostMessage = ClientPing | HostStart | HostStop | HostRename | HostRemove | HostUpload | HostDiscard
+PHONE_RECEIVED: tuple[type[BaseModel], ...] = (
+    *(PhoneHello, ClientPing, PhoneStatus, PhoneRename, PhoneStarted, PhoneStopped, PhoneFile),
+)
+HOST_RECEIVED: tuple[type[BaseModel], ...] = (
+    *(ClientPing, HostStart, HostStop, HostRename, HostRemove, HostUpload, HostDiscard),
+)
+PHONE_SENT: tuple[type[BaseModel], ...] = (
+    *(PhoneWelcome, Pong, StartOut, StopOut, RenameOut, UploadOut, DeleteOut, EndedOut, RecordingProblemOut),
+)
+HOST_SENT: tuple[type[BaseModel], ...] = (HostState, Pong, EndedOut, RecordingProblemOut)
+
+PHONE_MESSAGES: TypeAdapter[PhoneMessage] = TypeAdapter(Annotated[PhoneMessage, Field(discriminator="type")])
+HOST_MESSAGES: TypeAdapter[HostMessage] = TypeAdapter(Annotated[HostMessage, Field(discriminator="type")])

@@ -1,0 +1,47 @@
+"""Resources of the web API: the one place where each is registered."""
+
+from api.web.calibrations import routes as calibrations
+from api.web.callers import routes as callers
+from api.web.characters import routes as characters
+from api.web.contract.resource import Resource
+from api.web.events import routes as events
+from api.web.health import routes as health
+from api.web.jobs import routes as jobs
+from api.web.links import routes as links
+from api.web.live import routes as live
+from api.web.motion import routes as motion
+from api.web.options import routes as options
+from api.web.people import routes as people
+from api.web.recordings import routes as recordings
+from api.web.recordings import sockets
+from api.web.results import routes as results
+from api.web.sessions import routes as sessions
+from api.web.sessions import thumbnails, videos
+from api.web.uploads import routes as uploads
+
+RESOURCES: tuple[Resource, ...] = (
+    uploads.RESOURCE,
+    calibrations.CREATION,
+    characters.CREATION,
+    sessions.CREATION,
+    calibrations.RESOURCE,
+    characters.RESOURCE,
+    sessions.RESOURCE,
+    videos.RESOURCE,
+    thumbnails.RESOURCE,
+    jobs.CREATION,
+    jobs.RESOURCE,
+    events.RESOURCE,
+    links.RESOURCE,
+    live.RESOURCE,
+    recordings.RESOURCE,
+    sockets.RESOURCE,
+    results.RESOURCE,
+    motion.RESOURCE,
+    people.RESOURCE,
+    options.RESOURCE,
+    uploads.DESCRIPTION,
+    callers.RESOURCE,
+    health.RESOURCE,
+)
+"""All resources, in the order of their routes in the contract."""

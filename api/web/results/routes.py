@@ -1,0 +1,151 @@
+"""Routes of results: list a job's result files, download one file, a range of it, or all files as a zip."""
+
+from collections.abc import Generator, Sequence
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
+
+from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
+from api.web.contract.description import answer, file_content, problems
+from api.web.contract.examples import JOB_ID
+from api.web.contract.resource import Resource
+from api.web.dependencies import JobId, Services, ServicesDep
+from api.web.downloads import (
+    HEADERS,
+    ConditionsDep,
+    Download,
+    Stream,
+    blocks_of,
+    damaged,
+    expired,
+    file_responses,
+    send_file,
+)
+from api.web.http.byte_ranges import ByteRange
+from api.web.http.file_names import archived_name, disposition_of, result_name, stem_of
+from api.web.results import examples
+from api.web.results.schemas import ResultList, ResultOut
+from pipeline.core.options.config import FILE_FORMATS
+from worker.store.errors import DamagedArtifact, NotFound
+from worker.store.model.jobs import Result
+
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
+
+# A file whose type is not known is declared first: generators of clients read what is declared first.
+_TYPES = (
+    "application/octet-stream",
+    *(form.media_type.partition(";")[0] for form in FILE_FORMATS.values()),
+    "application/json",
+    "image/svg+xml",
+    "text/html",
+    "video/mp4",
+)
+_NAME = "person-1.bvh"
+_FILE = file_content(dict.fromkeys(_TYPES), "(the file)")
+
+
+@router.get(
+    "/results",
+    operation_id="listResults",
+    summary="List a job's result files",
+    responses={200: answer("ResultList"), **problems(404, 409)},
+)
+def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
+    """List the result files of the last revision that was finished, also while those of a newer one are made."""
+    results = records.results.of_job(job_id)
+    job = records.jobs.get(job_id)
+    return ResultList(results=tuple(ResultOut.of(job, result) for result in results))
+
+
+@router.get(
+    f"/{ALL_RESULTS}",
+    operation_id="getAllResults",
+    summary="Download all result files",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "Zip archive of all result files.",
+            "content": file_content(["application/zip"], "(the archive)"),
+            "headers": {"Content-Disposition": HEADERS["Content-Disposition"]},
+        },
+        **problems(404, 409, 410),
+    },
+)
+def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) -> Response:
+    """Download all result files of a job as one archive, with a folder for each person, and one for overlay videos."""
+    results = records.results.of_job(job_id)
+    _require_whole(services, results)
+    job = records.jobs.get(job_id)
+    # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.
+    archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
+    for result in results:
+        is_video = result.media_type.startswith("video/")
+        folder = result.kind if is_video else result.person
+        name = archived_name(job.session_name, result.name, folder, result.revision, result.person_name)
+        # Videos are compressed already.
+        archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)
+    headers = {
+        "Cache-Control": "private, no-cache",
+        **disposition_of(f"{stem_of(job.session_name, job.results_revision or 0)}.zip"),
+    }
+    return Stream(iter(archive), headers=headers, media_type="application/zip")
+
+
+def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
+    """Blocks of a file, which is opened with the first block."""
+    yield from blocks_of(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
+
+
+def _require_whole(services: Services, results: Sequence[Result]) -> None:
+    """Raise the problem of all damaged files, or of the first missing file."""
+    wrong = []
+    for result in results:
+        try:
+            services.artifacts.open(result.key, result.sha256).close()
+        except NotFound:
+            raise expired() from None
+        except DamagedArtifact:
+            wrong.append(result.name)
+    if wrong:
+        raise damaged(wrong)
+
+
+@router.get(
+    "/results/{name}",
+    operation_id="getResult",
+    summary="Download a result file",
+    response_class=Response,
+    responses={**file_responses(_FILE, f"jobs/{JOB_ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
+)
+def get_result(
+    job_id: JobId,
+    name: Annotated[
+        str, Path(description="Name of a result file.", openapi_examples={"bvh": {"value": "person-1.bvh"}})
+    ],
+    request: Request,
+    services: ServicesDep,
+    records: FileViewDep,
+    conditions: ConditionsDep,
+    redirect: Annotated[
+        bool,
+        Query(
+            description="False: the service sends the file itself, also where its artifact store could. Pages whose "
+            "Content-Security-Policy allows the service alone need it."
+        ),
+    ] = True,
+) -> Response:
+    """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
+
+    Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`. After
+    edits of its people the name tells their revision, and the name of a person who was given one:
+    `handshake-take-3_revision-2_person-1-anna.bvh`.
+    """
+    result = records.results.get(job_id, name)
+    job = records.jobs.get(job_id)
+    name = result_name(job.session_name, result.name, result.revision, result.person_name)
+    download = Download.of(result, name)
+    return send_file(request, services, download, conditions, may_redirect=redirect)
+
+
+RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"name": _NAME})

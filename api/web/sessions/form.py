@@ -1,0 +1,73 @@
+"""Forms that create sessions, alone or with their reconstruction."""
+
+from collections.abc import Iterator, Mapping
+
+from api.web.contract.examples import UPLOAD_IDS
+from api.web.http.bodies.form_kinds import (
+    CALIBRATION,
+    CALIBRATION_ID,
+    KEYPOINTS,
+    MANIFEST,
+    SPEC,
+    TIMESTAMPS,
+    VIDEOS,
+    VIEWS,
+    FormKind,
+)
+from api.web.jobs import examples as job_examples
+from api.web.sessions import examples
+from api.web.sessions.schemas import Manifest, UploadedCapture, UploadedSession
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import MISSING_PART, PART_NOT_ALLOWED
+from worker.store.spec import JobSpec
+
+
+def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
+    if not any(counts[part] for part in VIEWS):
+        yield MISSING_PART, "There are no videos and no keypoints: a session needs either.", VIDEOS
+    if not counts[CALIBRATION] and not counts[CALIBRATION_ID]:
+        yield MISSING_PART, "There is no calibration: a session needs one.", CALIBRATION
+    if counts[CALIBRATION] and counts[CALIBRATION_ID]:
+        message = "There is a calibration and a calibration_id: a session needs one of both."
+        yield PART_NOT_ALLOWED, message, CALIBRATION_ID
+    if counts[VIDEOS]:
+        for part in (KEYPOINTS, TIMESTAMPS):
+            if counts[part]:
+                yield PART_NOT_ALLOWED, "A session of videos has no such files.", part
+
+
+_PARTS: Mapping[str, str] = {
+    VIDEOS: "Videos, one for each camera.",
+    KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the camera or "
+    "stated in `cameras` of the manifest; or FreeMoCap's array of all cameras, which `pair_by_order` of the manifest "
+    "pairs with the cameras.",
+    CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
+    TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+}
+_FILES = {VIDEOS: ["cam_0.mp4", "cam_1.mp4"], CALIBRATION: "calibration.toml"}
+_UPLOADS = {VIDEOS: UPLOAD_IDS[:2], CALIBRATION: UPLOAD_IDS[2]}
+_SESSION = {MANIFEST: examples.MANIFEST}
+_CAPTURE = {MANIFEST: examples.MANIFEST, SPEC: job_examples.SPEC}
+
+SESSION_FORM = FormKind(
+    name="SessionForm",
+    noun="session",
+    parts=_PARTS,
+    documents={CALIBRATION_ID: None, MANIFEST: Manifest},
+    uploaded=UploadedSession,
+    form_example=_FILES | _SESSION,
+    uploaded_example=_UPLOADS | _SESSION,
+    faults=_session_faults,
+)
+CAPTURE_FORM = FormKind(
+    name="CaptureForm",
+    noun="session",
+    parts=_PARTS,
+    documents={CALIBRATION_ID: None, MANIFEST: Manifest, SPEC: JobSpec},
+    uploaded=UploadedCapture,
+    form_example=_FILES | _CAPTURE,
+    uploaded_example=_UPLOADS | _CAPTURE,
+    faults=_session_faults,
+    has_job=True,
+)
+"""A session that is reconstructed at once."""

@@ -1,0 +1,420 @@
+"""Intake of sessions: what arrived is checked and stored."""
+
+import contextlib
+import hashlib
+import json
+import uuid
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import uuid_utils
+from opentelemetry import trace
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import HTTPConnection
+
+from api.web.dependencies import Services
+from api.web.errors import ErrorItem, pointer_to, unprocessable
+from api.web.http.bodies.form import Form, ReceivedFile
+from api.web.http.bodies.form_kinds import (
+    CALIBRATION,
+    CALIBRATION_ID,
+    INTRINSICS,
+    MANIFEST,
+    SPEC,
+    TIMESTAMPS,
+    VIDEOS,
+)
+from api.web.jobs.spec_checks import (
+    body_errors,
+    callback_errors,
+    character_errors,
+    for_session,
+    format_errors,
+    limit_errors,
+    network_errors,
+    session_errors,
+    spec_errors,
+)
+from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
+from api.web.sessions.receiving import Sent, adopted, document, form_of
+from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
+from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.core.problems.fields import WRONG_FORMAT
+from pipeline.core.problems.findings import PAIRED_IN_SORTED_ORDER
+from pipeline.core.problems.requests import (
+    CALIBRATION_UNKNOWN,
+    CALIBRATION_UNMADE,
+    CALIBRATION_UNPOSED,
+    CAMERAS_OF_KEYPOINTS,
+)
+from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT
+from worker.run.planning import chunk_length
+from worker.store.errors import NotFound
+from worker.store.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
+from worker.store.model.sessions import InputFile, Purpose, Session
+from worker.store.outages import is_perhaps_recorded
+from worker.store.spec import JobSpec
+from worker.store.tenant_records import TenantRecords
+
+# Kinds of files that differ from the name of the form's part.
+_KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
+
+# Fields of a camera in the manifest that determine its frame times.
+_OF_CAMERA = {"offset_s", "offset_std_s", "rate"}
+
+_tracer = trace.get_tracer("multicap")
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Files of a session with its documents.
+
+    Parameters
+    ----------
+    manifest, spec
+        ``None`` where they are wrong; ``errors`` then says why.
+    calibration_id
+        Calibration that the session names in place of a file.
+    upload_ids
+        Uploads that the files are from.
+    """
+
+    form: Form
+    manifest: Manifest | None
+    spec: JobSpec | None
+    errors: tuple[ErrorItem, ...] = ()
+    calibration_id: str | None = None
+    upload_ids: tuple[str, ...] = ()
+
+    def with_error(self, error: ErrorItem) -> "Arrival":
+        """Return the arrival with one more error."""
+        return replace(self, errors=(*self.errors, error))
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedSession:
+    """A session without errors whose files are not in the artifact store yet.
+
+    Parameters
+    ----------
+    record_path
+        File that the preflight wrote for the workers.
+    thumbnails
+        Folder with the thumbnails that the preflight wrote; ``None`` without any.
+    """
+
+    form: Form
+    manifest: Manifest
+    spec: JobSpec
+    preflight: Preflight
+    record_path: Path
+    upload_ids: tuple[str, ...]
+    thumbnails: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NewSession:
+    """A session that is in the artifact store and not in the database yet."""
+
+    id: str
+    name: str
+    files: tuple[InputFile, ...]
+    preflight: Preflight
+    upload_ids: tuple[str, ...]
+    metadata: Mapping[str, Any]
+    record_sha256: str
+    chunk_frames: int
+
+    def add_to(self, work: TenantRecords, purpose: Purpose = "capture") -> Session:
+        """Record the session, and that its uploads are used, in an open transaction."""
+        work.uploads.use(self.upload_ids)
+        return work.sessions.add(
+            self.name,
+            self.files,
+            self.preflight,
+            self.id,
+            self.metadata,
+            self.record_sha256,
+            purpose,
+            self.chunk_frames,
+        )
+
+
+async def check(request: HTTPConnection, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
+    """Check a session: its files by the preflight, its documents, and both against the limits of the service.
+
+    Raises
+    ------
+    ApiError
+        With all that is wrong.
+    """
+    owner = request.state.caller.owner
+    if isinstance(sent.content, UploadedSession):
+        # Large files are read once, for their digests, in the turn of the checks.
+        arrival = await services.checks.run(owner, _named, services, records, sent, sent.content)
+    else:
+        arrival = _parsed(sent)
+    arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
+    form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
+    if arrival.manifest:
+        errors.extend((_facts_of_videos if form.keypoints else _facts_of_keypoints)(arrival.manifest))
+    preflight: Preflight | None = None
+    record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
+    thumbnails.mkdir()
+    if not form.errors and form.files[CALIBRATION]:
+        try:
+            with _tracer.start_as_current_span("preflight"):
+                preflight = await services.checks.run(
+                    owner,
+                    services.preflight.check,
+                    arguments_of(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
+                    record_path,
+                    allowance_s(form),
+                    thumbnails,
+                    further_wait_s=further_wait_s(form),
+                )
+        except InvalidFilesError as invalid:
+            errors.extend(located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
+    if preflight:
+        errors.extend(limit_errors(services, preflight))
+    if preflight and arrival.spec:
+        errors.extend(spec_errors(arrival.spec, preflight, SPEC))
+        if sent.kind.has_job:
+            errors.extend(session_errors(arrival.spec, preflight))
+    if arrival.spec:
+        errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
+        errors.extend(await run_in_threadpool(character_errors, arrival.spec, records, SPEC))
+    if arrival.spec and sent.kind.has_job:
+        errors.extend(await run_in_threadpool(body_errors, arrival.spec, services, (SPEC,)))
+        errors.extend(await run_in_threadpool(format_errors, arrival.spec, services, (SPEC,)))
+    if arrival.spec and sent.kind.has_job and not form.keypoints:
+        errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
+    if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
+        raise unprocessable(errors)
+    sync, timeline = arrival.manifest.sync, arrival.manifest.timeline
+    return CheckedSession(
+        form,
+        arrival.manifest,
+        for_session(arrival.spec, sync, timeline),
+        replace(preflight, sync=sync, timeline=timeline),
+        record_path,
+        arrival.upload_ids,
+        thumbnails,
+    )
+
+
+@contextlib.contextmanager
+def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
+    """Put the files of a session into the artifact store; the block records the session in the database.
+
+    If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
+    process that is killed in between, and those of a transaction whose answer was lost, if it was not committed.
+    """
+    session_id = services.store.sessions.reserve_id()
+    sources = [(_KINDS.get(part, part), file) for part, files in checked.form.files.items() for file in files]
+    files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(sources))
+    with contextlib.ExitStack() as undo:
+        undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
+        for file, (_, source) in zip(files, sources, strict=True):
+            services.artifacts.put_file(file.key, source.path)
+        with checked.record_path.open("rb") as content:
+            record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+        services.artifacts.put_file(record_key(session_id), checked.record_path)
+        if checked.thumbnails is not None:
+            for camera, number, _ in checked.preflight.thumbnails():
+                name = thumbnail_name(camera, number)
+                services.artifacts.put_file(thumbnail_key(session_id, name), checked.thumbnails / name)
+        try:
+            yield NewSession(
+                id=session_id,
+                name=checked.manifest.name,
+                files=files,
+                preflight=checked.preflight,
+                upload_ids=checked.upload_ids,
+                metadata=checked.manifest.metadata,
+                record_sha256=record_sha256,
+                chunk_frames=_chunk_frames(services, checked),
+            )
+        except Exception as error:
+            if is_perhaps_recorded(error):
+                undo.pop_all()
+            raise
+        undo.pop_all()
+    for upload_id in checked.upload_ids:
+        services.uploads.remove(upload_id)
+
+
+def _chunk_frames(services: Services, checked: CheckedSession) -> int:
+    """Frames of a camera in a chunk of a new session; of keypoints, which no network looks at, as in the settings."""
+    default, chunk_s = services.settings.chunk_frames, services.settings.chunk_s
+    frame_s = None if checked.form.keypoints or not chunk_s else services.store.speeds.frame_s()
+    return default if frame_s is None else chunk_length(checked.preflight, frame_s, chunk_s, default)
+
+
+def _parsed(sent: Sent) -> Arrival:
+    """Parse the documents of a form."""
+    form = form_of(sent)
+    manifest, manifest_errors = document(sent, MANIFEST, Manifest)
+    spec, spec_problems = document(sent, SPEC, JobSpec)
+    arrival = Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
+    if (text := form.documents.get(CALIBRATION_ID)) is None:
+        return arrival
+    try:
+        return replace(arrival, calibration_id=str(uuid.UUID(text.decode().strip().strip('"'))))
+    except ValueError:
+        message = "The part calibration_id must be the id of a calibration."
+        return arrival.with_error(ErrorItem(code=WRONG_FORMAT, message=message, pointer=pointer_to(CALIBRATION_ID)))
+
+
+def _named(services: Services, records: TenantRecords, sent: Sent, names: UploadedSession) -> Arrival:
+    """Build the arrival of a session that names uploads."""
+    form = adopted(services, records, sent, names)
+    spec = names.spec if isinstance(names, UploadedCapture) else JobSpec()
+    calibration_id = str(names.calibration_id) if names.calibration_id else None
+    manifest = names.manifest
+    if (source_id := names.source_id()) is not None:
+        with contextlib.suppress(NotFound):  # the form says so
+            manifest = _as_before(manifest, records.sessions.get(source_id))
+    return Arrival(form, manifest, spec, calibration_id=calibration_id, upload_ids=names.upload_ids())
+
+
+def _as_before(manifest: Manifest, source: Session) -> Manifest:
+    """Manifest of a copied session: what it leaves unset is as it was of the session whose footage is copied."""
+    preflight = source.preflight
+    before: dict[str, Any] = {
+        "cameras": tuple(
+            CameraManifest(
+                name=recording.camera,
+                file=recording.file,
+                more_files=recording.more_files,
+                offset_s=recording.offset_s,
+                offset_std_s=recording.offset_std_s,
+                rate=recording.frame_rate_hz,
+            )
+            for recording in preflight.recordings
+        ),
+        "clock": preflight.clock,
+        "sync": preflight.sync,
+        "timeline": preflight.timeline,
+        "layout": preflight.layout.name if preflight.layout and preflight.layout.told_by == "choice" else None,
+        "pair_by_order": any(finding.code == PAIRED_IN_SORTED_ORDER for finding in preflight.findings),
+    }
+    if not any(file.kind == TIMESTAMPS for file in source.files):
+        before["frame_rate_hz"] = preflight.timebase.frame_rate_hz
+    return manifest.model_copy(update={name: before[name] for name in before.keys() - manifest.model_fields_set})
+
+
+def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) -> Arrival:
+    """Add the file of the stored calibration that a session names, if it names one."""
+    if arrival.calibration_id is None:
+        return arrival
+    pointer = pointer_to(CALIBRATION_ID)
+    try:
+        calibration = records.calibrations.get(arrival.calibration_id)
+    except NotFound:
+        message, hint = "There is no such calibration.", "GET /v1/calibrations lists them."
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint))
+    if (files := calibration.files) is None:
+        message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint))
+    if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
+        message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
+        return arrival.with_error(ErrorItem(code=CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint))
+    name = f"calibration-{arrival.calibration_id}.json"
+    path, content = folder / name, files["multicap"].encode()
+    path.write_bytes(content)
+    file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
+    return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, CALIBRATION: (file,)}))
+
+
+def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
+    """Find what a manifest states of cameras that is of videos alone."""
+    for index, camera in enumerate(manifest.cameras):
+        for field in ("offset_s", "offset_std_s", "rate", "more_files"):
+            if getattr(camera, field):
+                yield ErrorItem(
+                    code=CAMERAS_OF_KEYPOINTS,
+                    message="Keypoints have timestamps or one frame rate, and a camera has one archive.",
+                    camera=camera.name,
+                    field=field,
+                    pointer=pointer_to(MANIFEST, "cameras", index, field),
+                    hint=f"Omit {field}: of a camera with keypoints only its file can be stated.",
+                )
+
+
+def _facts_of_keypoints(manifest: Manifest) -> Iterator[ErrorItem]:
+    """Find what a manifest of videos states that is of keypoints alone."""
+    if manifest.layout is not None:
+        yield ErrorItem(
+            code=KEYPOINTS_LAYOUT,
+            message="A layout belongs to keypoints; detectors of videos have their own.",
+            pointer=pointer_to(MANIFEST, "layout"),
+            hint="Omit layout.",
+        )
+
+
+def record_path_in(folder: Path) -> Path:
+    """Path for the preflight's record; no file of the client's has such a name."""
+    return folder / f"{uuid_utils.uuid7()}.npz"
+
+
+def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
+    """Arguments of the preflight for a form."""
+    paths: dict[str, list[str]] = {}
+    for pointer, file in form.pointers().items():
+        paths.setdefault(pointer.split("/")[1], []).append(str(file.path))
+    arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
+    if manifest.units is not None:
+        arguments.append(f"--units={manifest.units}")
+    if manifest.up != "z":
+        arguments.append(f"--up={manifest.up}")
+    if manifest.layout is not None:
+        arguments.append(f"--layout={manifest.layout}")
+    if manifest.clock != "declared":
+        arguments.append(f"--clock={manifest.clock}")
+    if manifest.cameras:
+        said = [
+            {
+                "camera": camera.name,
+                "file": camera.file,
+                "more_files": camera.more_files,
+                "offset_s": camera.offset_s,
+                "offset_std_s": camera.offset_std_s,
+                "frame_rate_hz": camera.rate,
+            }
+            for camera in manifest.cameras
+        ]
+        arguments.append(f"--recordings={json.dumps(said, ensure_ascii=False)}")
+    if manifest.frame_rate_hz is not None:
+        arguments.append(f"--frame-rate={manifest.frame_rate_hz!r}")
+    if manifest.pair_by_order:
+        arguments.append("--pair-by-order")
+    if form.keypoints:
+        arguments.append(f"--max-joints={max_joints}")
+    return arguments
+
+
+def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
+    """Add the pointer of a problem: to the entry of a camera in the manifest, or to the part of a file in the form.
+
+    Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
+    """
+    if item.code == KEYPOINTS_LAYOUT:
+        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "layout")})
+    of_camera = [index for index, camera in enumerate(manifest.cameras) if camera.name == item.camera]
+    if of_camera and ("recording" in item.code or item.field in _OF_CAMERA):
+        stated = manifest.cameras[of_camera[-1]].model_fields_set
+        field = [item.field] if item.field in stated else []
+        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1], *field)})
+    pointers = {file.name: pointer for pointer, file in form.pointers().items()}
+    of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
+    file = item.file or ""
+    pointer = pointers.get(file) or of_archive.get(file.split("/")[0])
+    return item.model_copy(update={"pointer": pointer})
+
+
+def _input_file(session_id: str, index: int, kind: str, file: ReceivedFile) -> InputFile:
+    key = input_key(session_id, index, file.name)
+    return InputFile(name=file.name, kind=kind, key=key, num_bytes=file.num_bytes, sha256=file.sha256)

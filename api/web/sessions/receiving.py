@@ -1,0 +1,230 @@
+"""Arrival of sessions, calibrations and characters: as a form with files, or as JSON that names uploads."""
+
+import contextlib
+import shutil
+from collections.abc import AsyncIterator, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import anyio
+import uuid_utils
+from fastapi import Request
+from pydantic import BaseModel, ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from api.web.dependencies import Services
+from api.web.errors import ApiError, ErrorItem, unprocessable
+from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.form import Form, Parts
+from api.web.http.bodies.form_kinds import (
+    FORM_TYPE,
+    JSON_TYPE,
+    KEYPOINTS,
+    SESSION_ID,
+    TIMESTAMPS,
+    VIDEOS,
+    FormKind,
+    UploadedFiles,
+)
+from api.web.http.bodies.multipart import receive_form
+from api.web.http.bodies.reading import announced_bytes, limited
+from api.web.http.bodies.validation import model_items
+from api.web.http.idempotency import IdempotentRequest
+from api.web.sessions.schemas import UploadedSession
+from pipeline.core.problems.fields import MALFORMED_JSON
+from pipeline.core.problems.requests import (
+    PART_NOT_ALLOWED,
+    SESSION_UNKNOWN,
+    UNSUPPORTED_MEDIA_TYPE,
+    UPLOAD_UNFINISHED,
+    UPLOAD_UNKNOWN,
+    VIDEOS_DELETED,
+)
+from worker.store.errors import NotFound
+from worker.store.tenant_records import TenantRecords
+
+_Model = TypeVar("_Model", bound=BaseModel)
+# Parts of a form for the kinds of files that are the footage of a session.
+_FOOTAGE = {"video": VIDEOS, KEYPOINTS: KEYPOINTS, TIMESTAMPS: TIMESTAMPS}
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A session, a calibration or a character as a client sent it, in a folder of the spool.
+
+    Parameters
+    ----------
+    folder
+        Holds the files of a form; gone with the request.
+    kind
+        Kind of the form, or of the JSON in its place.
+    content
+        Received form, or names of uploads.
+    parts
+        JSON of the content, for the fingerprint of the request.
+    places
+        Places of the fields of the body, for hints.
+    """
+
+    folder: Path
+    kind: FormKind
+    content: Form | UploadedFiles
+    parts: object
+    places: FieldPlaces
+
+
+@contextlib.asynccontextmanager
+async def received(
+    request: Request,
+    services: Services,
+    idempotent: IdempotentRequest,
+    kind: FormKind,
+    types: Collection[str],
+) -> AsyncIterator[Sent]:
+    """Receive a record as a form, or as JSON that names uploads; its files are there in the block.
+
+    Parameters
+    ----------
+    kind
+        Kind of the form, or of the JSON in its place.
+    types
+        Content types that the operation takes: ``FORM_TYPE``, ``JSON_TYPE`` or both.
+
+    Raises
+    ------
+    ApiError
+        If there is no room for it, or the request can't be read.
+    """
+    content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if content_type not in types:
+        raise _unsupported(types)
+    names_uploads = content_type == JSON_TYPE
+    places = FieldPlaces.of(request, content_type)
+    to_come = 0 if names_uploads else announced_bytes(request)
+    # A request that comes again may need no more room than there is.
+    is_answered = await run_in_threadpool(idempotent.is_answered)
+    if not is_answered:
+        services.checks.require_room(request.state.caller.owner)
+        await run_in_threadpool(idempotent.records.require_room, to_come, unfinished_jobs=int(kind.has_job))
+    async with spool_folder(services.settings.spool_dir) as folder:
+        if names_uploads:
+            if not is_answered:
+                services.disk.require_room()
+            names = await _receive_names(request, services, kind.uploaded, places)
+            yield Sent(folder, kind, names, names.model_dump(mode="json"), places)
+        else:
+            form = await receive_form(request, folder, services.limits, services.disk, kind, places)
+            yield Sent(folder, kind, form, _parts_of(form), places)
+
+
+def _unsupported(types: Collection[str]) -> ApiError:
+    """Error 415 that names the content types of an operation."""
+    ways = {FORM_TYPE: f"Files are sent as {FORM_TYPE}", JSON_TYPE: f"Uploads are named by {JSON_TYPE}"}
+    return ApiError(UNSUPPORTED_MEDIA_TYPE, f"{'. '.join(ways[content_type] for content_type in types)}.")
+
+
+@contextlib.asynccontextmanager
+async def spool_folder(spool_dir: Path) -> AsyncIterator[Path]:
+    """Folder of the spool, removed at the end of the block."""
+    folder = spool_dir / str(uuid_utils.uuid7())
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        with anyio.CancelScope(shield=True):
+            await run_in_threadpool(shutil.rmtree, folder)
+
+
+def form_of(sent: Sent) -> Form:
+    """Form that a client sent."""
+    if not isinstance(sent.content, Form):
+        raise TypeError("uploads are named")
+    return sent.content
+
+
+def document(sent: Sent, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
+    """Parse a JSON part of a form; a missing part has all defaults."""
+    try:
+        return model.model_validate_json(form_of(sent).documents.get(part, b"{}")), []
+    except ValidationError as error:
+        return None, model_items(error, model, sent.places, part)
+
+
+def _parts_of(form: Form) -> object:
+    """Content of a form as JSON, independent of its encoding."""
+    files = {pointer: [file.name, file.sha256] for pointer, file in form.pointers().items()}
+    return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
+
+
+async def _receive_names(
+    request: Request, services: Services, model: type[UploadedFiles], places: FieldPlaces
+) -> UploadedFiles:
+    body = await limited(request, services.settings.max_json_bytes).body()
+    try:
+        return model.model_validate_json(body)
+    except ValidationError as error:
+        items = model_items(error, model, places)
+        if any(item.code == MALFORMED_JSON for item in items):
+            raise ApiError(MALFORMED_JSON, "The body is not JSON.") from None
+        raise unprocessable(items) from None
+
+
+def adopted(services: Services, records: TenantRecords, sent: Sent, names: UploadedFiles) -> Form:
+    """Build the form from uploads, whose files stay on their spool."""
+    parts = Parts(sent.folder, services.limits, sent.kind, sent.places)
+    for part, upload_id in names.uploads():
+        try:
+            upload = records.uploads.get(str(upload_id))
+            num_bytes = services.uploads.offset(upload)
+        except NotFound:
+            message = "There is no such upload."
+            parts.lack(part, UPLOAD_UNKNOWN, message, "It may have been used, or its time is over: send it again.")
+            continue
+        except ApiError as error:  # its bytes are elsewhere
+            parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
+            continue
+        if num_bytes < upload.num_bytes:
+            message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
+            parts.lack(part, UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
+        else:
+            parts.adopt(part, upload.name, services.uploads.file(upload))
+    if (source_id := names.source_id()) is not None:
+        _copy_footage(services, records, source_id, parts)
+    return parts.form(names.named(), _num_stated_parts(records, names))
+
+
+def _num_stated_parts(records: TenantRecords, names: UploadedFiles) -> int:
+    """Number of videos that are stated as further parts of recordings, or were so in the session that is copied."""
+    cameras = names.manifest.cameras if isinstance(names, UploadedSession) else ()
+    stated = [*(camera.more_files for camera in cameras)]
+    if (source_id := names.source_id()) is not None:
+        with contextlib.suppress(NotFound):  # the form says so
+            stated += [recording.more_files for recording in records.sessions.get(source_id).preflight.recordings]
+    return sum(map(len, stated))
+
+
+def _copy_footage(services: Services, records: TenantRecords, session_id: str, parts: Parts) -> None:
+    """Copy the videos or keypoints of a stored session to the parts of a form.
+
+    Copies, so that each session has files of its own: either may be deleted.
+    """
+    if any(parts.has(part) for part in _FOOTAGE.values()):
+        message = "The footage is that of a session: files of footage can't be sent too."
+        parts.reject_field(SESSION_ID, PART_NOT_ALLOWED, message, "Omit session_id, or the files.")
+        return
+    try:
+        session = records.sessions.get(session_id)
+        if session.videos_deleted_at is not None:
+            message = "The videos of this session were deleted, and can't be copied."
+            parts.reject_field(SESSION_ID, VIDEOS_DELETED, message, "Send the videos.")
+            return
+        files = session.files
+        for file in files:
+            if (part := _FOOTAGE.get(file.kind)) is None:
+                continue
+            services.disk.require_room(file.num_bytes)
+            with services.artifacts.open(file.key, file.sha256) as source:
+                parts.copy(part, file.name, source)
+    except NotFound:
+        parts.reject_field(SESSION_ID, SESSION_UNKNOWN, "There is no such session.", "GET /v1/sessions lists them.")

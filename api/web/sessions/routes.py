@@ -1,0 +1,142 @@
+"""Capture sessions: send, list, search, read, rename, delete."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Response, status
+
+from api.web.auth import JobViewDep, RecordsDep, ViewerDep
+from api.web.contract.description import answer, location, problems
+from api.web.contract.examples import SESSION_ID
+from api.web.contract.resource import Resource
+from api.web.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
+from api.web.http.bodies.reading import SmallBodyRoute
+from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
+from api.web.http.idempotency import Answer, IdempotentRequest
+from api.web.sessions import examples
+from api.web.sessions.creation import Creation, Texts, add_creation
+from api.web.sessions.form import SESSION_FORM
+from api.web.sessions.intake import CheckedSession, check, stored
+from api.web.sessions.schemas import SessionChanges, SessionOut, SessionPage
+from worker.store.files.removals import remove_files
+from worker.store.model.sessions import Capture
+from worker.store.model.states import JobState
+
+router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+# A route that takes JSON; the form has its own limits.
+small = APIRouter(prefix="/v1/sessions", tags=["sessions"], route_class=SmallBodyRoute)
+
+_ONE = answer("Session")
+Name = Annotated[
+    str | None,
+    Query(min_length=1, max_length=200, description="Only sessions whose names contain this text; case is ignored."),
+]
+State = Annotated[JobState | None, Query(description="Only sessions whose newest job is in this state.")]
+
+
+def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
+    """Store the files of a session and record it."""
+    with stored(services, checked) as new, idempotent.records.transaction() as work:
+        return idempotent.store(work, _created(Capture(new.add_to(work))))
+
+
+_CREATE = """\
+Send a session: its videos, or what another program found in them, and the cameras' calibration.
+
+As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
+found, or all that is wrong. Generated clients use `createSessionFromFiles` and `createSessionFromUploads`, which do
+the same with one kind of body each.
+"""
+add_creation(
+    router,
+    "",
+    "createSession",
+    Creation(SESSION_FORM, check, _add_session),
+    (
+        Texts(
+            "Send a session",
+            _CREATE,
+        ),
+        Texts("Send a session's files", "Send a session as a form with its files; otherwise as `createSession`."),
+        Texts(
+            "Send a session's uploads",
+            "Send a session as JSON that names finished uploads; otherwise as `createSession`.",
+        ),
+    ),
+    status_code=status.HTTP_201_CREATED,
+    response_model=SessionOut,
+    responses={
+        201: _ONE | {"headers": {"Location": location("session", f"/v1/sessions/{SESSION_ID}")}},
+        **problems(400, 408, 409, 413, 415, 422, 507),
+    },
+)
+
+
+@router.get(
+    "", operation_id="listSessions", summary="List sessions", responses={200: answer("SessionPage"), **problems(422)}
+)
+def list_sessions(
+    records: RecordsDep, name: Name = None, state: State = None, limit: Limit = 50, cursor: Cursor = None
+) -> SessionPage:
+    """List sessions, the newest first: all of them, or those of a name or with a newest job in a state."""
+    captures = records.sessions.page(limit=limit, after=str(cursor) if cursor else None, name=name, state=state)
+    next_cursor = captures[-1].session.id if len(captures) == limit else None
+    return SessionPage(sessions=tuple(map(SessionOut.of, captures)), next_cursor=next_cursor)
+
+
+@router.get(
+    "/{session_id}",
+    operation_id="getSession",
+    summary="Read a session",
+    response_model=SessionOut,
+    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+)
+def get_session(
+    session_id: SessionId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Read a session: its files, what was found in them, and the number of its jobs with the newest one."""
+    session = SessionOut.of(records.sessions.capture(session_id))
+    return conditional(session.for_link() if viewer.link else session, if_none_match)
+
+
+@small.patch(
+    "/{session_id}",
+    operation_id="renameSession",
+    summary="Rename a session",
+    response_model=SessionOut,
+    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
+)
+def rename_session(
+    session_id: SessionId,
+    changes: Annotated[SessionChanges, Body(openapi_examples={"default": {"value": examples.CHANGES}})],
+    records: RecordsDep,
+    if_match: IfMatch = None,
+) -> Response:
+    """Rename a session; its jobs and the names of their downloads follow. With `If-Match`, only an unchanged one."""
+    with records.transaction() as work:
+        if if_match is not None:
+            require_match(SessionOut.of(work.sessions.locked(session_id)), if_match)
+        capture = work.sessions.rename(session_id, changes.name)
+    return conditional(SessionOut.of(capture), None)
+
+
+@router.delete(
+    "/{session_id}",
+    operation_id="deleteSession",
+    summary="Delete a session",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(404, 409),
+)
+def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
+    """Delete a session with its videos, its jobs and their results. An unfinished job has to be canceled first."""
+    # Its rows first, so that nothing is shown whose files are gone.
+    services.disk.using_reserve(lambda: records.sessions.delete(session_id))
+    services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+def _created(capture: Capture) -> Answer:
+    headers = {"Location": f"/v1/sessions/{capture.session.id}"}
+    return Answer(201, headers, SessionOut.of(capture).model_dump_json())
+
+
+CREATION = Resource(router=router, forms=(SESSION_FORM,))
+RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"session_id": SESSION_ID})

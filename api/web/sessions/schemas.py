@@ -1,0 +1,431 @@
+"""Bodies of capture sessions: requests of clients, and the session with the report of its check."""
+
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import quote
+from uuid import UUID
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of, printable_name
+from api.web.http.bodies.form_kinds import UploadedFootage
+from pipeline.capture.preflight_record import Clock
+from pipeline.core.options.job_choices import blurred_name, proxy_name
+from pipeline.core.problems.fields import JSON_VALUE
+from pipeline.run.space import foreseen_space
+from worker.store.model.jobs import NewestJob
+from worker.store.model.sessions import Capture
+from worker.store.model.states import JobState
+from worker.store.spec import JobSpec
+
+
+def _json(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse values that Python's parser accepts and JSON does not allow, such as NaN and lone surrogates."""
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except ValueError:
+        message = "metadata must be valid JSON: no NaN, no infinity, no lone surrogates."
+        raise PydanticCustomError(JSON_VALUE, message) from None
+    return value
+
+
+Layout = Literal[
+    "coco-17",
+    "coco-wholebody-23",
+    "coco-wholebody-133",
+    "halpe-26",
+    "halpe-136",
+    "body-25",
+    "coco-18",
+    "trt-pose-18",
+    "body-25b",
+    "mediapipe-33",
+    "human36m-17",
+]
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+SessionName = Annotated[
+    str,
+    AfterValidator(printable_name),
+    Field(min_length=1, max_length=200, description="Name of the session for people."),
+]
+
+
+class CameraManifest(BaseModel):
+    """Facts about a camera's video that neither the file nor the calibration states.
+
+    Of a camera with keypoints only ``file`` can be stated.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, AfterValidator(printable_name)] = Field(
+        min_length=1, max_length=64, description="Name of the camera in the calibration."
+    )
+    file: Annotated[str, AfterValidator(printable_name)] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Name of the camera's video, or of its archive of keypoints; by default the one with the camera's "
+        "name.",
+    )
+    more_files: tuple[Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)], ...] = Field(
+        default=(),
+        max_length=256,
+        description="Names of further files in which the recording of `file` goes on, in order. Chapters of GoPro "
+        "cameras, and files with `part 1`, `part 2` in their names, need no mention.",
+    )
+    offset_s: float = Field(
+        default=0.0,
+        strict=True,
+        ge=-86_400.0,
+        le=86_400.0,
+        allow_inf_nan=False,
+        description="Time of the first frame on the clock that all cameras share.",
+    )
+    offset_std_s: float | None = Field(
+        default=None,
+        strict=True,
+        ge=0.0,
+        le=3600.0,
+        allow_inf_nan=False,
+        description="Standard deviation of `offset_s`; with it `sync: auto` measures the clock within the uncertainty, "
+        "and uses what is beyond it with a warning alone. Null: nothing is known of it.",
+    )
+    rate: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate in Hz, if the times in the video are wrong, or of images in place of a video.",
+    )
+
+
+class Manifest(BaseModel):
+    """Description of a session beside its files. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: SessionName = "untitled"
+    frame_rate_hz: float | None = Field(
+        default=None,
+        strict=True,
+        ge=1.0,
+        le=1000.0,
+        allow_inf_nan=False,
+        description="Frame rate of keypoints without timestamps, which need one; or of images in place of videos, "
+        "which need one unless their cameras have a `rate`.",
+    )
+    cameras: tuple[CameraManifest, ...] = Field(
+        default=(), max_length=256, description="Facts about some cameras; of keypoints only their files."
+    )
+    pair_by_order: bool = Field(
+        default=False,
+        strict=True,
+        description="Whether videos or keypoints whose cameras `cameras` does not state are paired with the other "
+        "cameras by the natural order of their names. By default a camera's name is a whole word in the name of its "
+        "file.",
+    )
+    units: Literal["m", "cm", "mm"] | None = Field(
+        default=None,
+        description="Unit of length of a calibration whose format does not state it (such as TOML). "
+        "Null: metres; if they are not plausible, the answer `calibration_units_unstated` asks for it.",
+    )
+    up: Up = Field(
+        default="z",
+        description="Axis of the calibration that points up, after the turn that its format needs by itself: the world "
+        "is turned so that it becomes Z.",
+    )
+    layout: Layout | None = Field(
+        default=None,
+        description="Layout of the points of keypoints whose files do not name them. Null: the number of points and "
+        "the people tell it; if they do not, the answer `keypoints_layout` asks for it.",
+    )
+    clock: Clock = Field(
+        default="declared",
+        description="Clock of the first frames of videos: `declared` is their start plus `offset_s`; `timecode` and "
+        "`creation_time` are those that the files state, to which `offset_s` is added.",
+    )
+    sync: Literal["declared", "auto"] = Field(
+        default="declared",
+        description="Synchronisation of the session's jobs whose spec does not state `sync`: `auto` measures the "
+        "clocks of the cameras from the people.",
+    )
+    timeline: Literal["take", "person"] = Field(
+        default="take",
+        description="Frames of the files of the session's jobs whose spec does not state `timeline`: those of the "
+        "take, or those in which the person is there.",
+    )
+    metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
+        default={}, description="Data of the client, which every response with the session repeats."
+    )
+
+
+class UploadedSession(UploadedFootage):
+    """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
+
+    keypoints: tuple[UUID, ...] = Field(
+        default=(),
+        description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
+        "the camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras.",
+    )
+    calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
+    calibration_id: UUID | None = Field(
+        default=None, description="Id of a stored calibration, in place of `calibration`."
+    )
+    timestamps: UUID | None = Field(
+        default=None,
+        description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+    )
+    session_id: UUID | None = Field(
+        default=None,
+        description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
+        "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are "
+        "those of the session.",
+    )
+    manifest: Manifest = Manifest()
+
+    def uploads(self) -> list[tuple[str, UUID]]:
+        """Part of the form and id of each upload."""
+        single = (("calibration", self.calibration), ("timestamps", self.timestamps))
+        keypoints = [("keypoints", upload) for upload in self.keypoints]
+        return [*super().uploads(), *keypoints, *((part, upload) for part, upload in single if upload is not None)]
+
+    def named(self) -> Iterable[str]:
+        """Names of the form's documents that the fields stand for."""
+        return () if self.calibration_id is None else ("calibration_id",)
+
+    def source_id(self) -> str | None:
+        """Id of the session whose videos or keypoints are copied."""
+        return None if self.session_id is None else str(self.session_id)
+
+
+class UploadedCapture(UploadedSession):
+    """Session of uploaded files with the choices of its job. Unknown fields are refused."""
+
+    spec: JobSpec = JobSpec()
+
+
+class FileOut(ResponseModel):
+    """File of a session."""
+
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
+    is_deleted: bool = Field(
+        default=False, description="Whether the file was deleted, and is known by its SHA-256 alone."
+    )
+
+
+class ThumbnailOut(ResponseModel):
+    """Small copy of a picture of a video."""
+
+    time_s: float = Field(description="Time of the picture on the session's clock.")
+    link: str = Field(description="Path of the JPEG, whose longer side is at most 320 pixels.")
+
+
+class CameraOut(ResponseModel):
+    """Camera of the calibration with its video or its keypoints.
+
+    A player shows the frame of the session's time t at ``t - start_time_s + media_start_s``.
+    """
+
+    name: str = Field(description="Name of the camera in the calibration.")
+    file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    more_files: tuple[str, ...] = Field(
+        default=(), description="Names of further files in which the camera's recording goes on, in order."
+    )
+    size_px: tuple[int, int] = Field(description="Width and height of the frames.")
+    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
+    num_frames: int = Field(description="Number of frames in the file.")
+    start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.")
+    plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
+    video_link: str | None = Field(
+        description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
+        "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made."
+    )
+    media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
+    thumbnails: tuple[ThumbnailOut, ...] = Field(
+        default=(),
+        description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
+        "their places in this list. None for keypoints, and if `shows_blurred`.",
+    )
+
+    @classmethod
+    def of(cls, capture: Capture, number: int) -> Self:
+        """Build the response from a camera of a session, by its number."""
+        camera = capture.session.preflight.cameras[number]
+        plays = camera.media_type is not None
+        is_there = capture.session.videos_deleted_at is None
+        is_sent_shown = plays and is_there and not capture.is_blurred
+        is_copy_made = blurred_name(number) in capture.blurred or (
+            not capture.is_blurred and proxy_name(number) in capture.proxies
+        )
+        session, name = f"/v1/sessions/{capture.session.id}", quote(camera.name, safe="")
+        path = f"{session}/videos/{name}"
+        return cls(
+            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s", "thumbnails")),
+            plays_in_browsers=plays,
+            video_link=path if is_sent_shown or is_copy_made else None,
+            media_start_s=camera.media_start_s if is_sent_shown else 0.0,
+            thumbnails=tuple(
+                ThumbnailOut(time_s=thumbnail.time_s, link=f"{session}/thumbnails/{name}/{number}")
+                for number, thumbnail in enumerate(camera.thumbnails if is_there and not capture.is_blurred else ())
+            ),
+        )
+
+
+class TimebaseOut(ResponseModel):
+    """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
+
+    start_time_s: float = Field(description="Time of output frame 0.")
+    frame_rate_hz: float = Field(description="Output frames a second.")
+    num_frames: int = Field(description="Number of output frames.")
+
+
+class LayoutOut(ResponseModel):
+    """Layout in which points without names were read."""
+
+    name: str = Field(description="Name of the layout, as `layout` of the manifest states it.")
+    told_by: Literal["choice", "number", "pictures", "world", "points"] = Field(
+        description="How the layout was told: stated by the manifest; by the number of points; by lengths of people in "
+        "the pictures or in the world; or the detected points are the same in all layouts."
+    )
+    num_people: int = Field(description="Detections of people whose lengths told it; 0 otherwise.")
+
+
+class PreflightOut(ResponseModel):
+    """Result of the check of a session's files."""
+
+    cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
+    timebase: TimebaseOut = Field(description="Clock of the output frames.")
+    warnings: tuple[str, ...] = Field(description="Sentences of the findings.")
+    findings: tuple[FindingOut, ...] = Field(
+        default=(), description="Findings of the check; none for sessions of versions that had sentences only."
+    )
+    layout: LayoutOut | None = Field(
+        default=None, description="Layout of keypoints whose files do not name their points; null for others."
+    )
+
+    @classmethod
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its proxies."""
+        preflight = capture.session.preflight
+        return cls(
+            cameras=tuple(CameraOut.of(capture, number) for number in range(len(preflight.cameras))),
+            timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
+            warnings=preflight.warnings,
+            findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
+            layout=None if preflight.layout is None else LayoutOut(**fields_of(preflight.layout, LayoutOut)),
+        )
+
+
+class SessionLinks(ResponseModel):
+    """Paths of a session and of its jobs."""
+
+    self: str = Field(description="Path of the session.")
+    jobs: str = Field(description="Path of the session's jobs.")
+
+
+class NewestJobOut(ResponseModel):
+    """Newest job of a session."""
+
+    id: Id
+    state: JobState = Field(description="State of the job.")
+
+    @classmethod
+    def of(cls, job: NewestJob | None) -> Self | None:
+        """Build the response from a job, if there is one."""
+        return None if job is None else cls(id=job.id, state=job.state)
+
+
+class SessionChanges(BaseModel):
+    """Changes of a session. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: SessionName
+
+
+class SessionOut(ResponseModel):
+    """Capture session."""
+
+    id: Id
+    name: str = Field(description="Name of the session for people.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    files: tuple[FileOut, ...] = Field(description="Files of the session.")
+    num_bytes: int = Field(description="Size of all files that are not deleted.")
+    videos_deleted_at: AwareDatetime | None = Field(
+        default=None,
+        description="Time at which the session's videos were deleted, with their thumbnails and proxies; null: they "
+        "are there, or it has keypoints.",
+    )
+    duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
+    num_jobs: int = Field(description="Number of the session's reconstructions.")
+    newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
+    proxies_job: NewestJobOut | None = Field(
+        description="Job that makes small copies of the videos that browsers can't play; null if none had to."
+    )
+    shows_blurred: bool = Field(
+        default=False,
+        description="Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and "
+        "thumbnails not at all.",
+    )
+    preflight: PreflightOut = Field(description="Result of the check of the files.")
+    sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
+    timeline: Literal["take", "person"] = Field(
+        description="Frames of the files of jobs whose spec does not state `timeline`."
+    )
+    space: SpaceOut | None = Field(
+        default=None,
+        description="Space that a reconstruction of the session with the default choices is foreseen to need; null of "
+        "a session that was sent for a calibration.",
+    )
+    metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
+    links: SessionLinks
+
+    @classmethod
+    def of(cls, capture: Capture) -> Self:
+        """Build the response from a session and its jobs."""
+        session = capture.session
+        address = f"/v1/sessions/{session.id}"
+        is_whole = session.purpose != "calibration"
+        return cls(
+            id=session.id,
+            name=session.name,
+            created_at=session.created_at,
+            files=tuple(
+                FileOut(
+                    is_deleted=file not in session.stored_files, **fields_of(file, FileOut, without=("is_deleted",))
+                )
+                for file in session.files
+            ),
+            num_bytes=sum(file.num_bytes for file in session.stored_files),
+            videos_deleted_at=session.videos_deleted_at,
+            duration_s=session.preflight.duration_s,
+            num_jobs=capture.num_jobs,
+            newest_job=NewestJobOut.of(capture.newest_job),
+            proxies_job=NewestJobOut.of(capture.proxies_job),
+            shows_blurred=capture.is_blurred,
+            preflight=PreflightOut.of(capture),
+            sync=session.preflight.sync,
+            timeline=session.preflight.timeline,
+            space=SpaceOut.of(foreseen_space(session.preflight, JobSpec().config)) if is_whole else None,
+            metadata=dict(session.metadata),
+            links=SessionLinks(self=address, jobs=f"{address}/jobs"),
+        )
+
+    def for_link(self) -> Self:
+        """Session as a link to one of its jobs shows it: nothing of its other jobs, and no data of the client."""
+        return self.model_copy(update={"num_jobs": 1, "newest_job": None, "proxies_job": None, "metadata": {}})
+
+
+class SessionPage(ResponseModel):
+    """Page of sessions, the newest session first."""
+
+    sessions: tuple[SessionOut, ...]
+    next_cursor: NextCursor

@@ -1,0 +1,157 @@
+"""Place of the bytes of uploads, as routes see it, and the requests that write to it."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Protocol
+
+import anyio
+import structlog
+from starlette.concurrency import run_in_threadpool
+
+from api.web.errors import ApiError
+from api.web.uploads.receiving import Checksum
+from pipeline.core.problems.requests import OFFSET_MISMATCH, UPLOAD_ELSEWHERE, UPLOAD_LOCKED
+from worker.store.errors import DamagedDatabase
+from worker.store.files.disk import DiskSpace
+from worker.store.model.sessions import Upload
+from worker.store.store import JobStore
+
+_log = structlog.get_logger(__name__)
+
+_SWEEP_INTERVAL_S = 60.0
+UNRECORDED_S = 600.0
+"""Age at which bytes without a row in the database are removed: they arrive before it, and go after it."""
+
+
+class UploadSpool(Protocol):
+    """Place of the bytes of uploads: a folder of this API process, or a bucket that all API processes share.
+
+    The number of bytes that are stored is the upload's offset and is stored nowhere else, so that it is right after a
+    crash at any moment. Bytes are stored for good before they are acknowledged.
+    """
+
+    name: str
+    """Name of the place, kept in the upload's row."""
+
+    def create(self, num_bytes: int) -> str:
+        """Make room for an upload and return its id; the caller records the upload at once."""
+
+    def require_here(self, upload: Upload) -> None:
+        """Raise 421 if this process can't reach the bytes of an upload."""
+
+    def offset(self, upload: Upload) -> int:
+        """Bytes of an upload that are stored; raises ``NotFound`` if it is gone, 421 if it is elsewhere."""
+
+    def writing(self, upload_id: str) -> contextlib.AbstractAsyncContextManager[None]:
+        """Reserve an upload for writing during the block; a request that is writing is stopped and raises 423."""
+
+    async def append(self, upload: Upload, offset: int, stream: AsyncIterator[bytes], checksum: Checksum | None) -> int:
+        """Append a piece; within ``writing`` only.
+
+        Bytes that arrive before the connection breaks are kept. A piece with a checksum is kept as a whole or not at
+        all.
+
+        Parameters
+        ----------
+        offset
+            Position of the piece by the client.
+
+        Returns
+        -------
+            New offset of the upload.
+
+        Raises
+        ------
+        ApiError
+            409 if the upload has another offset, 413 if the piece goes beyond the file's length, 421 if the bytes are
+            elsewhere, 423 if another request writes, 460 if the checksum is wrong.
+        """
+
+    def file(self, upload: Upload) -> Path:
+        """Path of the file of a complete upload on the disk of the data folder; others may hard-link it."""
+
+    def remove(self, upload_id: str) -> None:
+        """Remove the bytes of an upload, if there are any."""
+
+    def sweep(self, store: JobStore) -> None:
+        """Remove expired uploads, and bytes without an upload, once."""
+
+
+class Writers:
+    """Requests that write to uploads, at most one for each."""
+
+    def __init__(self) -> None:
+        self._scopes: dict[str, tuple[anyio.CancelScope, asyncio.Event]] = {}
+
+    @contextlib.asynccontextmanager
+    async def writing(self, upload_id: str) -> AsyncIterator[None]:
+        """Reserve an upload during the block.
+
+        A client may reconnect before the service notices that its connection broke. The new request must not wait for
+        the old one, which is stopped and raises 423.
+        """
+        while (other := self._scopes.get(upload_id)) is not None:
+            other[0].cancel()
+            await other[1].wait()
+        scope, ended = self._scopes[upload_id] = anyio.CancelScope(), asyncio.Event()
+        try:
+            with scope:
+                yield
+        finally:
+            del self._scopes[upload_id]
+            ended.set()
+        if scope.cancelled_caught:
+            raise locked()
+
+    def has_writer(self, upload_id: str) -> bool:
+        """Return whether a request is writing to an upload."""
+        return upload_id in self._scopes
+
+    def delete_expired(self, store: JobStore) -> set[str]:
+        """Delete the rows of expired uploads to which no request writes; return their ids."""
+        expired = {upload_id for upload_id in store.uploads.expired() if not self.has_writer(upload_id)}
+        for upload_id in expired:
+            store.uploads.delete_expired(upload_id)
+        return expired
+
+
+async def sweep_forever(spool: UploadSpool, disk: DiskSpace, store: JobStore) -> None:
+    """Once a minute, remove what no upload needs, and renew the disk's reserve."""
+    while True:
+        try:
+            await run_in_threadpool(disk.using_reserve, lambda: spool.sweep(store))
+            await run_in_threadpool(disk.set_aside)
+        except DamagedDatabase:
+            return  # requests report the damage
+        except Exception:
+            _log.exception("upload_sweep_failed")
+        await asyncio.sleep(_SWEEP_INTERVAL_S)
+
+
+def require_offset(found: int, offset: int) -> None:
+    """Raise 409 unless an upload is at the offset that a client states."""
+    if found != offset:
+        raise ApiError(
+            OFFSET_MISMATCH,
+            f"The upload is at {found} bytes, not at {offset}.",
+            hint="Ask for the offset with HEAD, and continue from there.",
+            retryable=True,
+        )
+
+
+def elsewhere(upload: Upload) -> ApiError:
+    """Error 421 for an upload whose bytes this process can't reach; logged with their place."""
+    _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
+    return ApiError(
+        UPLOAD_ELSEWHERE,
+        "The bytes of this upload are at another API process.",
+        hint="The operator lets all API processes share uploads (MULTICAP_SHARED_UPLOADS), or routes each client to "
+        "one process (sticky sessions). Or begin the upload again.",
+    )
+
+
+def locked() -> ApiError:
+    """Error 423 for an upload to which another request writes."""
+    return ApiError(UPLOAD_LOCKED, "Another request is writing to this upload.", retryable=True)

@@ -1,0 +1,102 @@
+"""Skeleton of hypothesis clustering: joints from the root on, and the limbs between them (section 3, figure 3)."""
+
+from dataclasses import dataclass
+
+from pipeline.core.joints import JointSet
+
+
+@dataclass(frozen=True, slots=True)
+class Limb:
+    """Limb from a joint to its parent."""
+
+    parent: str  # Name of the parent joint, which is found first
+    longest_m: float  # Upper limit of the limb's length for any person, the detector's noise included
+    is_constant: bool = True  # Whether the limb's length does not depend on the pose
+    field_share: float = 1.0  # Strength of the limb's part affinity field relative to other limbs
+
+
+ROOT = "neck"
+
+# First the paper's 13 limbs, the upper body first as in figure 3; the nose stands for the head of the paper's network.
+# Further joints of detectors follow as leaves: they do not affect the paper's joints.
+_LIMBS: dict[str, Limb] = {
+    "nose": Limb(ROOT, 0.45, field_share=0.5),  # weak in both networks of the registry
+    **{f"{side}_shoulder": Limb(ROOT, 0.35) for side in ("left", "right")},
+    **{f"{side}_elbow": Limb(f"{side}_shoulder", 0.50) for side in ("left", "right")},
+    **{f"{side}_wrist": Limb(f"{side}_elbow", 0.45) for side in ("left", "right")},
+    **{f"{side}_hip": Limb(ROOT, 0.90, is_constant=False) for side in ("left", "right")},
+    **{f"{side}_knee": Limb(f"{side}_hip", 0.70) for side in ("left", "right")},
+    **{f"{side}_ankle": Limb(f"{side}_knee", 0.70) for side in ("left", "right")},
+    **{f"{side}_eye": Limb("nose", 0.15, is_constant=False) for side in ("left", "right")},
+    # Ears are visible from behind, where the nose is not.
+    **{f"{side}_ear": Limb(f"{side}_shoulder", 0.35, is_constant=False) for side in ("left", "right")},
+    "mid_hip": Limb(ROOT, 0.90, is_constant=False),
+    **{f"{side}_{toe}": Limb(f"{side}_ankle", 0.35, is_constant=False)
+       for side in ("left", "right") for toe in ("heel", "big_toe", "small_toe")},
+}  # fmt: skip
+
+_CORE = tuple(_LIMBS)[:13]
+
+TORSO = (ROOT, "nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
+"""Torso joints, by which poses are linked in time (section 3.5)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Skeleton:
+    """Joints of a detector as a tree."""
+
+    # Joint names, the root first and every joint after its parent. If the detector has no neck, the neck is the
+    # midpoint of the shoulders.
+    names: tuple[str, ...]
+    parents: tuple[int, ...]  # Position of each joint's parent in ``names``, -1 for the root
+    longest_m: tuple[float, ...]  # See ``Limb``; 0 for the root
+    is_constant: tuple[bool, ...]  # See ``Limb``; false for the root
+    field_share: tuple[float, ...]  # See ``Limb``; 1 for the root
+    sources: tuple[int, ...]  # Position of each joint in the detector's order, -1 for a joint that the detector lacks
+
+    @property
+    def levels(self) -> list[list[int]]:
+        """Joints by depth in the tree, the root first; joints of a level are found together."""
+        depths = [0]
+        for parent in self.parents[1:]:
+            depths.append(depths[parent] + 1)
+        return [[j for j, depth in enumerate(depths) if depth == level] for level in range(max(depths) + 1)]
+
+    @property
+    def core(self) -> list[int]:
+        """Positions of the paper's 14 joints."""
+        return [j for j, name in enumerate(self.names) if name == ROOT or name in _CORE]
+
+    @property
+    def core_observed(self) -> list[int]:
+        """Positions of the paper's joints that the detector finds: a neck between the shoulders is none of its own."""
+        return [j for j in self.core if self.sources[j] >= 0]
+
+    @property
+    def shoulders(self) -> list[int]:
+        """Positions of the two shoulders."""
+        return self.indices(("left_shoulder", "right_shoulder"))
+
+    def indices(self, names: tuple[str, ...]) -> list[int]:
+        """Positions of joints in ``names``."""
+        return [self.names.index(name) for name in names]
+
+
+def skeleton_of(joints: JointSet) -> Skeleton:
+    """Make the skeleton of a detector's joints.
+
+    Raises ``ValueError`` if it lacks any of the paper's 13 joints other than the neck.
+    """
+    names = (ROOT, *(name for name in _LIMBS if name in joints.names))
+    missing = [name for name in _CORE if name not in names]
+    if missing:
+        raise ValueError(f"Clustering needs the joints {', '.join(missing)}.")
+    limbs = [_LIMBS[name] for name in names[1:]]
+    return Skeleton(
+        names=names,
+        parents=(-1, *(names.index(limb.parent) for limb in limbs)),
+        longest_m=(0.0, *(limb.longest_m for limb in limbs)),
+        is_constant=(False, *(limb.is_constant for limb in limbs)),
+        field_share=(1.0, *(limb.field_share for limb in limbs)),
+        sources=tuple(joints.names.index(name) if name in joints.names else -1 for name in names),
+    )

@@ -1,0 +1,134 @@
+"""Phantoms: people who go on without a body of their own, made of the limbs of their neighbours.
+
+A person who has left, or whom no camera shows, may be followed on by limbs that belong to others. Each of these
+observations lies where a neighbour's own joint is in this picture, while a person's own limbs rarely do, even in a hug.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from scipy.ndimage import uniform_filter1d
+
+from pipeline.association.identity.merging import runs
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.people import PersonLoss, Source, Track3D
+from pipeline.core.joints import JointSet
+from pipeline.geometry.camera import project
+from pipeline.geometry.track_assembly import Person, record_life
+
+# Time over which observations are judged together, and shortest time of a phantom.
+_WINDOW_S, _SHORTEST_S = 0.5, 0.2
+# Share of measured joints below which a person may be a phantom, and share of observations that belong to others.
+_MAX_COVERAGE, _MIN_FOREIGN = 0.5, 0.5
+# Distance of an observation from another person's joint, at that person, within which it shows the joint.
+_REACH_M = 0.08
+# Distance between the middles of two people within which limbs may be taken for the other's.
+_NEAR_M = 1.5
+
+
+def end_phantoms(
+    persons: Sequence[Person], cameras: Sequence[Camera], joints: JointSet, timebase: Timebase, min_score: float
+) -> list[tuple[Person | None, list[PersonLoss]]]:
+    """Take the limbs of others from people who have hardly any other observations.
+
+    Observations with a score below ``min_score`` are not used.
+
+    Returns
+    -------
+        Each person without the frames of phantoms, ``None`` if too few frames are left; and the phantoms of each, with
+        the number of the track.
+    """
+    size = 2 * round(_WINDOW_S * timebase.frame_rate_hz / 2) + 1
+    is_seen = [(seen.score >= min_score) & np.isfinite(seen.points_px[..., 0]) for _, seen in persons]
+    support = [_mean_around(seen.sum((1, 2)), size) for seen in is_seen]
+    ended: list[tuple[Person | None, list[PersonLoss]]] = []
+    for number, person in enumerate(persons):
+        track, _ = person
+        coverage = _mean_around((track.source == Source.MEASURED).mean(1), size)
+        rows = np.flatnonzero((coverage < _MAX_COVERAGE) & (support[number] > 0))
+        foreign = np.zeros(track.num_frames)
+        foreign[rows] = _num_foreign(number, rows, persons, is_seen, support, cameras, joints)
+        is_phantom = np.zeros(track.num_frames, bool)
+        is_phantom[rows] = (_mean_around(foreign, size) >= _MIN_FOREIGN * support[number])[rows]
+        shortest = _SHORTEST_S * timebase.frame_rate_hz
+        parts = [part for part in runs(is_phantom) if part.stop - part.start >= shortest]
+        if not parts:
+            ended.append((person, []))
+            continue
+        own = _without(person, parts, cameras, timebase, min_score)
+        ended.append((own, [_phantom(track, part) for part in parts]))
+    return ended
+
+
+def _num_foreign(
+    number: int,
+    rows: Int[np.ndarray, " rows"],
+    persons: Sequence[Person],
+    is_seen: Sequence[Bool[np.ndarray, "frames cameras joints"]],
+    support: Sequence[Float[np.ndarray, " frames"]],
+    cameras: Sequence[Camera],
+    joints: JointSet,
+) -> Int[np.ndarray, " rows"]:
+    """Number of a person's observations in some rows that show the same joint, of either side, of another person.
+
+    Only people with more observations at that time count: a phantom explains no person.
+    """
+    track, seen = persons[number]
+    is_foreign = np.zeros((len(rows), *seen.score.shape[1:]), bool)
+    swapped = joints.indices(tuple(_other_side(name) for name in joints.names))
+    for other, (neighbour, _) in enumerate(persons):
+        their_rows = rows + track.start_frame - neighbour.start_frame
+        inside = np.flatnonzero((their_rows >= 0) & (their_rows < neighbour.num_frames))
+        inside = inside[support[other][their_rows[inside]] > support[number][rows[inside]]]
+        apart_m = _middle_m(neighbour.xyz_m[their_rows[inside]]) - _middle_m(track.xyz_m[rows[inside]])
+        inside = inside[np.linalg.norm(apart_m, axis=-1) <= _NEAR_M]
+        if other == number or not len(inside):
+            continue
+        xyz_m = neighbour.xyz_m[their_rows[inside]]
+        for k, camera in enumerate(cameras):
+            depth_m = camera.cam_from_world.apply(xyz_m)[..., 2]
+            focal_px = np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1])
+            reach_px = np.where(depth_m > 0, _REACH_M * focal_px / depth_m, 0.0)
+            joint_px, points_px = project(camera, xyz_m), seen.points_px[rows[inside], k]
+            for of_joint in (slice(None), swapped):
+                apart_px = np.linalg.norm(joint_px[:, of_joint] - points_px, axis=-1)
+                is_foreign[inside, k] |= apart_px < reach_px[:, of_joint]
+    return np.asarray((is_foreign & is_seen[number][rows]).sum((1, 2)))
+
+
+def _middle_m(xyz_m: Float[np.ndarray, "rows joints 3"]) -> Float[np.ndarray, "rows 3"]:
+    """Middle of the known joints; NaN where none is known."""
+    known = np.isfinite(xyz_m)
+    count = known.sum(1)
+    return np.where(known, xyz_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
+
+
+def _other_side(name: str) -> str:
+    side, _, kind = name.partition("_")
+    return f"{ {'left': 'right', 'right': 'left'}[side] }_{kind}" if side in ("left", "right") else name
+
+
+def _without(
+    person: Person, parts: Sequence[slice], cameras: Sequence[Camera], timebase: Timebase, min_score: float
+) -> Person | None:
+    """Person without some frames."""
+    track, seen = person
+    xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
+    points_px, score = seen.points_px.copy(), seen.score.copy()
+    for part in parts:
+        xyz_m[part], points_px[part], score[part] = np.nan, np.nan, 0.0
+    detection = seen.detection if len(seen.detection) else None
+    return record_life(cameras, timebase, track.start_frame, xyz_m, points_px, score, min_score, detection)
+
+
+def _phantom(track: Track3D, part: slice) -> PersonLoss:
+    known_m = [xyz_m[np.isfinite(xyz_m).all(-1)] for xyz_m in (track.xyz_m[part], track.xyz_m)]
+    place_m = (known_m[0] if len(known_m[0]) else known_m[1]).mean(0)
+    frames = track.start_frame + part.start, track.start_frame + part.stop
+    return PersonLoss("phantom", track.track_id, *frames, tuple(place_m.round(3).tolist()))
+
+
+def _mean_around(values: Shaped[np.ndarray, " frames"], size: int) -> Float[np.ndarray, " frames"]:
+    """Mean of the values in a window around each frame; frames outside the track count as 0."""
+    return np.asarray(uniform_filter1d(values.astype(float), size, mode="constant"))

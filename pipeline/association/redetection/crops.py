@@ -1,0 +1,81 @@
+"""Detection of expected bodies: BlazePose in crops that the bodies place and turn upright."""
+
+from collections.abc import Callable
+from contextlib import closing
+
+import numpy as np
+from jaxtyping import UInt8
+
+from pipeline.capture.session import CaptureSession
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import COCO_17, JointSet
+from pipeline.core.progress import OnShare, ignore
+from pipeline.detection.bodies import ImageBodies, boxes_around
+from pipeline.detection.chunk import camera_images, stack_bodies
+from pipeline.detection.session import Network
+from pipeline.detection.topdown import blazepose
+from pipeline.detection.topdown.alone import read_body
+from pipeline.detection.topdown.regions import Region, crop
+
+# Least probability that a crop shows a body, by the network.
+_LEAST_PRESENCE = 0.5
+# Least number of joints below the head.
+_LEAST_JOINTS = 4
+_HEAD = COCO_17.index("left_shoulder")
+
+
+def detect_expected(
+    session: CaptureSession,
+    expected: Detections,
+    load_network: Callable[[], Network],
+    joints: JointSet,
+    at_common_marks: bool,
+    turn_deg: float = 0.0,
+    on_share: OnShare = ignore,
+) -> Detections:
+    """Detect expected bodies in the frames of a camera. Raises as ``pipeline.video.decode.decode``.
+
+    Parameters
+    ----------
+    expected
+        Expected joints ``COCO_17``; see ``redetection.expect``.
+    load_network
+        Loads BlazePose; called if anybody is expected.
+    joints, at_common_marks
+        See ``topdown.alone.read_body``.
+    turn_deg
+        Counterclockwise turn that brings the camera's images upright.
+
+    Returns
+    -------
+        The bodies that were found, with the joints of ``joints``.
+    """
+    if not len(expected.frame):
+        return stack_bodies(expected.camera, [], len(joints.names))
+    network, found = load_network(), list[tuple[int, ImageBodies]]()
+    numbers = np.unique(expected.frame)
+    span = range(int(numbers[0]), int(numbers[-1]) + 1)
+    with closing(camera_images(session, expected.camera, span, only=set(numbers.tolist()))) as images:
+        for frame, image_rgb in images:
+            for row in range(*np.searchsorted(expected.frame, [frame, frame + 1]).tolist()):
+                region = blazepose.body_region(expected.keypoints_px[row], expected.score[row], turn_deg)
+                body = None if region is None else _read(image_rgb, region, network, joints, at_common_marks)
+                if body is not None:
+                    found.append((frame, body))
+                on_share((row + 1) / len(expected.frame))
+    return stack_bodies(expected.camera, found, len(joints.names))
+
+
+def _read(
+    image_rgb: UInt8[np.ndarray, "height width 3"],
+    region: Region,
+    network: Network,
+    joints: JointSet,
+    at_common_marks: bool,
+) -> ImageBodies | None:
+    """Read the body in a region; ``None`` if it shows none, or too little of it."""
+    outputs = network(crop(image_rgb, region, blazepose.CROP_PX))
+    points_px, score = read_body(blazepose.decode_pose(outputs, region), joints, at_common_marks)
+    if float(outputs["presence"].reshape(())) < _LEAST_PRESENCE or np.count_nonzero(score[_HEAD:]) < _LEAST_JOINTS:
+        return None
+    return ImageBodies(points_px[None], score[None], boxes_around(points_px[None]), np.array([score.mean()]))

@@ -1,0 +1,124 @@
+"""Start of targets from unmatched detections: new or lost targets (Chen et al. 2020, supplement, eq. 12-16)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.association.tracking.affinity import epipolar_affinity, ray_distance_m
+from pipeline.association.tracking.assignment import assign, partition
+from pipeline.association.tracking.kernels.state import MIN_JOINTS, RigGeometry
+from pipeline.association.tracking.parameters import TrackingParameters
+
+# Most detections that are grouped at once: a hundred people in five cameras. The simulated scenes have 24.
+_MAX_UNMATCHED = 512
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unmatched:
+    """Detection of a camera's most recent frame that belongs to no target."""
+
+    # Position of the camera, and row of the detection among all detections
+    camera: int
+    row: int
+    time_s: float  # Time of the frame
+    # Undistorted joints, NaN where not used, and the detector's confidence
+    points_px: Float[np.ndarray, "joints 2"]
+    score: Float[np.ndarray, " joints"]
+
+
+class Groups(NamedTuple):
+    """Unmatched detections grouped into people."""
+
+    people: list[list[Unmatched]]  # Detections of each person, from at least two cameras
+    is_exact: bool  # Whether all detections were considered and the grouping is optimal
+
+
+def group_unmatched(
+    unmatched: Sequence[Unmatched], fundamentals: Float[np.ndarray, "cameras cameras 3 3"], alpha_px: float
+) -> Groups:
+    """Group detections of several cameras into people (eq. 12-16).
+
+    Of more than 512 detections, those with the highest scores are grouped. ``fundamentals[left, right]`` are of
+    ``geometry.epipolar.fundamental_matrices``; ``alpha_px`` is the threshold of the epipolar distance (eq. 13).
+    """
+    is_complete = len(unmatched) <= _MAX_UNMATCHED
+    if not is_complete:
+        ranked = np.argsort([-body.score.sum() for body in unmatched], kind="stable")
+        unmatched = [unmatched[int(i)] for i in np.sort(ranked[:_MAX_UNMATCHED])]
+    cameras = np.array([body.camera for body in unmatched])
+    affinities = np.full((len(unmatched), len(unmatched)), -np.inf)
+    for left in np.unique(cameras):
+        for right in np.unique(cameras[cameras > left]):
+            rows, columns = np.flatnonzero(cameras == left), np.flatnonzero(cameras == right)
+            block = epipolar_affinity(
+                fundamentals[left, right],
+                np.array([unmatched[int(i)].points_px for i in rows]),
+                np.array([unmatched[int(j)].points_px for j in columns]),
+                alpha_px,
+            )
+            affinities[np.ix_(rows, columns)] = block
+            affinities[np.ix_(columns, rows)] = block.T
+    parts, is_exact = partition(affinities, cameras)
+    return Groups([[unmatched[i] for i in part] for part in parts], is_complete and is_exact)
+
+
+def spread_m(rig: RigGeometry, group: Sequence[Unmatched], xyz_m: Float[np.ndarray, "joints 3"]) -> float:
+    """Median distance of a group's triangulated joints to their viewing rays in metres; infinite without any joint."""
+    cameras = [body.camera for body in group]
+    points_px = np.array([body.points_px for body in group])
+    homogeneous = np.concatenate([points_px, np.ones_like(points_px[..., :1])], axis=-1)
+    rays = homogeneous @ rig.world_ray_from_image[cameras].swapaxes(-1, -2)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    distances_m = ray_distance_m(xyz_m, rig.center_m[cameras][:, None], rays)
+    known = distances_m[np.isfinite(distances_m)]
+    return float(np.median(known)) if known.size else np.inf
+
+
+def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: TrackingParameters) -> bool:
+    """Whether a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
+
+    Two people in the same epipolar plane satisfy the epipolar constraint. Their rays then mostly miss each other, or
+    meet at points that make no body of plausible size. World positions are NaN where a joint was not located;
+    ``spread_m`` is as of the function of this name.
+    """
+    known = np.isfinite(xyz_m[:, 0])
+    if known.sum() < xyz_m.shape[0] // 3 or not spread_m < parameters.alpha_3d_m:
+        return False
+    extent_m = np.ptp(xyz_m[known], axis=0).max()
+    return bool(0.25 < extent_m < 2.6)
+
+
+class Lost(NamedTuple):
+    """Confirmed targets without recent observations."""
+
+    # Last positions and velocities, (targets, joints, 3); NaN where a joint was never located
+    xyz_m: np.ndarray
+    velocity_m_s: np.ndarray
+    gap_s: np.ndarray  # Time since each target was last located, (targets,)
+
+
+def find_returning(
+    found_m: Sequence[Float[np.ndarray, "joints 3"]], lost: Lost, parameters: TrackingParameters
+) -> dict[int, int]:
+    """Match newly located bodies to lost targets (Hungarian algorithm on the detour).
+
+    A hidden person may continue or stop on the way. So the centre of the body is expected between its last position and
+    its position by linear motion. A detour of up to ``duplicate_m`` plus ``max_detour_m_s`` times the gap is allowed.
+    World positions of each body's joints are NaN where a joint was not located. Returns the position of the lost target
+    by position of the body, for the matched bodies.
+    """
+    if not len(found_m) or not len(lost.gap_s):
+        return {}
+    apart_m = np.array(found_m)[:, None] - lost.xyz_m[None]
+    shared = np.isfinite(apart_m[..., 0])
+    count = np.maximum(shared.sum(-1), 1)[..., None]
+    apart_m = np.where(shared[..., None], apart_m, 0.0).sum(-2) / count
+    velocity_m_s = np.where(shared[..., None], lost.velocity_m_s, 0.0).sum(-2) / count
+    speed2 = (velocity_m_s**2).sum(-1)
+    along_s = np.clip((apart_m * velocity_m_s).sum(-1) / np.where(speed2 > 0, speed2, 1.0), 0.0, lost.gap_s)
+    detour_m = np.linalg.norm(apart_m - along_s[..., None] * velocity_m_s, axis=-1)
+    affinities = 1 - detour_m / (parameters.duplicate_m + parameters.max_detour_m_s * lost.gap_s)
+    return dict(assign(np.where(shared.sum(-1) >= MIN_JOINTS, affinities, -np.inf)))

@@ -1,0 +1,484 @@
+"""Choices of a reconstruction, each declared once: name, values, default, limits and one sentence.
+
+The job's spec, the options of the command line, ``GET /v1/options``, the form of the page and ``docs/options.md`` are
+made from these declarations, in the words of ``pipeline.core.options.choices``. For type checkers the union of a
+choice's values is a ``Literal`` of all names. Beside the standard library it knows where files are installed: the web
+API imports this module.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import Annotated, Literal, cast, get_args
+
+from pipeline.core.options.choices import (
+    About,
+    FileFormat,
+    Network,
+    OtherNames,
+    Value,
+    choices_of,
+    values_of,
+)
+from pipeline.core.options.edits import PeopleEdit
+from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
+from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.core.runtime.packages.storage import home
+
+MAX_OUTPUT_FRAMES = 1_000_000
+"""Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
+
+
+Method = (
+    Annotated[Literal["tracking"], Value("Tracking of whole bodies")]
+    | Annotated[Literal["clustering"], Value("Clustering of joints for crowds and people who touch")]
+)
+Profile = (
+    Annotated[
+        Literal["fast"],
+        Value("Fast", note="Mean error of rendered people 28 mm."),
+    ]
+    | Annotated[
+        Literal["balanced"],
+        Value("Balanced", note="Mean error of rendered people 25 mm."),
+    ]
+    | Annotated[
+        Literal["accurate"],
+        Value("Accurate", note="Mean error of rendered people 24 mm."),
+    ]
+)
+DetectedJoints = (
+    Annotated[Literal["auto"], Value("What the profile detects without a further network")]
+    | Annotated[Literal["body"], Value("17 joints of the body")]
+    | Annotated[
+        Literal["feet"], Value("Body, heels and toes", note="Doubles the time of fast; no cost with the others.")
+    ]
+    | Annotated[Literal["whole"], Value("Body, heels, toes and fingers", note="1.6 x the time of feet with balanced.")]
+)
+Detector = (
+    Annotated[Literal["auto"], Value("Networks of the profile")]
+    | Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose alone")]
+    | Annotated[Literal["movenet-multipose-int8"], Network("MoveNet MultiPose alone, in integers of 8 bits")]
+    | Annotated[
+        Literal["openpose-mobilenet-thin"],
+        Network("OpenPose MobileNet thin, part affinity fields for clustering", leaves_fields=True),
+    ]
+    | Annotated[
+        Literal["human-pose-estimation-0001"],
+        Network(
+            "human-pose-estimation-0001, part affinity fields for clustering",
+            leaves_fields=True,
+            publisher="Intel's Open Model Zoo (FP16-INT8)",
+        ),
+    ]
+    # Networks of the user's own; see `pipeline.detection.own`.
+    | Annotated[str, OtherNames("^own-[a-z0-9]+(-[a-z0-9]+)*-[0-9a-f]{12}$")]
+)
+Smoothing = (
+    Annotated[Literal["none"], Value("None, joints as they were located")]
+    | Annotated[Literal["butterworth"], Value("Butterworth low-pass")]
+    | Annotated[Literal["one-euro"], Value("One-euro low-pass")]
+    | Annotated[Literal["fit"], Value("Fit of a skeleton over the whole take")]
+)
+Feet = (
+    Annotated[Literal["off"], Value("Not held")]
+    | Annotated[Literal["auto"], Value("Held where contact is likely")]
+    | Annotated[Literal["always"], Value("Held wherever contact is possible")]
+)
+Appearance = (
+    Annotated[Literal["on"], Value("Clothes help to tell people apart")]
+    | Annotated[Literal["off"], Value("No colours are measured")]
+)
+JointCenters = (
+    Annotated[Literal["auto"], Value("Offsets of the network; none for keypoints")]
+    | Annotated[Literal["off"], Value("Joints as they are marked")]
+    | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
+    | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
+)
+RefineCalibration = (
+    Annotated[Literal["off"], Value("The calibration as it is given")]
+    | Annotated[
+        Literal["auto"], Value("Cameras are moved to fit the people where that lowers the error by more than a quarter")
+    ]
+)
+Sync = (
+    Annotated[Literal["declared"], Value("Times of the files, with the offsets of the session")]
+    | Annotated[Literal["auto"], Value("Times measured from the motion of the people")]
+)
+Preset = (
+    Annotated[Literal["default"], Value("Standard names")]
+    | Annotated[Literal["blender"], Value("Blender")]
+    | Annotated[Literal["unity-humanoid"], Value("Unity, humanoid")]
+    | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
+    | Annotated[Literal["mixamo"], Value("Mixamo")]
+    | Annotated[Literal["humanik"], Value("HumanIK of MotionBuilder and Maya")]
+)
+Timeline = (
+    Annotated[Literal["take"], Value("Those of the take, in every file")]
+    | Annotated[Literal["person"], Value("Those in which the person is there")]
+)
+
+Body = (
+    Annotated[Literal["human"], Value("A human, shaped by the person's bones")]
+    | Annotated[Literal["capsules"], Value("Capsules around the bones")]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionChoices:
+    """Choices that a job and a configuration of the pipeline have alike."""
+
+    method: Annotated[Method, About("Method", "Method that matches detections to people.")] = "tracking"
+    profile: Annotated[
+        Profile, About("Profile", "Networks that find the 2D joints, by speed and accuracy.", group="quality")
+    ] = field(default="balanced", kw_only=True)
+    joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.", group="quality")] = field(
+        default="auto", kw_only=True
+    )
+    detector: Annotated[
+        Detector, About("Detector", "Network that finds the 2D joints, in place of those of the profile.")
+    ] = "auto"
+    follow_s: Annotated[
+        float,
+        About(
+            "Time between detections, s",
+            "Longest time between two detections of bodies in whole pictures, in seconds; between them crops follow "
+            "people who move little. 0: every frame is detected.",
+            minimum=0.0,
+            maximum=0.2,
+            option="follow",
+        ),
+    ] = field(default=0.0, kw_only=True)
+    smoothing: Annotated[Smoothing, About("Smoothing", "How joint positions are smoothed.")] = "fit"
+    cutoff_hz: Annotated[
+        float,
+        About(
+            "Cutoff of the Butterworth low-pass, Hz",
+            "Cutoff of the Butterworth low-pass, in Hz, below half of the frame rate.",
+            above=0.0,
+            maximum=1000.0,
+            option="cutoff",
+        ),
+    ] = 6.0
+    feet: Annotated[Feet, About("Feet on the floor", "Which standing feet are held in place.")] = "auto"
+    appearance: Annotated[
+        Appearance,
+        About(
+            "Colours of clothes",
+            "Whether people in videos are told apart by the colours of their clothes too, with the method `tracking`.",
+        ),
+    ] = "on"
+    joint_centers: Annotated[
+        JointCenters,
+        About(
+            "Joint centres",
+            "Offsets by which the fit moves joints from the detector's marks to the joints' centres.",
+        ),
+    ] = "auto"
+    refine_calibration: Annotated[
+        RefineCalibration,
+        About(
+            "Refinement of the calibration",
+            "Whether the calibration is refined from the people of the take.",
+        ),
+    ] = "off"
+    sync: Annotated[Sync, About("Synchronisation", "How it is known when the frames of each camera were taken.")] = (
+        "declared"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class JobChoices(MotionChoices):
+    """Choices of a job; ``worker.store.spec.JobSpec`` has these fields."""
+
+    frame_range: Annotated[
+        tuple[int, int] | None,
+        About(
+            "Frames",
+            "First output frame of the session and the one after the last.",
+            minimum=0,
+            unset="all frames",
+            option="frames",
+        ),
+    ] = None
+    output_rate_hz: Annotated[
+        float | None,
+        About(
+            "Frame rate of the files, Hz",
+            "Frame rate of the motion in all files, in Hz; metrics are of the session's rate.",
+            minimum=1.0,
+            maximum=240.0,
+            unset="the session's rate",
+            option="output-rate",
+        ),
+    ] = None
+    people: Annotated[
+        Annotated[Literal["auto"], Value("everybody")] | int,
+        About(
+            "Largest number of people",
+            "Largest number of people: those whom most cameras saw for longest.",
+            minimum=1,
+            maximum=1000,
+            group="people",
+        ),
+    ] = "auto"
+    exports: Annotated[
+        tuple[Export, ...],
+        About(
+            "Files of each person",
+            "Formats of each person's files, beside `skeletons.json` and `metrics.json`.",
+            group="purpose",
+        ),
+    ] = ("bvh",)
+    bvh: Annotated[
+        Preset,
+        About(
+            "Application for BVH and FBX files",
+            "Application that BVH and FBX files are written for: names, axes, unit and rest pose.",
+            option="preset",
+            group="purpose",
+        ),
+    ] = "default"
+    timeline: Annotated[
+        Timeline,
+        About(
+            "Frames of the files",
+            "Frames of each person's files: people of a take are in step after the import if all files have those of "
+            "the take.",
+            group="purpose",
+        ),
+    ] = "take"
+    body: Annotated[
+        Body,
+        About(
+            "Body of GLB, FBX and USD files",
+            "Body of the people in GLB, FBX and USD files. A human needs `multicap bodies install` where files are "
+            "written.",
+            group="purpose",
+        ),
+    ] = "capsules"
+    report: Annotated[
+        bool,
+        About(
+            "Report",
+            "Whether `report.html` is made: one file with the motion in 3D, pictures of the cameras and the quality of "
+            "each person.",
+        ),
+    ] = False
+    overlay: Annotated[
+        bool,
+        About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),
+    ] = False
+    blur_faces: Annotated[
+        bool,
+        About("Blurred faces", "Whether heads are unrecognisable in all pictures shown of the session's videos."),
+    ] = False
+    force: Annotated[
+        bool,
+        About(
+            "Despite errors",
+            "Whether the session is reconstructed although its check finds errors, which make results wrong.",
+        ),
+    ] = False
+
+
+DEFAULT_CHUNK_FRAMES = 100
+
+
+@dataclass(frozen=True, slots=True)
+class ReconstructionConfig(JobChoices):
+    """Configuration of one reconstruction; the result does not depend on the last two fields.
+
+    Parameters
+    ----------
+    tracking
+        Parameters of the tracker by name, instead of those that are derived from the session; see
+        ``tracking.parameters.TrackingParameters``.
+    clustering
+        Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
+    making
+        Choices of what is made in place of a reconstruction; ``None``: it reconstructs.
+    edits
+        Edits of the people who were found, in the order in which they were made.
+    character
+        Digest of the character onto which everybody is retargeted, see ``pipeline.export.character.source``; ``None``:
+        nobody is.
+    chunk_frames
+        Output frames of one chunk, which is decoded and detected as one piece, of one camera.
+    processes
+        Number of processes, each with a single-threaded network of its own.
+    """
+
+    tracking: Mapping[str, float] = field(default_factory=dict)
+    clustering: Mapping[str, float] = field(default_factory=dict)
+    making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
+    edits: tuple[PeopleEdit, ...] = ()
+    blurs_videos: bool = False  # Copies of the videos with blurred heads are made, for players
+    character: str | None = None
+    chunk_frames: Annotated[
+        int,
+        About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),
+    ] = DEFAULT_CHUNK_FRAMES
+    processes: Annotated[
+        int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)
+    ] = 1
+
+    @property
+    def frames(self) -> range | None:
+        """Output frames of the session to reconstruct; ``None``: all."""
+        return None if self.frame_range is None else range(*self.frame_range)
+
+    @property
+    def num_people(self) -> int | None:
+        """Largest number of people; ``None``: everybody."""
+        return None if self.people == "auto" else self.people
+
+    @property
+    def is_of_people(self) -> bool:
+        """Whether people are reconstructed, or visuals are made of people who were reconstructed."""
+        return self.making is None or isinstance(self.making, VisualChoices)
+
+    @property
+    def uses_fields(self) -> bool:
+        """Whether people are found from part affinity fields, where there are videos."""
+        network = NETWORKS.get(networks_of(self).body)
+        return self.method == "clustering" and network is not None and network.leaves_fields
+
+    @property
+    def uses_colours(self) -> bool:
+        """Whether the colours of clothes are measured, where there are videos."""
+        return self.is_of_people and self.method == "tracking" and self.appearance == "on"
+
+
+def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:
+    """Warnings about choices for a session of videos or of keypoints, a sentence each."""
+    found = []
+    if config.method == "clustering" and not (has_videos and config.uses_fields):
+        found.append(
+            "Clustering takes whole bodies for evidence: two joints are connected where one detection has both."
+        )
+    if config.overlay and not has_videos:
+        found.append("Overlay videos are drawn over videos; a session of keypoints has none, so none is made.")
+    return tuple(found)
+
+
+CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}
+"""Choices of jobs by name."""
+NETWORKS = cast(Mapping[Detector, Network], values_of(Detector, Network))
+"""Detector networks by name: those that find people in whole images."""
+
+JointsOfBody = Literal["body", "feet", "whole"]
+PROFILES = cast(Mapping[Profile, Value], values_of(Profile, Value))  # by name
+JOINTS: tuple[JointsOfBody, ...] = get_args(JointsOfBody)
+"""Values of the choice ``joints`` that name joints."""
+
+
+@dataclass(frozen=True, slots=True)
+class Networks:
+    """Networks of a reconstruction by their names in ``pipeline.detection.entries``."""
+
+    body: str  # Network that finds bodies in whole images
+    # Network that reads joints, heels and toes in the crop of each body; ``None`` without crops
+    near: str | None = None
+    hand: str | None = None  # Network that reads fingers in the crop of each hand; ``None`` without fingers
+    # Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone
+    refines_body: bool = False
+    # Network that reads the joints of leaning bodies again, in crops that 3D places; ``None``: nobody is detected again
+    again: str | None = None
+    is_sized: bool = False  # Whether the size of the images for ``body`` follows the size of the people in them
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all networks, which have to be installed."""
+        return tuple(name for name in dict.fromkeys((self.body, self.near, self.hand, self.again)) if name)
+
+
+@dataclass(frozen=True, slots=True)
+class _ProfileNetworks:
+    body: str
+    near: str
+    refines_body: bool
+    joints: JointsOfBody
+
+
+_PROFILES: Mapping[Profile, _ProfileNetworks] = {
+    "fast": _ProfileNetworks("movenet-multipose-int8", "blazepose-full", refines_body=False, joints="body"),
+    "balanced": _ProfileNetworks("movenet-multipose-int8", "blazepose-full", refines_body=True, joints="feet"),
+    "accurate": _ProfileNetworks("movenet-multipose", "blazepose-heavy", refines_body=True, joints="feet"),
+}
+_HAND = "mediapipe-hand"
+
+
+def networks_of(choices: MotionChoices) -> Networks:
+    """Networks for the choices ``profile``, ``joints`` and ``detector``."""
+    if choices.detector != "auto":
+        return Networks(choices.detector)
+    profile, joints = _PROFILES[choices.profile], detected_joints(choices)
+    has_feet = joints != "body"
+    return Networks(
+        profile.body,
+        near=profile.near if profile.refines_body or has_feet else None,
+        hand=_HAND if joints == "whole" else None,
+        refines_body=profile.refines_body,
+        again=profile.near,
+        is_sized=True,
+    )
+
+
+def detected_joints(choices: MotionChoices) -> JointsOfBody:
+    """Joints that the networks of the profile detect; a single ``detector`` has joints of its own."""
+    return _PROFILES[choices.profile].joints if choices.joints == "auto" else choices.joints
+
+
+FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
+"""Formats of people's files by name."""
+
+
+def ending_of(export: Export) -> str:
+    """Ending of the names of a format's files, without the dot."""
+    return FILE_FORMATS[export].ending or export
+
+
+def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
+    """Formats of people's files that ``pipeline.export`` writes; stages of their own make the others."""
+    return tuple(export for export in exports if FILE_FORMATS[export].holds not in {"recording", "model"})
+
+
+def without_recordings(exports: Iterable[Export]) -> tuple[Export, ...]:
+    """Formats of files of which each person has one; recordings are of the whole take."""
+    return tuple(export for export in exports if FILE_FORMATS[export].holds != "recording")
+
+
+def is_installed(export: Export) -> bool:
+    """True if the package and the file that a format needs are installed here, or it needs none."""
+    package, file = FILE_FORMATS[export].package, FILE_FORMATS[export].file
+    has_package = package is None or find_spec(package.module) is not None
+    return has_package and (file is None or (home() / file.path).is_file())
+
+
+def installed_formats() -> tuple[Export, ...]:
+    """Formats whose files can be written here."""
+    return tuple(filter(is_installed, FILE_FORMATS))
+
+
+def _networks_of_profiles() -> tuple[str, ...]:
+    choices = (JobChoices(profile=profile, joints=joints) for profile in PROFILES for joints in JOINTS)
+    return tuple(dict.fromkeys(name for choice in choices for name in networks_of(choice).names))
+
+
+NETWORKS_OF_PROFILES = _networks_of_profiles()
+"""Names of the networks of all profiles."""
+
+INSTALL_BODY = "Run: multicap bodies install"
+"""Sentence that tells how to install the human body."""
+
+
+def install_command(*names: str) -> str:
+    """Sentence that tells how to install networks."""
+    publishers = {name: network.publisher for name in names if (network := NETWORKS.get(name))}
+    if own := next((name for name in names if name.startswith("own-")), None):
+        return f"Add the file of {own}: multicap models add FILE --head HEAD --joints LAYOUT"
+    for name, publisher in publishers.items():
+        if publisher is not None:
+            return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
+    return f"Run: multicap models install {' '.join(names)}"

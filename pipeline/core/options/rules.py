@@ -1,0 +1,177 @@
+"""Rules of a reconstruction's choices: which values each may have, which go together, and which suit a session.
+
+The spec of a job, the command line and ``reconstruct`` ask here, so that each rule has one sentence and all problems
+are found at once. Values and limits are those that ``pipeline.core.options.config`` declares. Standard library only.
+"""
+
+import contextlib
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from numbers import Real
+from typing import Any
+
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.choices import Choice, choices_of
+from pipeline.core.options.config import (
+    FILE_FORMATS,
+    MAX_OUTPUT_FRAMES,
+    Export,
+    JobChoices,
+    ReconstructionConfig,
+    Smoothing,
+    installed_formats,
+)
+from pipeline.core.options.requirements import Steps, faults, path_text, requirement
+from pipeline.core.problems.commands import UNKNOWN_PARAMETER
+from pipeline.core.problems.fields import EXPORT_REPEATED
+from pipeline.core.problems.sessions import TOO_MANY_FRAMES
+from pipeline.core.problems.specs import CUTOFF_RANGE, FORMAT_NOT_INSTALLED, FRAME_RANGE
+
+CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
+"""Choices of a reconstruction on this machine by name: those of jobs, and others."""
+SAME_INSTANT = 1e-9
+"""Part of a frame by which two instants differ that are the same but for rounding."""
+
+
+def require(problems: Iterable[Problem]) -> None:
+    """Raise ``InputError`` if there are any problems."""
+    if found := tuple(problems):
+        raise InputError(found)
+
+
+@contextlib.contextmanager
+def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
+    """Collect the problems of several steps, and raise them together at the end of the block."""
+    problems: list[Problem] = []
+
+    def collect(step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except InputError as error:
+            problems.extend(error.problems)
+            return None
+
+    yield collect
+    require(problems)
+
+
+def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz: float) -> Iterator[Problem]:
+    """Find everything that is wrong with a configuration for a session of so many output frames.
+
+    Choices are compared with each other and with the session only if they have values that they may have.
+    """
+    wrong = tuple(value_problems({name: getattr(config, name) for name in CONFIG_CHOICES}))
+    yield from wrong
+    if not wrong:
+        yield from session_problems(config, num_frames, frame_rate_hz)
+        yield from format_problems(config.exports, installed_formats())
+        yield from _foreign_parameters(config)
+
+
+def value_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
+    """Find values that a choice may not have; ``values`` are by the names of the choices."""
+    for name, value in values.items():
+        yield from (problem for _, problem in value_faults(CONFIG_CHOICES[name], value))
+
+
+def value_faults(choice: Choice, value: Any) -> list[tuple[Steps, Problem]]:
+    """Find what is wrong with a value of a choice: problems, with the steps from the value to what is wrong."""
+    found = []
+    words: dict[int, str] = {}  # of each schema: a list may have thousands of wrong items
+    for steps, code, schema in faults(choice.schema, value):
+        field = path_text((choice.name, *steps))
+        if id(schema) not in words:
+            words[id(schema)] = requirement(schema, {})
+        found.append((steps, Problem(code, f"{field} must be {words[id(schema)]}.", field=field)))
+    if not found and choice.kind == "several" and len(set(value)) < len(value):
+        message = f"{choice.name} must name each format once."
+        found.append(((), Problem(EXPORT_REPEATED, message, field=choice.name)))
+    return found
+
+
+def value_of(choice: Choice, value: Any) -> Any:
+    """Plain value of a choice without faults: a tuple for a list, numbers of Python."""
+    if isinstance(value, list | tuple):
+        return tuple(value_of(choice, item) for item in value)
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if is_number:
+        return float(value) if choice.kind == "number" else int(value)
+    return value
+
+
+def session_problems(choices: JobChoices, num_frames: int, frame_rate_hz: float) -> Iterator[Problem]:
+    """Find choices that do not suit a session of so many output frames."""
+    if choices.frame_range is not None:
+        start, stop = choices.frame_range
+        wrong = tuple(frame_range_problems(start, stop, num_frames))
+        yield from wrong
+        num_frames = num_frames if wrong else stop - start
+    yield from cutoff_problems(choices.smoothing, choices.cutoff_hz, frame_rate_hz)
+    yield from file_problems(choices.exports, num_frames, frame_rate_hz, choices.output_rate_hz)
+
+
+def frame_range_problems(start: int, stop: int, num_frames: int) -> Iterator[Problem]:
+    """Find out whether a session lacks a range of output frames."""
+    if not 0 <= start < stop <= num_frames:
+        message = f"The session has the output frames 0 to {num_frames}, not {start} to {stop}."
+        hint = "The second number is the one after the last frame."
+        yield Problem(FRAME_RANGE, message, field="frame_range", hint=hint)
+
+
+def cutoff_problems(smoothing: Smoothing, cutoff_hz: float, frame_rate_hz: float) -> Iterator[Problem]:
+    """Find out whether a low-pass is impossible at a frame rate."""
+    if smoothing == "butterworth" and not 0 < cutoff_hz < frame_rate_hz / 2:
+        message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
+        yield Problem(CUTOFF_RANGE, message, field="cutoff_hz", hint="6 Hz suits most movements.")
+
+
+def file_problems(
+    exports: Collection[Export], num_frames: int, frame_rate_hz: float, output_rate_hz: float | None
+) -> Iterator[Problem]:
+    """Find out whether result files have more frames than they may.
+
+    Parameters
+    ----------
+    output_rate_hz
+        Rate of the motion in the files; ``None``: the session's rate.
+    """
+    if output_rate_hz is not None:
+        num_frames = num_resampled(num_frames, frame_rate_hz, output_rate_hz)
+    if num_frames > MAX_OUTPUT_FRAMES:
+        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
+        hint = "Ask for a lower rate, or for fewer frames by frame_range."
+        yield Problem(TOO_MANY_FRAMES, message, field="output_rate_hz", hint=hint)
+
+
+def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:
+    """Find formats whose package, or whose file, is missing.
+
+    Parameters
+    ----------
+    installed
+        Formats that can be written.
+    """
+    for export, form in FILE_FORMATS.items():
+        if form.package is None or export not in exports or export in installed:
+            continue
+        command = f"pip install multicap[{form.package.extra}]"
+        if form.file is None:
+            message = f"{export.upper()} files need the package {form.package.name}, which is not installed."
+            hint = f"Install it by Multicap's extra: {command}. Or use another format."
+        else:
+            needed = f"the package {form.package.name} and {form.file.name}"
+            message = f"{export.upper()} files need {needed}, of which one or both are not installed."
+            hint = f"Install them: {command}, then {form.file.install}. Or use another format."
+        yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
+
+
+def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:
+    """Number of frames at another rate with the same first frame, the last one not after the old last one."""
+    return math.floor((num_frames - 1) / (frame_rate_hz / new_rate_hz) + SAME_INSTANT) + 1
+
+
+def _foreign_parameters(config: ReconstructionConfig) -> Iterator[Problem]:
+    """Find parameters of the method that is not used."""
+    if foreign := config.clustering if config.method == "tracking" else config.tracking:
+        message = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
+        yield Problem(UNKNOWN_PARAMETER, message, hint="Omit them, or use the other method.")

@@ -1,1 +1,0 @@
-"""2D joint detection: registry of networks, ONNX Runtime sessions, and decoders of network outputs."""

@@ -1,0 +1,172 @@
+"""Files of the user's own networks: added after a check, listed, and read as entries of the registry."""
+
+import hashlib
+import json
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.core.errors import ModelError
+from pipeline.core.layouts import LAYOUTS
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.core.runtime.parent_watch import tied_to_parent
+from pipeline.detection.own_network import OwnNetwork, decode_description, encode_description
+from pipeline.detection.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput
+
+OWN_PREFIX = "own-"
+UNKNOWN_LICENCE = "unknown"
+_NAME = re.compile(r"own-[a-z0-9]+(?:-[a-z0-9]+)*-[0-9a-f]{12}")
+_MAX_BYTES = 2**30
+_MAX_INPUT_PX = 2048
+_TIMEOUT_S = 60.0
+_OUT_OF_TIME = frozenset({-signal.SIGXCPU, -signal.SIGKILL})
+_NUM_NAME = 40
+
+
+def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> str:
+    """Check an ONNX file, and copy it to the folder of models with its description.
+
+    Parameters
+    ----------
+    has_chosen_size
+        Whether the size of the input must be that of the description; otherwise a fixed size of the file counts.
+
+    Returns
+    -------
+        Name of the network as a detector: ``own-NAME-DIGEST``. The digest is that of the file and its description.
+
+    Raises
+    ------
+    ModelError
+        If the file can't be read or used; the message names it, and says what to do.
+    """
+    if max(network.input_px) > _MAX_INPUT_PX or min(network.input_px) < 1:
+        raise ModelError(f"The sides of an input have 1 to {_MAX_INPUT_PX} pixels; see --input-size.")
+    folder = home() / "models"
+    with storage_errors():
+        folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".own-") as scratch:
+        # A copy, so that the checked file is the added file.
+        copy = Path(scratch) / "network.onnx"
+        _copy(path, copy)
+        shapes = _run_check(copy, path.name, network.input_px)
+        network = _with_size(network, shapes["input"], has_chosen_size, path.name)
+        _check_outputs(network, list(shapes["outputs"].values()), path.name)
+        content, description = copy.read_bytes(), encode_description(network)
+    digest = hashlib.sha256(content + description).hexdigest()[:12]
+    slug = re.sub(r"[^a-z0-9]+", "-", path.stem.lower())[:_NUM_NAME].strip("-") or "network"
+    name = f"{OWN_PREFIX}{slug}-{digest}"
+    target = folder / f"{name}.onnx"
+    with exclusive(target):
+        write_file(target.with_suffix(".json"), description)
+        write_file(target, content)
+    return name
+
+
+def own_names() -> tuple[str, ...]:
+    """Names of the networks that were added, sorted."""
+    return tuple(sorted(path.stem for path in (home() / "models").glob("own-*.onnx") if _NAME.fullmatch(path.stem)))
+
+
+def own_entry(name: str) -> NetworkEntry:
+    """Entry of a network that was added.
+
+    Raises ``ModelError`` if there is no such network, or its files were changed.
+    """
+    path = home() / "models" / f"{name}.onnx"
+    if not _NAME.fullmatch(name) or not path.is_file():
+        raise ModelError(f"There is no network {name!r}. Add its file: multicap models add FILE --head HEAD ...")
+    with storage_errors():
+        description = path.with_suffix(".json")
+        own = decode_description(description.read_bytes(), description.name)
+        sha256, num_bytes = sha256_of(path), path.stat().st_size
+        digest = hashlib.sha256(path.read_bytes() + encode_description(own)).hexdigest()[:12]
+    if not name.endswith(digest):
+        raise ModelError(f"The file of the network {name} was changed. Add it again: multicap models add FILE ...")
+    return NetworkEntry(
+        name=name,
+        source=LooseWeights(()),
+        convert=b"".join,
+        sha256=sha256,
+        num_bytes=num_bytes,
+        licence=UNKNOWN_LICENCE,
+        input=NetworkInput(own.channels, multiple=1, scaled_px=max(own.input_px)),
+        head=NetworkHead.OWN,
+        joints=LAYOUTS[own.layout].joints,
+        own=own,
+    )
+
+
+def _copy(source: Path, target: Path) -> None:
+    try:
+        if source.stat().st_size > _MAX_BYTES:
+            raise ModelError(f"{source.name} is larger than networks may be ({_MAX_BYTES >> 20} MiB).")
+        shutil.copyfile(source, target)
+    except OSError as error:
+        raise ModelError(f"{source.name} can't be read or copied: {error.strerror}.") from error
+
+
+def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[str, Any]:
+    """Check a file in a child process, which ends with this one; returns the shapes of its input and outputs."""
+    command = tied_to_parent(module_command("pipeline.detection.own.check", str(path), *map(str, input_px)))
+    try:
+        done = subprocess.run(command, capture_output=True, check=False, timeout=_TIMEOUT_S)  # noqa: S603 (our module)
+    except subprocess.TimeoutExpired as error:
+        raise _endless(filename) from error
+    if done.returncode in _OUT_OF_TIME:
+        raise _endless(filename)
+    try:
+        answer: dict[str, Any] = json.loads(done.stdout)
+    except ValueError as error:
+        raise ModelError(f"{filename} can't be used: its check took too much memory.") from error
+    if "problem" in answer:
+        raise ModelError(f"{filename} can't be used: {answer['problem']}.")
+    return answer
+
+
+def _endless(filename: str) -> ModelError:
+    return ModelError(
+        f"{filename} can't be used: it gave no output for one image within the time of the check. Use a network "
+        "without endless loops, or a smaller one."
+    )
+
+
+def _with_size(network: OwnNetwork, shape: Sequence[int | None], has_chosen_size: bool, filename: str) -> OwnNetwork:
+    """Network with the size of its input; ``shape`` is that of the file, with ``None`` for open axes."""
+    batch, channels, height, width = shape
+    if batch not in {None, 1} or channels not in {None, 3}:
+        raise ModelError(f"{filename} can't be used: its input must be (1, 3, height, width), it is {list(shape)}.")
+    size = (width or network.input_px[0], height or network.input_px[1])
+    if has_chosen_size and size != network.input_px:
+        raise ModelError(f"{filename} has an input of {size[0]}x{size[1]} pixels: use --input-size {size[0]}x{size[1]}")
+    return replace(network, input_px=size)
+
+
+def _check_outputs(network: OwnNetwork, shapes: Sequence[Sequence[int]], filename: str) -> None:
+    num_points = len(LAYOUTS[network.layout].points)
+    width, height = network.input_px
+    match network.head, [tuple(shape) for shape in shapes]:
+        case "simcc", [(1, in_x, bins_x), (1, in_y, bins_y)]:
+            fits, num_outputs = bins_x * height == bins_y * width and in_x == in_y and bins_x >= width, in_x
+        case "heatmaps", [(1, num_outputs, rows, columns)]:
+            fits = min(rows, columns) >= 2
+        case "rtmo", [(1, num_boxes, 5), (1, num_people, num_outputs, 3)]:
+            fits = num_boxes == num_people
+        case _:
+            fits, num_outputs = False, num_points
+    if not fits:
+        raise ModelError(
+            f"{filename} has no outputs of the head {network.head}: it gives {[list(shape) for shape in shapes]}. "
+            "See docs/detectors.md for the outputs of each head."
+        )
+    if num_outputs != num_points:
+        alike = [layout.name for layout in LAYOUTS.values() if len(layout.points) == num_outputs]
+        hint = f" Use --joints {' or '.join(alike)}." if alike else ""
+        raise ModelError(f"{filename} finds {num_outputs} points, {network.layout} has {num_points}.{hint}")

@@ -1,0 +1,269 @@
+"""Archive of a person for OpenSim: markers, setups, the scaled model and its motion."""
+
+import errno
+import json
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import ending_of
+from pipeline.core.progress import OnShare, ignore, split
+from pipeline.export.opensim.installed import ATTRIBUTION, LICENCE_FILE, load
+from pipeline.export.opensim.markers import MarkerPaths, marker_paths
+from pipeline.export.opensim.process import OpenSimLog, run_opensim
+from pipeline.export.opensim.scaling import ModelSize, size_of
+from pipeline.export.opensim.setup_files import (
+    GENERIC_MODEL,
+    IK_SETUP,
+    MARKER_PATHS,
+    MARKER_SET,
+    MOTION,
+    SCALE_SETUP,
+    SCALED_MODEL,
+    columns_of,
+    encode_ik_setup,
+    encode_marker_set,
+    encode_paths,
+    encode_scale_setup,
+    marker_errors_file,
+)
+from pipeline.export.origin import file_origin_m
+from pipeline.export.person_files import replacing, spoilt, without_resting_fingers
+from pipeline.export.results import at_rate
+
+REPORT, README = "report.json", "README.txt"
+
+# Frames below which there is no motion to speak of.
+_MIN_FRAMES = 2
+_MM_PER_M = 1000.0
+# Time of all members of an archive, the first that zips know: equal results are equal bytes.
+_DATE = (1980, 1, 1, 0, 0, 0)
+_LEAST_FREE_BYTES = 2**20
+# OpenSim begins at its model's own place, and may not find people who are hundreds of metres away.
+_NEAR_M = 20.0
+# Errors of markers of a model that did not find the person.
+_LOST_MM = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSimPerson:
+    """Results of OpenSim for a person."""
+
+    id: int
+    num_frames: int  # Frames that the motion has: those in which the pelvis is known
+    stature_m: float | None = None
+    mass_kg: float | None = None
+    # Root mean square of the errors of all markers over all frames
+    marker_rms_mm: float | None = None
+    # Marker that was farthest off in any frame, by how much, and when
+    farthest_marker: str | None = None
+    farthest_mm: float | None = None
+    farthest_time_s: float | None = None
+    problem: str | None = None  # Sentence about what is missing, and why; ``None``: nothing is
+
+    def document(self) -> dict[str, Any]:
+        """Figures as JSON, rounded."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: round(value, 4) if isinstance(value, float) else value for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenPerson:
+    """A person's archive."""
+
+    path: Path | None  # ``None`` for a person without a frame that OpenSim could use
+    person: OpenSimPerson
+
+
+def write_opensim_files(
+    take: Reconstruction,
+    rows: slice,
+    folder: Path,
+    frame_rate_hz: float | None = None,
+    on_share: OnShare = ignore,
+) -> Iterator[WrittenPerson]:
+    """Scale OpenSim's model to some people of a take, and write an archive for each.
+
+    Parameters
+    ----------
+    rows
+        People among the tracks.
+    folder
+        Folder of the archives, which exists; OpenSim works in a folder inside.
+    frame_rate_hz
+        Rate of the motion; ``None``: the session's rate.
+    on_share
+        Called with the progress.
+
+    Yields
+    ------
+        Archives when they are complete. One in whose place there is a problem has no model or no motion.
+
+    Raises
+    ------
+    ModelError
+        If the generic model is not installed, or was changed.
+    ChildError
+        If OpenSim is ended from outside.
+    OSError
+        If a file can't be written, or the disk is full.
+    """
+    model, licence = load()
+    shown = at_rate(take, frame_rate_hz)
+    people = list(zip(shown.tracks, shown.motions, strict=True))[rows]
+    origin_m = file_origin_m(shown.cameras, _NEAR_M)
+    for (track, motion), on_person in zip(
+        people, split(on_share, [track.num_frames for track, _ in people]), strict=True
+    ):
+        with tempfile.TemporaryDirectory(prefix=".opensim-", dir=folder) as scratch:
+            work = _Work(
+                Path(scratch), f"person-{track.track_id}", track, motion, shown.joints, shown.timebase, origin_m
+            )
+            yield work.write(folder, model, licence, on_person)
+    on_share(1.0)
+
+
+class _Work:
+    """Work on a person in a folder of its own."""
+
+    def __init__(
+        self,
+        scratch: Path,
+        name: str,
+        track: Track3D,
+        motion: SkeletonMotion,
+        joints: JointSet,
+        timebase: Timebase,
+        origin_m: Float[np.ndarray, " 3"],
+    ) -> None:
+        self.scratch, self.name, self.timebase, self.motion, self.joints = scratch, name, timebase, motion, joints
+        self.track, self.origin_m = without_resting_fingers(track, joints), origin_m
+
+    def write(self, folder: Path, model: bytes, licence: bytes, on_share: OnShare) -> WrittenPerson:
+        """Write a person's archive."""
+        number = self.track.track_id
+        size = size_of(self.motion, self.track, self.joints)
+        paths = marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
+        if len(paths.frames) < _MIN_FRAMES:
+            problem = "Hips and shoulders are known together in fewer than two frames: OpenSim's model has no place."
+            return WrittenPerson(None, OpenSimPerson(number, len(paths.frames), problem=problem))
+        (self.scratch / GENERIC_MODEL).write_bytes(model)
+        (self.scratch / LICENCE_FILE).write_bytes(licence)
+        self._write_setups(size, paths)
+        person = self._run(size, paths, on_share)
+        (self.scratch / README).write_text(_readme(person), encoding="utf-8")
+        report = person.document() | {
+            "factors": {body: [round(factor, 4) for factor in factors] for body, factors in size.factors.items()},
+            "markers": list(paths.names),
+            "origin_m": self.origin_m.tolist(),
+        }
+        (self.scratch / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        target = folder / f"{self.name}.{ending_of('osim')}"
+        with replacing(target, ()) as part:
+            self._pack(part)
+        return WrittenPerson(target, person)
+
+    def _write_setups(self, size: ModelSize, paths: MarkerPaths) -> None:
+        with (self.scratch / MARKER_PATHS).open("wb") as file:
+            file.writelines(encode_paths(paths, self.timebase))
+        for name, content in (
+            (MARKER_SET, encode_marker_set(paths.names, size)),
+            (SCALE_SETUP, encode_scale_setup(self.name, size)),
+            (IK_SETUP, encode_ik_setup(self.name, paths, self.timebase)),
+        ):
+            (self.scratch / name).write_bytes(content)
+
+    def _run(self, size: ModelSize, paths: MarkerPaths, on_share: OnShare) -> OpenSimPerson:
+        """Run OpenSim, and read what it wrote."""
+        number, num_frames = self.track.track_id, len(paths.frames)
+        if odd := size.odd_bodies:
+            of_bodies = ", ".join(f"{body} ({_factors_text(size, body)})" for body in odd)
+            sentence = f"The model can't be scaled to bones of these lengths: {of_bodies} times the generic model."
+            return OpenSimPerson(number, num_frames, size.stature_m, size.mass_kg, problem=sentence)
+        log, problem = run_opensim(self.scratch, num_frames, on_share)
+        rms_mm = self._read_back(num_frames) if problem is None else None
+        if rms_mm is not None and rms_mm > _LOST_MM:
+            problem = (
+                f"The model is {rms_mm:.0f} mm from the markers, {log.farthest} farthest at {log.farthest_time_s:g} s."
+            )
+        self._require_space()
+        return OpenSimPerson(number, num_frames, size.stature_m, size.mass_kg, rms_mm, *_farthest(log), problem)
+
+    def _read_back(self, num_frames: int) -> float:
+        """Read back what OpenSim has written; the RMS of the markers. ``OSError`` if it is not whole."""
+        for name in (SCALED_MODEL, MOTION, marker_errors_file(self.name)):
+            path = self.scratch / name
+            content = path.read_text(encoding="utf-8") if path.is_file() else ""
+            if name == SCALED_MODEL:
+                is_whole = content.rstrip().endswith("</OpenSimDocument>")
+            else:
+                columns = columns_of(content)
+                is_whole = bool(columns) and all(
+                    len(values) == num_frames and np.isfinite(values).all() for values in columns.values()
+                )
+            if not is_whole:
+                self._require_space()
+                raise spoilt(path)
+        rms_m = columns["marker_error_RMS"]
+        return _MM_PER_M * float(np.sqrt(np.mean(rms_m**2)))
+
+    def _require_space(self) -> None:
+        """Raise ``OSError`` if the disk is full: OpenSim does not say so."""
+        if shutil.disk_usage(self.scratch).free < _LEAST_FREE_BYTES:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def _pack(self, target: Path) -> None:
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted(self.scratch.iterdir()):
+                info = zipfile.ZipInfo(f"{self.name}/{path.name}", _DATE)
+                info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+                with path.open("rb") as source, archive.open(info, "w") as packed:
+                    shutil.copyfileobj(source, packed)
+
+
+def _farthest(log: OpenSimLog) -> tuple[str | None, float | None, float | None]:
+    if log.farthest is None:
+        return None, None, None
+    return log.farthest, _MM_PER_M * log.farthest_m, log.farthest_time_s
+
+
+def _factors_text(size: ModelSize, body: str) -> str:
+    return " ".join(f"{factor:.2f}" for factor in dict.fromkeys(size.factors[body]))
+
+
+def _readme(person: OpenSimPerson) -> str:
+    """Text that tells what is in an archive, and how OpenSim is run on it."""
+    found = f"Not complete: {person.problem}\n\n" if person.problem else ""
+    return f"""Person {person.id} for OpenSim 4.
+
+{found}{MARKER_PATHS}  paths of the markers: metres, Y up; frames in which the pelvis is unknown are left out
+{GENERIC_MODEL}  generic model
+{MARKER_SET}  markers of the model
+{SCALE_SETUP}    setup of the scale tool: makes {SCALED_MODEL}
+{SCALED_MODEL}   model of the size of the person
+{IK_SETUP}       setup of the inverse kinematics: makes {MOTION}
+{MOTION}       coordinates of the model over time, degrees and metres
+{REPORT}  stature, mass, factors of the bodies, errors of the markers
+
+To run it again: load the setups in OpenSim's windows Scale Model and Inverse Kinematics, or start in this folder
+  opensim-cmd run-tool {SCALE_SETUP}
+  opensim-cmd run-tool {IK_SETUP}
+or, with the Python package opensim, also in this folder:
+  python -c "import opensim; opensim.ScaleTool('{SCALE_SETUP}').run()"
+  python -c "import opensim; opensim.InverseKinematicsTool('{IK_SETUP}').run()"
+
+{ATTRIBUTION}
+Its terms are in {LICENCE_FILE}.
+"""

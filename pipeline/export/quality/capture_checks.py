@@ -1,0 +1,422 @@
+"""Checks of the capture: people were found, and enough cameras saw them.
+
+Usual causes of a failed check are too few cameras, cameras with other fields of view, and a calibration of another
+set-up, with which no two cameras agree on a person.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from pipeline.association.identity.likenesses.find import Likenesses
+from pipeline.association.identity.likenesses.mirrored import MirrorImage
+from pipeline.core.data.cameras import Refinement, Synchronization
+from pipeline.core.data.detections import DamagedVideo
+from pipeline.core.data.people import PersonLoss
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.findings import Finding, SessionCheck
+from pipeline.core.problems.warnings import (
+    APPROXIMATE_ASSOCIATION,
+    CALIBRATION_KEPT,
+    CALIBRATION_REFINED,
+    CAMERA_BUMPED,
+    CAMERA_WITHOUT_PEOPLE,
+    DAMAGED_VIDEO,
+    EVERYBODY_REMOVED,
+    FEW_VIEWS,
+    FRAMES_DOUBLED,
+    LIMB_MISMEASURED,
+    MIRROR_IMAGE,
+    NOBODY_FOUND,
+    PERSON_LOST,
+    PERSON_NEVER_MOVES,
+    PHANTOM_ENDED,
+    SYNC_UNCERTAIN,
+    TOO_FEW_CAMERAS,
+    UNCERTAIN_IDENTITY,
+    WORLD_LEVELED,
+)
+from pipeline.export.quality.limbs import MismeasuredLimb, mismeasured_limbs
+from pipeline.export.quality.names import first_names
+
+# With fewer views, a wrong observation can't be detected.
+_MIN_VIEWS = 3
+# Confidence in the identity of a person below which somebody should look.
+_UNCERTAIN = 0.9
+_SHOWN_TIMES = 5
+# A single doubled picture does no harm.
+_MAX_DOUBLED = 0.01
+# Findings that explain an empty result, and are no errors: places may be empty.
+_OF_NOBODY = frozenset({"nobody_detected", "no_common_people"})
+# Findings that a message quotes.
+_MAX_REASONS = 3
+
+
+def capture_checks(
+    reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]], likenesses: Likenesses
+) -> list[dict[str, Any]]:
+    """List the failed checks of the capture, each with ``code`` and ``message``, some with ``evidence``.
+
+    ``seen`` is whether a camera saw any joint of the person in a frame, by track.
+    """
+    names = [camera.name for camera in reconstruction.cameras]
+    limbs = mismeasured_limbs(reconstruction, likenesses.others(len(reconstruction.motions)))
+    checks = (
+        _check_rig(names),
+        _check_videos(reconstruction.damaged),
+        _check_doubled(reconstruction.damaged),
+        _check_people(seen, reconstruction),
+        _check_cameras(names, seen),
+        _check_views(names, seen),
+        _check_association(reconstruction),
+        _check_identity(reconstruction),
+        _check_losses(reconstruction),
+        _check_limbs(limbs),
+        _check_still(reconstruction, likenesses),
+        _check_images(reconstruction, likenesses),
+        _check_refinement(reconstruction.refinement),
+        _check_synchronization(reconstruction.synchronization),
+    )
+    findings: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
+    measured: Mapping[str, Callable[[], dict[str, Any]]] = {
+        NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
+        PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
+        MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
+        PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
+        PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
+        LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
+    }
+    for finding in findings:
+        if finding["code"] in measured:
+            finding["evidence"] = measured[finding["code"]]()
+    return findings
+
+
+def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
+    if len(names) < _MIN_VIEWS:
+        yield (
+            TOO_FEW_CAMERAS,
+            f"The session has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
+        )
+
+
+def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+    described = [
+        f"{video.file} ({len(video.doubled_s)} of {video.num_frames} frames, {_times(video.doubled_s)})"
+        for video in videos
+        if len(video.doubled_s) > max(1, _MAX_DOUBLED * video.num_frames)
+    ]
+    if described:
+        yield (
+            FRAMES_DOUBLED,
+            f"Frames show the picture before once more in {first_names(described)}. People lag behind by a frame "
+            "there; record with a camera that keeps its rate, or export without a constant rate.",
+        )
+
+
+def _times(time_s: Sequence[float]) -> str:
+    more = len(time_s) - _SHOWN_TIMES
+    return f"at {', '.join(f'{second:.2f}' for second in time_s[:_SHOWN_TIMES])} s" + (
+        f" and {more} more" if more > 0 else ""
+    )
+
+
+def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+    damaged = [video for video in videos if video.num_damaged]
+    if not damaged:
+        return
+    described = [
+        f"{video.file} ({video.num_damaged} of {video.num_frames} frames, "
+        f"from {video.first_s:.1f} to {video.last_s:.1f} s)"
+        for video in damaged
+    ]
+    subject = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
+    yield (
+        DAMAGED_VIDEO,
+        f"{subject} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's "
+        "next keyframe.",
+    )
+
+
+def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[str, str]]:
+    if seen:
+        return
+    if take.is_emptied:
+        yield EVERYBODY_REMOVED, "The edits leave nobody of the people who were found. Undo an edit to get them back."
+        return
+    check = take.check
+    errors = list(_reasons(check))
+    reason = (
+        "Check that the calibration belongs to these videos, that the videos are synchronised, and that at least two "
+        "cameras see the same person."
+    )
+    if errors:
+        reason = " ".join(str(finding) for finding in errors[:_MAX_REASONS])
+    elif any(check.people.values()):
+        people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
+        detected = f"People were detected ({people}, at {check.num_instants} instants)"
+        reason = f"{detected}, but not matched across cameras. {reason}"
+    yield NOBODY_FOUND, f"Nobody was found. {reason}"
+
+
+def _reasons(check: SessionCheck) -> Iterator[Finding]:
+    """Findings that explain why nobody was found."""
+    return (finding for finding in check.findings if finding.severity == "error" or finding.code in _OF_NOBODY)
+
+
+def _why_nobody(check: SessionCheck) -> dict[str, Any]:
+    """Reason why nobody was found, and the people who were detected at some instants."""
+    errors = [finding.code for finding in _reasons(check)]
+    not_matched = "not_matched" if any(check.people.values()) else "unknown"
+    return {
+        "reason": errors[0] if errors else not_matched,
+        "people": dict(check.people),
+        "num_instants": check.num_instants,
+    }
+
+
+def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
+    if not seen:
+        return
+    used = np.any([frames.any(0) for frames in seen.values()], axis=0)
+    unused = [name for name, is_used in zip(names, used, strict=True) if not is_used]
+    if len(unused) == 1:
+        yield (
+            CAMERA_WITHOUT_PEOPLE,
+            f"Nobody was matched in {unused[0]}: its video, calibration or timing may be wrong.",
+        )
+    elif unused:
+        yield (
+            CAMERA_WITHOUT_PEOPLE,
+            f"Nobody was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
+            "timing may be wrong.",
+        )
+
+
+def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
+    if len(names) < _MIN_VIEWS:
+        return
+    people = [f"person-{track_id}" for track_id, frames in seen.items() if _has_few_views(frames)]
+    if len(people) == 1:
+        yield FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
+    elif people:
+        yield (
+            FEW_VIEWS,
+            f"{len(people)} people were seen by fewer than {_MIN_VIEWS} cameras in most frames: {first_names(people)}.",
+        )
+
+
+def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+    if reconstruction.num_approximate_frames:
+        yield (
+            APPROXIMATE_ASSOCIATION,
+            f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
+            "many people for an exact matching: a simpler rule matched them.",
+        )
+
+
+def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+    doubtful = [
+        (track.track_id, min(of_person, key=lambda doubt: doubt.confidence))
+        for track, of_person in zip(reconstruction.tracks, reconstruction.doubts, strict=False)
+        if any(doubt.confidence < _UNCERTAIN for doubt in of_person)
+    ]
+    if doubtful:
+        described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
+        yield (
+            UNCERTAIN_IDENTITY,
+            f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
+            "metrics.json lists all of them.",
+        )
+
+
+def _check_losses(take: Reconstruction) -> Iterator[tuple[str, str]]:
+    vanished = [_describe_loss(loss) for loss in take.losses if loss.kind == "vanished"]
+    if vanished:
+        subject = "A person vanishes" if len(vanished) == 1 else "People vanish"
+        yield (
+            PERSON_LOST,
+            f"{subject} in the middle of the room, where cameras view the place: {first_names(vanished)}. The person "
+            "is hidden there, or was not detected or not matched.",
+        )
+    phantoms = [_describe_loss(loss) for loss in take.losses if loss.kind == "phantom"]
+    if phantoms:
+        yield (
+            PHANTOM_ENDED,
+            f"A track was made of other people's limbs, and these frames were taken from it: {first_names(phantoms)}.",
+        )
+
+
+def _describe_loss(loss: PersonLoss) -> str:
+    person = f"person-{loss.track_id}" if loss.track_id else "a track that ended"
+    x_m, y_m, _ = loss.place_m
+    return f"{person} (frames {loss.start_frame} to {loss.stop_frame - 1}, at x {x_m:.1f} m, y {y_m:.1f} m)"
+
+
+def _measured_losses(take: Reconstruction, kind: str) -> dict[str, Any]:
+    people = [
+        {
+            "id": loss.track_id or None,
+            "start_frame": loss.start_frame,
+            "num_frames": loss.stop_frame - loss.start_frame,
+            "place_m": list(loss.place_m),
+        }
+        for loss in take.losses
+        if loss.kind == kind
+    ]
+    return {"people": people}
+
+
+def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[str, str]]:
+    if limbs:
+        described = [
+            f"{limb.name} of person-{limb.track_id} ({1000 * limb.located_m:.0f} mm, used are "
+            f"{1000 * limb.length_m:.0f} mm)"
+            for limb in limbs
+        ]
+        yield (
+            LIMB_MISMEASURED,
+            f"A limb was located with a wrong length in most frames: {first_names(described)}. Views, frames and the "
+            "proportions of the body tell the length that is used. The limb may be hidden.",
+        )
+
+
+def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+    people = [
+        f"person-{take.tracks[person.number].track_id} (by {100 * person.moved_m:.1f} cm at most in "
+        f"{person.num_frames} frames)"
+        for person in likenesses.still
+    ]
+    if people:
+        subject = "A person never moves" if len(people) == 1 else f"{len(people)} people never move"
+        yield (
+            PERSON_NEVER_MOVES,
+            f"{subject}: {first_names(people)}. It is a picture, a figure, or somebody who sleeps, and counts neither "
+            "for the floor nor for the refinement of the calibration. Of a number of people to keep it is the last.",
+        )
+
+
+def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+    images = [
+        f"person-{take.tracks[image.number].track_id} mirrors person-{take.tracks[image.original].track_id} to "
+        f"{100 * image.error_m:.1f} cm in {image.num_frames} frames, in the plane {_plane(image)}"
+        for image in likenesses.images
+    ]
+    if images:
+        subject = "A person is the mirror image of another one" if len(images) == 1 else "People are mirror images"
+        yield (
+            MIRROR_IMAGE,
+            f"{subject}: {first_names(images)}. Images count neither for the floor nor for the refinement of the "
+            "calibration. Of a number of people to keep they are the last.",
+        )
+
+
+def _plane(image: MirrorImage) -> str:
+    """Equation of a mirror's plane, such as ``1.00 x + 0.00 y + 0.00 z = 2.60 m``."""
+    x, y, z = (float(value) + 0.0 for value in np.round(image.normal, 2))
+    return f"{x:.2f} x {y:+.2f} y {z:+.2f} z = {image.offset_m:.2f} m"
+
+
+def _measured_still(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
+    people = [
+        {
+            "id": take.tracks[person.number].track_id,
+            "moved_m": round(person.moved_m, 4),
+            "num_frames": person.num_frames,
+        }
+        for person in likenesses.still
+    ]
+    return {"people": people}
+
+
+def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
+    people = [
+        {
+            "id": take.tracks[image.number].track_id,
+            "mirrors": take.tracks[image.original].track_id,
+            "normal": [round(float(value), 4) + 0.0 for value in image.normal],
+            "offset_m": round(image.offset_m, 4),
+            "error_m": round(image.error_m, 4),
+            "num_frames": image.num_frames,
+        }
+        for image in likenesses.images
+    ]
+    return {"people": people}
+
+
+def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]]:
+    if refinement is None:
+        return
+    errors = f"{refinement.error_before_px:.1f} px", f"{refinement.error_after_px:.1f} px"
+    if refinement.refined:
+        moves = [
+            f"{move.camera} by {move.moved_px:.1f} px in its picture ({move.rotation_deg:.1f} degrees, "
+            f"{100 * move.translation_m:.1f} cm)"
+            for move in refinement.moved
+        ]
+        yield (
+            CALIBRATION_REFINED,
+            f"The calibration did not fit the people: {errors[0]}. It was refined to {errors[1]}. Cameras moved, the "
+            f"largest move first: {first_names(moves)}. Use calibration.json for takes of the same cameras.",
+        )
+    else:
+        yield (
+            CALIBRATION_KEPT,
+            f"The calibration was not refined, and is used as given. {_why_kept(refinement, *errors)}",
+        )
+    if refinement.world is not None:
+        yield (
+            WORLD_LEVELED,
+            f"The floor was tilted by {refinement.world.tilt_deg:.1f} degrees and at a height of "
+            f"{refinement.world.height_m:.2f} m. The world was levelled: feet stand at z = 0. Use calibration.json for "
+            "takes of the same cameras.",
+        )
+    if refinement.bumped:
+        bumps = [
+            f"{bump.camera} from {_minutes(bump.time_s)} on ({bump.rotation_deg:.1f} degrees)"
+            for bump in refinement.bumped
+        ]
+        yield (
+            CAMERA_BUMPED,
+            f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
+            "their own.",
+        )
+
+
+def _why_kept(refinement: Refinement, before: str, after: str) -> str:
+    """Sentences that say why a calibration was not refined."""
+    if refinement.refusal == "few_people":
+        return (
+            f"Cameras share {refinement.num_points} joints of people, too few to compare the cameras: let people walk "
+            "where several cameras see them."
+        )
+    if refinement.refusal == "undetermined" or refinement.most_moved is None:
+        return f"The people, at {before}, determine no camera: let them walk all over the place, for a minute."
+    most = refinement.most_moved
+    return (
+        f"Cameras that fit the people best lower the error from {before} to {after}, by less than a quarter. "
+        f"{most.camera} would move most, by {most.moved_px:.1f} px in its picture ({most.rotation_deg:.1f} degrees)."
+    )
+
+
+def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:
+    if synchronization is not None and synchronization.warnings:
+        described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
+        yield (
+            SYNC_UNCERTAIN,
+            f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "
+            "all cameras see them.",
+        )
+
+
+def _minutes(time_s: float) -> str:
+    """Minutes and seconds, such as 02:14."""
+    return f"{int(time_s) // 60:02d}:{int(time_s) % 60:02d}"
+
+
+def _has_few_views(frames: Bool[np.ndarray, "frames cameras"]) -> bool:
+    views = frames.sum(-1)
+    views = views[views > 0]
+    return bool(2 * np.count_nonzero(views < _MIN_VIEWS) > len(views))

@@ -1,0 +1,219 @@
+"""Joint angles in a report: plots over time and over the strides of gait, left beside right, and ranges of motion."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.core.joints import SIDES
+from pipeline.export.report.markup import Markup, element, joined
+from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.angles.cycles import NUM_POINTS, normalised_cycles
+from pipeline.motion.angles.definitions import ANGLE_NAMES, JOINTS
+from pipeline.motion.gait.strides import Stride
+
+MAX_PEOPLE = 10
+"""Largest number of people whose angles are in a report; ``metrics.json`` has those of all."""
+
+# Angles of limbs that have a plot, and its title.
+_PLOTS = {
+    "hip_flexion": "Hip flexion",
+    "knee_flexion": "Knee flexion",
+    "ankle_dorsiflexion": "Ankle dorsiflexion",
+    "shoulder_elevation": "Shoulder elevation",
+    "elbow_flexion": "Elbow flexion",
+}
+_OVER_STRIDES = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 360, 130, 34, 16, 6
+# Largest number of points of a line: a pixel of the plot has one.
+_MAX_POINTS = _WIDTH - _LEFT
+_LEAST_SPAN_DEG = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonAngles:
+    """Joint angles of a person under the person's name."""
+
+    name: str
+    angles: JointAngles
+    ranges: Mapping[str, Mapping[str, Any]]  # ``angles`` of the person in ``metrics.json``
+    strides: Sequence[Stride] = ()  # Strides of the person's gait; rows are those of the angles
+
+
+def angle_parts(people: Sequence[PersonAngles], frame_rate_hz: float) -> Iterable[Markup]:
+    """Parts of the section on joint angles: for each person plots and a table, folded up if there are several."""
+    for person in people:
+        column = {name: person.angles.angle_deg[:, number] for number, name in enumerate(ANGLE_NAMES)}
+        plots = [
+            _plot(title, {side: column[f"{side}_{name}"] for side in SIDES}, person.angles.start_frame, frame_rate_hz)
+            for name, title in _PLOTS.items()
+            if any(f"{side}_{name}" in person.ranges for side in SIDES)
+        ]
+        yield element(
+            "details",
+            element("summary", person.name),
+            element("div", plots, class_="plots"),
+            *_gait(person, column),
+            _table(person),
+            open=len(people) == 1,
+        )
+
+
+def _gait(person: PersonAngles, column: Mapping[str, Float[np.ndarray, " frames"]]) -> Iterable[Markup]:
+    """Plots over the steady strides from a foot strike to the next one of the same foot; nothing without gait."""
+    plots = []
+    for name in _OVER_STRIDES:
+        cycles = {
+            side: normalised_cycles(
+                column[f"{side}_{name}"],
+                (
+                    (stride.strike_row, stride.next_row)
+                    for stride in person.strides
+                    if stride.side == side and stride.is_steady
+                ),
+            )
+            for side in SIDES
+        }
+        if any(map(len, cycles.values())):
+            plots.append(_cycle_plot(_PLOTS[name], cycles))
+    if plots:
+        yield element("p", "Steady strides, from foot strike to foot strike: mean and one standard deviation.")
+        yield element("div", plots, class_="plots")
+
+
+def _cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles points"]]) -> Markup:
+    """Plot of the mean over cycles of each side, with a band of one standard deviation."""
+    known = {side: cycles for side, cycles in cycles_deg.items() if len(cycles)}
+    mean = {side: cycles.mean(0) for side, cycles in known.items()}
+    std = {
+        side: cycles.std(0, ddof=1) if len(cycles) > 1 else np.zeros(cycles.shape[1]) for side, cycles in known.items()
+    }
+    edges = {side: (mean[side] - std[side], mean[side] + std[side]) for side in known}
+    scale = _Scale.of(np.concatenate([edge for both in edges.values() for edge in both]))
+    across = _LEFT + np.linspace(0.0, 1.0, NUM_POINTS) * (_WIDTH - _LEFT)
+    drawn = []
+    for side, (low, high) in edges.items():
+        outline = [*zip(across, scale.y(low), strict=True), *zip(across[::-1], scale.y(high)[::-1], strict=True)]
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in outline)
+        drawn += [
+            element("polygon", points=points, class_=side),
+            element("path", d=_line(across, scale.y(mean[side])), class_=side),
+        ]
+    words = {
+        side: f"{side}, {len(cycles)} {'stride' if len(cycles) == 1 else 'strides'}" for side, cycles in known.items()
+    }
+    label = f"{title} over a stride: {'; '.join(words.values())}"
+    return _figure(title, label, scale, ("0 %", "100 %"), drawn, words)
+
+
+def _table(person: PersonAngles) -> Markup:
+    """Ranges of motion: a row an angle, with both sides beside each other."""
+    rows = []
+    for joint in JOINTS:
+        for angle in joint.angles:
+            names = [f"{side}_{angle.name}" for side in SIDES] if joint.is_sided else [angle.name]
+            if any(name in person.ranges for name in names):
+                cells = [_range(person.ranges.get(name)) for name in names]
+                title = angle.name.replace("_", " ").capitalize()
+                span = 1 if joint.is_sided else 2
+                rows.append(
+                    element(
+                        "tr",
+                        element("th", title, scope="row"),
+                        (element("td", cell, colspan=span) for cell in cells),
+                        element("td", angle.meaning),
+                    )
+                )
+    columns = ("Angle", "Left", "Right", "Positive")
+    head = element("thead", element("tr", (element("th", column, scope="col") for column in columns)))
+    caption = f"Ranges of motion of {person.name}: smallest to largest angle, with the median standard deviation"
+    table = element("table", element("caption", caption), head, element("tbody", rows))
+    return element("div", table, class_="scroll", tabindex=0, role="group", aria_label=caption)
+
+
+def _range(found: Mapping[str, Any] | None) -> str:
+    if found is None:
+        return "-"
+    sigma = "" if found["sigma_deg"] is None else f" ± {found['sigma_deg']:.1f}"
+    return f"{round(found['min_deg'])} to {round(found['max_deg'])}°{sigma}"
+
+
+def _plot(
+    title: str, lines_deg: Mapping[str, Float[np.ndarray, " frames"]], start_frame: int, frame_rate_hz: float
+) -> Markup:
+    """Plot of an angle of both sides over the frames of a person, with a gap where it is unknown."""
+    known_deg = np.concatenate([line[np.isfinite(line)] for line in lines_deg.values()])
+    scale = _Scale.of(known_deg)
+    num_frames = len(next(iter(lines_deg.values())))
+    # Thinned out to the pixels of the plot.
+    rows = np.unique(np.linspace(0, num_frames - 1, min(num_frames, _MAX_POINTS)).round().astype(int))
+    across = _LEFT + rows / max(num_frames - 1, 1) * (_WIDTH - _LEFT)
+    start_s, end_s = start_frame / frame_rate_hz, (start_frame + max(num_frames - 1, 1)) / frame_rate_hz
+    drawn = [element("path", d=_line(across, scale.y(line[rows])), class_=side) for side, line in lines_deg.items()]
+    label = f"{title} from {known_deg.min():.0f} to {known_deg.max():.0f} degrees, left and right"
+    return _figure(
+        title, label, scale, (f"{start_s:.1f} s", f"{end_s:.1f} s"), drawn, {side: side for side in lines_deg}
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Upright scale of a plot in degrees."""
+
+    low_deg: float
+    high_deg: float
+
+    @classmethod
+    def of(cls, shown_deg: Float[np.ndarray, " values"]) -> "_Scale":
+        """Scale on which values fill the plot, unless they hardly differ."""
+        middle_deg = float(shown_deg.max() + shown_deg.min()) / 2
+        half_deg = 0.55 * max(float(np.ptp(shown_deg)), _LEAST_SPAN_DEG)
+        return cls(middle_deg - half_deg, middle_deg + half_deg)
+
+    def y(self, angle_deg: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+        """Places of angles in the plot, downwards."""
+        share = (self.high_deg - angle_deg) / (self.high_deg - self.low_deg)
+        return np.asarray(_TOP + share * (_HEIGHT - _BOTTOM - _TOP))
+
+    def ticks_deg(self) -> Float[np.ndarray, " ticks"]:
+        """Round angles, about four of them."""
+        span_deg = self.high_deg - self.low_deg
+        step_deg = next(step for step in (10, 20, 30, 45, 90, 180, 360) if span_deg / step <= 4.4 or step == 360)
+        return np.arange(np.ceil(self.low_deg / step_deg), np.floor(self.high_deg / step_deg) + 1) * step_deg
+
+
+def _figure(
+    title: str, label: str, scale: _Scale, ends: tuple[str, str], drawn: Sequence[Markup], keys: Mapping[str, str]
+) -> Markup:
+    """Plot with its scale.
+
+    ``ends`` are the words at both ends of the axis across, ``keys`` those of the colours by side.
+    """
+    ticks_deg = scale.ticks_deg()
+    marks = [
+        joined(
+            element("line", x1=_LEFT, x2=_WIDTH, y1=f"{place:.1f}", y2=f"{place:.1f}", class_="grid"),
+            element("text", f"{round(tick_deg)}°", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
+        )
+        for tick_deg, place in zip(ticks_deg, scale.y(ticks_deg), strict=True)
+    ]
+    limits = [
+        element("text", ends[0], x=_LEFT, y=_HEIGHT - 3),
+        element("text", ends[1], x=_WIDTH, y=_HEIGHT - 3, text_anchor="end"),
+    ]
+    box = f"0 0 {_WIDTH} {_HEIGHT}"
+    svg = element("svg", marks, limits, drawn, viewBox=box, width=_WIDTH, height=_HEIGHT, role="img", aria_label=label)
+    legend = (element("span", words, class_=f"key {side}") for side, words in keys.items())
+    return element("figure", svg, element("figcaption", title, " ", legend))
+
+
+def _line(across: Float[np.ndarray, " points"], places: Float[np.ndarray, " points"]) -> str:
+    """Path of a line, which is broken where its place is unknown."""
+    words, is_drawing = [], False
+    for x, place in zip(across.tolist(), places.tolist(), strict=True):
+        if np.isfinite(place):
+            words.append(f"{'L' if is_drawing else 'M'}{x:.1f} {place:.1f}")
+        is_drawing = bool(np.isfinite(place))
+    return "".join(words)

@@ -1,0 +1,183 @@
+"""Contents of the report of a take: figures and motion from the reconstruction, pictures from the videos."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from pipeline.capture.session import Session
+from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.errors import InputError
+from pipeline.core.options.choices import Choice
+from pipeline.core.options.config import CHOICES, ReconstructionConfig
+from pipeline.core.options.edits import document_of
+from pipeline.core.progress import OnShare
+from pipeline.detection.entries import entry_of
+from pipeline.export.overlay import given_names, people_at
+from pipeline.export.privacy.blur import blur_ellipses
+from pipeline.export.quality.report import all_checks, quality_report
+from pipeline.export.quality.views import views_of, without_fingers
+from pipeline.export.report.angles import MAX_PEOPLE, PersonAngles
+from pipeline.export.report.motion import motion_of
+from pipeline.export.report.page import ReportContents, Rows
+from pipeline.export.report.pictures import MAX_PICTURES, Moment, Picture, draw_picture, moments_of
+from pipeline.motion.angles.compute import joint_angles
+from pipeline.motion.body.installed import find as find_body
+from pipeline.motion.gait.analysis import analyse_gait
+from pipeline.video.decode import decode
+from pipeline.video.info import VideoInfo
+
+ReadVideo = Callable[[str], AbstractContextManager[None]]
+"""Gives the block in which the video of a camera can be read, by the camera's name."""
+HeadsOf = Callable[[str], HeadRegions | None]
+"""Gives the heads that are blurred in the pictures of a camera, by the camera's name; ``None``: none are."""
+
+
+def contents_of(
+    session: Session,
+    take: Reconstruction,
+    config: ReconstructionConfig,
+    versions: Rows,
+    name: str,
+    inputs: Mapping[str, str],
+    reading: ReadVideo,
+    heads: HeadsOf,
+    on_share: OnShare,
+) -> ReportContents:
+    """Gather the contents of a report.
+
+    The session is on measured clocks if they were measured; ``versions`` are those of ``versions_of``, ``inputs``
+    SHA-256 of the take's files by name.
+    """
+    views = views_of(take)
+    metrics, motion = quality_report(take, views), motion_of(take, views, shapes=find_body())
+    pictures: list[Picture] = []
+    notes: list[str] = []
+    shown = take.cameras[:MAX_PICTURES]
+    wanted = [(moment, camera.name) for moment in moments_of(motion, len(shown)) for camera in shown]
+    for number, (moment, camera) in enumerate(wanted):
+        on_share(0.5 + 0.5 * number / len(wanted))
+        try:
+            picture = _picture(reading, heads, session, take, camera, moment)
+        except InputError as error:
+            notes.append(f"No picture of {camera}: {error.problems[0].message}")
+            continue
+        if picture is None:
+            notes.append(f"{camera} took no picture at frame {moment.frame}.")
+        else:
+            pictures.append(picture)
+    on_share(1.0)
+    if len(take.cameras) > MAX_PICTURES:
+        notes.append(f"Pictures are of the first {MAX_PICTURES} of {len(take.cameras)} cameras.")
+    errors_px = metrics["reprojection_error_px"]["by_camera"]
+    return ReportContents(
+        name=name,
+        motion=motion,
+        metrics=metrics,
+        angles=_angles_of(take, metrics),
+        findings=[*session.findings, *all_checks(metrics)],
+        pictures=pictures,
+        notes=notes,
+        settings=settings_of(config),
+        versions=versions,
+        inputs=tuple(inputs.items()),
+        cameras=[
+            (camera.name, f"{camera.size_px[0]} x {camera.size_px[1]}", _pixels(errors_px.get(camera.name)))
+            for camera in take.cameras
+        ],
+    )
+
+
+def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
+    """Joint angles of the first people of whom any is known."""
+    ranges = {person["id"]: person["angles"] for person in metrics["people"]}
+    people = zip(take.tracks, take.motions, strict=True)
+    known = [(track, motion) for track, motion in people if ranges[track.track_id]]
+    return [
+        PersonAngles(
+            motion.name,
+            joint_angles(motion, track, take.joints),
+            ranges[track.track_id],
+            analyse_gait(without_fingers(track, take.joints), take.joints, take.timebase.frame_rate_hz).strides,
+        )
+        for track, motion in known[:MAX_PEOPLE]
+    ]
+
+
+def _picture(
+    reading: ReadVideo, heads: HeadsOf, session: Session, take: Reconstruction, camera: str, moment: Moment
+) -> Picture | None:
+    """Picture of a camera at a moment; ``None`` if it took none within an interval of its own frames."""
+    (shown,) = (known for known in take.cameras if known.name == camera)
+    own_s = session.times[camera].time_s
+    wanted_s = take.timebase.time_s(moment.frame)
+    interval_s = max(1.0 / take.timebase.frame_rate_hz, float(np.median(np.diff(own_s))) if len(own_s) > 1 else 0.0)
+    number = int(np.abs(own_s - wanted_s).argmin()) if len(own_s) else 0
+    if not len(own_s) or abs(own_s[number] - wanted_s) > interval_s:
+        return None
+    time_s = float(own_s[number])
+    image_rgb = None
+    if (video := session.video_of.get(camera)) is not None:
+        with reading(camera):
+            image_rgb = _decoded(video, number)
+        if image_rgb is None:
+            return None
+        if (regions := heads(camera)) is not None:
+            image_rgb = blur_ellipses(image_rgb, regions.in_frame(number, shown.size_px))
+    people_m = people_at(take.tracks, take.timebase, time_s)
+    size_px, jpeg = draw_picture(image_rgb, shown, people_m, take.joints, given_names(take.motions))
+    return Picture(moment, camera, time_s, size_px, jpeg)
+
+
+def _decoded(video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3"] | None:
+    """A frame of a video; ``None`` if its decoder left it out."""
+    with closing(decode(video, number, number + 1)) as frames:
+        return next((image_rgb.copy() for _, image_rgb in frames), None)
+
+
+def settings_of(config: ReconstructionConfig) -> Rows:
+    """Choices of a reconstruction as labels and words, with a mark of those that differ from the usual ones."""
+    rows: list[tuple[str, ...]] = []
+    for choice in CHOICES.values():
+        value = getattr(config, choice.name)
+        rows.append((choice.about.label, _words(choice, value), "yes" if value == choice.default else "no"))
+    parameters = {**config.tracking, **config.clustering}
+    rows += [(f"Parameter {name}", f"{value:g}", "no") for name, value in parameters.items()]
+    rows += [("Edit of people", _edit_words(document_of(edit)), "no") for edit in config.edits]
+    return rows
+
+
+def _words(choice: Choice, value: Any) -> str:
+    if value is None:
+        return str(choice.about.unset)
+    if choice.kind == "flag":
+        return "yes" if value else "no"
+    if choice.kind == "frame_range":
+        return f"{value[0]} to {value[1] - 1}"
+    names = value if choice.kind == "several" else (value,)
+    return ", ".join(choice.values[name].label if name in choice.values else str(name) for name in names)
+
+
+def _edit_words(edit: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in edit.items())
+
+
+def versions_of(distributions: Sequence[str], networks: Sequence[str]) -> Rows:
+    """Versions of this program and of the installed ones among some distributions, and digests of networks."""
+    rows = [(name, installed) for name in ("multicap", *distributions) if (installed := _version(name)) is not None]
+    return [*rows, *((f"network {name}", f"SHA-256 {entry_of(name).sha256}") for name in networks)]
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def _pixels(error_px: float | None) -> str:
+    return "-" if error_px is None else f"{error_px:.1f} px"

@@ -1,0 +1,316 @@
+"""The page of a report: HTML with its style, script and data inside, which asks for nothing from outside."""
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from pipeline.core.findings import Finding, worst_first
+from pipeline.export.report.angles import PersonAngles, angle_parts
+from pipeline.export.report.gait import GAIT_COLUMNS, MOVEMENT_COLUMNS, gait_rows, movement_rows
+from pipeline.export.report.markup import Markup, data, element, joined, source_hash
+from pipeline.export.report.motion import ReportMotion
+from pipeline.export.report.pictures import Picture
+
+_ASSETS = Path(__file__).parent / "assets"
+_STYLE, _SCRIPTS = "report.css", ("humans.js", "scene.js", "report.js")
+# Largest number of people who are drawn as humans from the start: a plain canvas takes its time.
+_MAX_HUMANS = 5
+_SPEEDS = (0.1, 0.25, 0.5, 1, 2)
+
+Rows = Sequence[tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportContents:
+    """Contents of a report."""
+
+    name: str  # Name of the take
+    motion: ReportMotion  # Motion and quality for the script
+    metrics: Mapping[str, Any]  # Content of ``metrics.json``
+    angles: Sequence[PersonAngles]  # Joint angles of the first people
+    findings: Sequence[Finding]  # Warnings of the result
+    pictures: Sequence[Picture]  # Pictures of the cameras, those of a moment together
+    notes: Sequence[str]  # Sentences about the report itself, such as pictures that are missing
+    settings: Rows  # Choice and value of each choice of the reconstruction, and whether it is the usual one
+    # Name and version of each program and network; name and SHA-256 of each file
+    versions: Rows
+    inputs: Rows
+    cameras: Rows  # Name, size, and reprojection error of each camera
+
+
+def encode_page(contents: ReportContents) -> bytes:
+    """Write the report as one file of HTML."""
+    style = _asset(_STYLE)
+    script = "".join(map(_asset, _SCRIPTS))
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {source_hash(style)}; script-src {source_hash(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="generator", content="Multicap"),
+        element("title", f"{contents.name}, report"),
+        element("style", Markup(style)),
+    )
+    body = element(
+        "body",
+        _header(contents),
+        element(
+            "main",
+            _findings(contents.findings),
+            _take(contents),
+            _angles(contents),
+            _gait(contents),
+            _pictures(contents),
+            _details(contents),
+        ),
+        data("take", contents.motion.document),
+        element("script", Markup(script), type="module"),
+    )
+    return joined(Markup("<!DOCTYPE html>\n"), element("html", head, body, lang="en"), Markup("\n")).encode()
+
+
+def _asset(name: str) -> str:
+    return (_ASSETS / name).read_text(encoding="utf-8")
+
+
+def _header(contents: ReportContents) -> Markup:
+    metrics = contents.metrics
+    num_people, duration_s = len(metrics["people"]), metrics["num_frames"] / metrics["frame_rate_hz"]
+    error_px = metrics["reprojection_error_px"]["median"]
+    facts = [
+        "nobody was found" if num_people == 0 else _count(num_people, "person", "people"),
+        _count(len(contents.cameras), "camera"),
+        f"{duration_s:.1f} s, {metrics['num_frames']:,} frames at {metrics['frame_rate_hz']:g} Hz",
+    ]
+    if error_px is not None:
+        facts.append(f"median reprojection error {error_px:.1f} px")
+    return element(
+        "header",
+        element("h1", contents.name),
+        element("p", (element("span", fact) for fact in facts), class_="facts"),
+    )
+
+
+def _findings(findings: Sequence[Finding]) -> Markup:
+    if not findings:
+        return Markup()
+    items = (
+        element(
+            "li",
+            element(
+                "b", "Error: " if finding.severity == "error" else "Warning: " if finding.severity == "warning" else ""
+            ),
+            f"{finding.camera}: {finding.message}" if finding.camera else finding.message,
+            " " + finding.hint if finding.hint else "",
+            class_=finding.severity,
+        )
+        for finding in worst_first(findings)
+    )
+    return _section("warnings", "Warnings", element("ul", items, class_="findings"))
+
+
+def _take(contents: ReportContents) -> Markup:
+    """The 3D view with its controls, and the quality of each person over time; the script fills them."""
+    num_frames = contents.metrics["num_frames"]
+    speeds = (element("option", f"{speed:g} x", value=f"{speed:g}", selected=speed == 1) for speed in _SPEEDS)
+    views = [element("option", "free", value="")]
+    views += [element("option", row[0], value=number) for number, row in enumerate(contents.cameras)]
+    controls = element(
+        "div",
+        element("button", "Play", type="button", id="play"),
+        element(
+            "input", type="range", id="head", min=0, max=max(0, num_frames - 1), step=1, value=0, aria_label="Frame"
+        ),
+        element("output", "", id="clock"),
+        element("label", "Speed ", element("select", speeds, id="speed")),
+        element("label", "View ", element("select", views, id="view")),
+        element("button", "Fit", type="button", id="fit"),
+        _choice_of_humans(contents),
+        class_="controls",
+    )
+    stage = element(
+        "div",
+        element(
+            "canvas",
+            id="scene",
+            tabindex=0,
+            role="img",
+            aria_label="Motion of the people in 3D. Arrow keys step, A D W S turn, Q E zoom.",
+        ),
+        class_="stage",
+    )
+    notes = []
+    if contents.motion.stride > 1:
+        notes.append(
+            f"The take is long: the 3D view holds every {_ordinal(contents.motion.stride)} frame, and shows positions "
+            "between these in between. The result files hold all frames."
+        )
+    notes.append(
+        "Drag to turn, scroll or pinch to come closer, drag with the right button to move. Space plays, arrows step, "
+        "with Shift ten frames, F fits the view."
+    )
+    strips = element("div", (_strip(person) for person in contents.metrics["people"]), id="strips")
+    legend = element(
+        "p",
+        (
+            element("span", text, class_=f"key {name}")
+            for name, text in (
+                ("measured", "measured"),
+                ("interpolated", "interpolated"),
+                ("predicted", "predicted"),
+                ("error", "large error"),
+                ("cameras", "few cameras"),
+                ("identity", "doubtful identity"),
+            )
+        ),
+        class_="legend",
+    )
+    people = Markup()
+    if contents.metrics["people"]:
+        people = _section(
+            "quality",
+            "Quality of each person",
+            element(
+                "p",
+                "Bands: joints by source, reprojection error, cameras, identity. Click to go there.",
+                class_="quiet",
+            ),
+            strips,
+            legend,
+            _table("People", _PEOPLE, map(_person_row, contents.metrics["people"], contents.motion.document["people"])),
+        )
+    motion = _section("motion", "Motion", stage, controls, (element("p", note, class_="quiet") for note in notes))
+    without = element("noscript", element("p", "The 3D view needs JavaScript; everything else is shown without."))
+    return joined(motion, without, people)
+
+
+_PEOPLE = ("Person", "Frames", "Measured", "Reprojection error", "Cameras a joint", "Stature", "Doubts about identity")
+
+
+def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[str, ...]:
+    start, num_frames = figures["start_frame"], figures["num_frames"]
+    return (
+        person["name"],
+        f"{start} - {start + num_frames - 1}",
+        f"{100 * figures['coverage']:.0f} %",
+        _figure(figures["reprojection_error_px"], "px", 1),
+        _figure(figures["views_per_joint"], "", 1),
+        _figure(figures["stature_m"], "m", 2),
+        str(len(figures["identity"]["doubts"])),
+    )
+
+
+def _gait(contents: ReportContents) -> Markup:
+    """Tables of gait and movements; empty if nobody walks, jumps, squats or sits down."""
+    names = [person["name"] for person in contents.motion.document["people"]]
+    named = list(zip(names, contents.metrics["people"], strict=True))
+    tables = [
+        _table(caption, columns, rows)
+        for caption, columns, rows in (
+            ("Gait", GAIT_COLUMNS, gait_rows(named)),
+            ("Movements", MOVEMENT_COLUMNS, movement_rows(named)),
+        )
+        if rows
+    ]
+    if not tables:
+        return Markup()
+    note = "Means and standard deviations over strides that neither turn nor start nor stop."
+    return _section("gait", "Gait and movement", element("p", note, class_="quiet"), tables)
+
+
+def _choice_of_humans(contents: ReportContents) -> Markup:
+    if contents.motion.document["body"] is None:
+        return Markup()
+    is_chosen = len(contents.metrics["people"]) <= _MAX_HUMANS
+    return element("label", element("input", type="checkbox", id="humans", checked=is_chosen), " Humans")
+
+
+def _strip(figures: Mapping[str, Any]) -> Markup:
+    """Place for the strip of a person; the script writes the name, which stands in the data."""
+    label = f"Quality over time: {100 * figures['coverage']:.0f} % of the joints are measured"
+    return element(
+        "div", element("span", class_="who"), element("canvas", role="img", aria_label=label), class_="strip"
+    )
+
+
+def _angles(contents: ReportContents) -> Markup:
+    if not contents.angles:
+        return Markup()
+    notes = [
+        "By the definitions of the International Society of Biomechanics; docs/biomechanics.md tells what not to trust."
+    ]
+    if len(contents.metrics["people"]) > len(contents.angles):
+        notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")
+    parts = angle_parts(contents.angles, contents.metrics["frame_rate_hz"])
+    return _section("angles", "Joint angles", (element("p", note, class_="quiet") for note in notes), parts)
+
+
+def _pictures(contents: ReportContents) -> Markup:
+    if not contents.pictures and not contents.notes:
+        return Markup()
+    parts = []
+    for moment, of_moment in groupby(contents.pictures, key=lambda picture: picture.moment):
+        figures = (
+            element(
+                "figure",
+                element(
+                    "img",
+                    src=f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode('ascii')}",
+                    width=picture.size_px[0],
+                    height=picture.size_px[1],
+                    alt=f"Camera {picture.camera} with the skeletons over its picture",
+                ),
+                element("figcaption", f"{picture.camera}, {picture.time_s:.3f} s"),
+            )
+            for picture in of_moment
+        )
+        go = element("button", f"Show frame {moment.frame}", type="button", class_="go", data_frame=moment.frame)
+        parts.append(joined(element("h3", moment.title, " ", go), element("div", figures, class_="pictures")))
+    return _section(
+        "cameras-pictures", "Cameras", parts, (element("p", note, class_="quiet") for note in contents.notes)
+    )
+
+
+def _details(contents: ReportContents) -> Markup:
+    return _section(
+        "details",
+        "Details",
+        _table("Cameras", ("Camera", "Size", "Median reprojection error"), contents.cameras),
+        _table("Settings", ("Choice", "Value", "Default"), contents.settings),
+        _table("Versions", ("Program or network", "Version"), contents.versions),
+        _table("Input files", ("File", "SHA-256"), contents.inputs),
+    )
+
+
+def _section(identifier: str, title: str, *content: str | Iterable[str]) -> Markup:
+    heading = element("h2", title, id=f"{identifier}-title")
+    return element("section", heading, *content, id=identifier, aria_labelledby=f"{identifier}-title")
+
+
+def _table(caption: str, columns: Sequence[str], rows: Iterable[tuple[str, ...]]) -> Markup:
+    body = (
+        element("tr", element("th", row[0], scope="row"), (element("td", cell) for cell in row[1:])) for row in rows
+    )
+    head = element("thead", element("tr", (element("th", column, scope="col") for column in columns)))
+    table = element("table", element("caption", caption), head, element("tbody", body))
+    return element("div", table, class_="scroll", tabindex=0, role="group", aria_label=caption)
+
+
+def _figure(value: float | None, unit: str, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
+
+
+def _ordinal(number: int) -> str:
+    ending = "th" if number % 100 in {11, 12, 13} else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{ending}"

@@ -1,0 +1,192 @@
+"""Joint angles of a person over time, from the rotations of the fitted skeleton."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.joints import FINGER_JOINTS, JointSet
+from pipeline.motion.angles.definitions import (
+    ANGLE_NAMES,
+    JOINTS,
+    SEGMENTS,
+    WORLD,
+    AngleJoint,
+    BodySegment,
+    name_of,
+    segments_of,
+    sides_of,
+)
+from pipeline.motion.angles.precision import angle_sigma_rad, vector_m
+from pipeline.motion.angles.sequences import angles_rad, continuous, is_locked, mirrored
+from pipeline.motion.skeleton.model import INDEX, posed_joints
+from pipeline.motion.skeleton.rotations import unit
+
+# Sine of the bend (12 degrees) below which the plane of a limb is uncertain, as in the fit.
+_STRAIGHT_SINE = 0.2
+# Frames that are worked on at once, so that a long take needs little memory.
+_BLOCK_FRAMES = 2048
+_JOINTS = tuple((joint, side) for joint in JOINTS for side in sides_of(joint))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointAngles:
+    """Joint angles of a person in the frames of a motion."""
+
+    start_frame: int  # Output frame of the first row
+    # Angles of ``ANGLE_NAMES`` in degrees, continuous in time; NaN where the rotation was not observed
+    angle_deg: Float[np.ndarray, "frames angles"]
+    # Standard deviation of each angle in degrees; NaN where the angle or its uncertainty is unknown
+    sigma_deg: Float[np.ndarray, "frames angles"]
+
+    @property
+    def frames(self) -> range:
+        """Output frames of the rows."""
+        return range(self.start_frame, self.start_frame + len(self.angle_deg))
+
+
+def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_sigmas: bool = True) -> JointAngles:
+    """Compute the joint angles of a person.
+
+    Parameters
+    ----------
+    motion
+        Motion of the skeleton, whose rotations are known in all frames: in gaps they are interpolated.
+    track
+        Final positions of the joints in the same frames. An angle is unknown where a landmark of one of its segments
+        has no position, or, of hands, where no finger was measured; rotations about the long axis of a limb also where
+        the limb is straight.
+    joints
+        Joints of the track.
+    has_sigmas
+        Whether standard deviations are computed, which take most of the time; otherwise they are NaN.
+    """
+    num_frames = len(motion.root_m)
+    found_rad, sigma_rad = np.full((2, len(_JOINTS), num_frames, 3), np.nan)
+    is_free = np.zeros(found_rad.shape, bool)
+    for start in range(0, num_frames, _BLOCK_FRAMES):
+        rows = slice(start, start + _BLOCK_FRAMES)
+        part = _rows_of(track, rows)
+        world_from_segment = segments_from(
+            replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
+        )
+        known = observed(part, joints)
+        bent = {name: is_bent(name, part, joints) for name in SEGMENTS}
+        for number, (joint, side) in enumerate(_JOINTS):
+            rotation = _proximal_from_distal(world_from_segment, joint, side)
+            found_rad[number, rows] = angles_rad(rotation, joint.sequence)
+            if has_sigmas:
+                sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
+            ends = [name for name in segments_of(joint, side) if name]
+            is_free[number, rows] = np.all([known[name] for name in ends], axis=0)[:, None]
+            is_free[number, rows, ::2] &= ~is_locked(rotation, joint.sequence)[:, None]
+            is_free[number, rows, joint.twist] &= np.all([bent[name] for name in ends], axis=0)
+    angle_deg, sigma_deg = np.full((2, num_frames, len(ANGLE_NAMES)), np.nan)
+    for number, (joint, side) in enumerate(_JOINTS):
+        turned_deg = np.degrees(continuous(found_rad[number], joint.is_proper))
+        for angle in joint.angles:
+            column, free = ANGLE_NAMES.index(name_of(angle, side)), is_free[number, :, angle.rotation]
+            angle_deg[free, column] = angle.sign * turned_deg[free, angle.rotation]
+            sigma_deg[free, column] = np.degrees(sigma_rad[number, free, angle.rotation])
+    return JointAngles(motion.start_frame, read_only(angle_deg), read_only(sigma_deg))
+
+
+def _rows_of(track: Track3D, rows: slice) -> Track3D:
+    """Some frames of a track."""
+    sigma_m = track.uncertainty_m
+    return replace(
+        track,
+        xyz_m=track.xyz_m[rows],
+        score=track.score[rows],
+        source=track.source[rows],
+        error_px=track.error_px[rows],
+        views=track.views[rows],
+        uncertainty_m=None if sigma_m is None else sigma_m[rows],
+    )
+
+
+def observable_angles(joints: JointSet) -> tuple[str, ...]:
+    """Names of the angles that the joints of a detector can show, in the order of ``ANGLE_NAMES``."""
+    return tuple(
+        name_of(angle, side)
+        for joint, side in _JOINTS
+        if all(_has_landmarks(SEGMENTS[name], joints) for name in segments_of(joint, side) if name)
+        for angle in joint.angles
+    )
+
+
+def _has_landmarks(segment: BodySegment, joints: JointSet) -> bool:
+    """Return whether the joints of a detector have all landmarks of a segment."""
+    return {*segment.primary, *segment.secondary} <= set(joints.names)
+
+
+def segments_from(motion: SkeletonMotion) -> dict[str, Float[np.ndarray, "frames 3 3"]]:
+    """Orientations ``world_from_segment`` of all segments of ``SEGMENTS`` by name."""
+    _, world_from_joint = posed_joints(motion)
+    return {
+        name: world_from_joint[INDEX[segment.joint]] @ segment.rest_from_segment for name, segment in SEGMENTS.items()
+    }
+
+
+def angles_of(world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]]) -> Float[np.ndarray, "frames angles"]:
+    """Angles of ``ANGLE_NAMES`` in radians from orientations of segments, continuous in time.
+
+    NaN for joints one of whose segments is missing. Where a sequence is locked, two of its angles are arbitrary.
+    """
+    num_frames = len(next(iter(world_from_segment.values())))
+    angle_rad = np.full((num_frames, len(ANGLE_NAMES)), np.nan)
+    for joint, side in _JOINTS:
+        if not {name for name in segments_of(joint, side) if name} <= world_from_segment.keys():
+            continue
+        rotation = _proximal_from_distal(world_from_segment, joint, side)
+        turned_rad = continuous(angles_rad(rotation, joint.sequence), joint.is_proper)
+        for angle in joint.angles:
+            angle_rad[:, ANGLE_NAMES.index(name_of(angle, side))] = angle.sign * turned_rad[:, angle.rotation]
+    return angle_rad
+
+
+def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " frames"]]:
+    """Frames in which all landmarks of each segment of ``SEGMENTS`` have a position, by name.
+
+    A hand is seen in frames in which one of its fingers was measured or interpolated; other hands rest in a pose of the
+    model.
+    """
+    known = np.isfinite(track.xyz_m).all(-1)
+    by_segment = {}
+    for name, segment in SEGMENTS.items():
+        landmarks = sorted({*segment.primary, *segment.secondary})
+        if not _has_landmarks(segment, joints):
+            by_segment[name] = np.zeros(len(known), bool)
+            continue
+        by_segment[name] = known[:, joints.indices(tuple(landmarks))].all(1)
+        fingers = [landmark for landmark in landmarks if landmark in FINGER_JOINTS]
+        if fingers:
+            source = track.source[:, joints.indices(tuple(fingers))]
+            by_segment[name] &= np.isin(source, (Source.MEASURED, Source.INTERPOLATED)).any(1)
+    return by_segment
+
+
+def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " frames"]:
+    """Frames in which landmarks show the rotation of a segment about its long axis.
+
+    That of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
+    """
+    segment = SEGMENTS[name]
+    if not _has_landmarks(segment, joints):
+        return np.zeros(track.num_frames, bool)
+    along, aside = (unit(vector_m(weights, track, joints)) for weights in (segment.primary, segment.secondary))
+    return np.linalg.norm(np.cross(along, aside), axis=-1) > _STRAIGHT_SINE
+
+
+def _proximal_from_distal(
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: AngleJoint, side: str | None
+) -> Float[np.ndarray, "frames 3 3"]:
+    """Rotation of a joint; that of the left side is mirrored."""
+    proximal, distal = segments_of(joint, side)
+    world_from_proximal = WORLD if proximal is None else world_from_segment[proximal]
+    rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]
+    return mirrored(rotation) if side == "left" else rotation

@@ -1,0 +1,251 @@
+"""Definitions of joint angles: frames of segments, joints between them, sequences of rotations, names and signs.
+
+Definitions are those of the International Society of Biomechanics: Wu et al. 2002 (ankle, hip, spine), Grood and Suntay
+1983 (knee), Wu et al. 2005 (shoulder, elbow, wrist), and Baker 2001 for the pelvis in the world. The axes of every
+segment are X to the front, Y up along the segment, and Z to the right, in the anatomical position: upright, arms
+hanging, palms to the front. All angles are then zero. Where a body without markers can't follow the definitions,
+docs/biomechanics.md says so.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.core.joints import SIDES
+
+Sequence = tuple[int, int, int]
+"""Axes of three rotations, each about an axis of the frame that the rotations before it have turned: X 0, Y 1, Z 2."""
+
+_Y = 1
+_ZXY, _YXZ, _YXY, _YZX = (2, 0, 1), (1, 0, 2), (1, 0, 1), (1, 2, 0)
+
+# Axes of segments as columns, in the axes of the skeleton's rest pose (world axes of a T-pose, palms down). Arms of the
+# T-pose are those of the anatomical position raised aside, and hands are turned over.
+_UPRIGHT = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
+_ARMS = {
+    "left": ((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    "right": ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+}
+_HANDS = {
+    "left": ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "right": ((0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+}
+WORLD: Float[np.ndarray, "3 3"] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation ``world_from_laboratory`` of the frame in which the pelvis is turned: X along the world's X, Y up."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodySegment:
+    """BodySegment of the body with a frame of its own.
+
+    ``primary`` and ``secondary`` are vectors between landmarks, as weights by name: the first one gives two of the
+    segment's rotations, the second one the rotation about the first. They serve for uncertainty, and for what must be
+    known of a segment.
+    """
+
+    joint: str  # Joint of the skeleton that turns the segment
+    axes: tuple[tuple[float, float, float], ...]  # X, Y and Z of the segment in the axes of the rest pose
+    primary: Mapping[str, float]
+    secondary: Mapping[str, float]
+    # Usual error of the rotation about ``primary``, in degrees, that landmarks don't show
+    unseen_deg: float = 0.0
+
+    @property
+    def rest_from_segment(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation from the segment's axes to those of the rest pose."""
+        return np.array(self.axes).T
+
+
+@dataclass(frozen=True, slots=True)
+class Angle:
+    """Angle of a joint: one rotation of its sequence."""
+
+    name: str  # Name after the joint's side, such as ``hip_flexion``
+    rotation: int  # Place in the sequence, 0 to 2
+    sign: float  # 1 if the angle is positive in the sense of the axis, otherwise -1
+    meaning: str  # What a positive angle is
+
+
+@dataclass(frozen=True, slots=True)
+class AngleJoint:
+    """Joint between two segments, and the angles that its sequence of rotations gives.
+
+    ``proximal`` and ``distal`` are names of segments without a side; the laboratory is ``world``. Segments of the left
+    side are mirrored, so that angles have the same sign on both sides.
+    """
+
+    proximal: str
+    distal: str
+    sequence: Sequence
+    angles: tuple[Angle, ...]
+    is_sided: bool = True
+
+    @property
+    def is_proper(self) -> bool:
+        """Sameness of the first and the third axis, so that the second angle is locked at 0 and 180 degrees.
+
+        Other sequences are locked where the second angle is 90 degrees.
+        """
+        return self.sequence[0] == self.sequence[2]
+
+    @property
+    def twist(self) -> int:
+        """Place in the sequence of the rotation about the long axis of a limb, the last one about Y."""
+        return max(place for place, axis in enumerate(self.sequence) if axis == _Y)
+
+
+JOINTS: tuple[AngleJoint, ...] = (
+    AngleJoint(
+        "world",
+        "pelvis",
+        _YXZ,
+        (
+            Angle("pelvis_rotation", 0, 1.0, "heading to the left of the world's X axis"),
+            Angle("pelvis_obliquity", 1, 1.0, "right side lower"),
+            Angle("pelvis_tilt", 2, -1.0, "tilted to the front"),
+        ),
+        is_sided=False,
+    ),
+    AngleJoint(
+        "pelvis",
+        "thorax",
+        _ZXY,
+        (
+            Angle("trunk_flexion", 0, -1.0, "bent to the front"),
+            Angle("trunk_bending", 1, 1.0, "bent to the right"),
+            Angle("trunk_rotation", 2, 1.0, "turned to the left"),
+        ),
+        is_sided=False,
+    ),
+    AngleJoint(
+        "thorax",
+        "head",
+        _ZXY,
+        (
+            Angle("neck_flexion", 0, -1.0, "bent to the front"),
+            Angle("neck_bending", 1, 1.0, "bent to the right"),
+            Angle("neck_rotation", 2, 1.0, "turned to the left"),
+        ),
+        is_sided=False,
+    ),
+    AngleJoint(
+        "pelvis",
+        "thigh",
+        _ZXY,
+        (
+            Angle("hip_flexion", 0, 1.0, "thigh to the front"),
+            Angle("hip_adduction", 1, 1.0, "thigh to the middle"),
+            Angle("hip_rotation", 2, 1.0, "internal"),
+        ),
+    ),
+    AngleJoint("thigh", "shank", _ZXY, (Angle("knee_flexion", 0, -1.0, "bent"),)),
+    AngleJoint(
+        "shank",
+        "foot",
+        _ZXY,
+        (
+            Angle("ankle_dorsiflexion", 0, 1.0, "toes up"),
+            Angle("subtalar_inversion", 1, 1.0, "sole to the middle"),
+            Angle("ankle_rotation", 2, 1.0, "internal"),
+        ),
+    ),
+    AngleJoint(
+        "thorax",
+        "upper_arm",
+        _ZXY,
+        (
+            Angle("shoulder_flexion", 0, 1.0, "arm to the front"),
+            Angle("shoulder_adduction", 1, 1.0, "arm to the middle; abduction is negative"),
+            Angle("shoulder_rotation", 2, 1.0, "internal"),
+        ),
+    ),
+    AngleJoint(
+        "thorax",
+        "upper_arm",
+        _YXY,
+        (
+            Angle("shoulder_plane", 0, 1.0, "plane of elevation: 0 aside, 90 to the front"),
+            Angle("shoulder_elevation", 1, -1.0, "arm away from hanging, 0 to 180"),
+            Angle("shoulder_axial", 2, 1.0, "internal, after plane and elevation"),
+        ),
+    ),
+    AngleJoint("upper_arm", "forearm", _ZXY, (Angle("elbow_flexion", 0, 1.0, "bent"),)),
+    AngleJoint(
+        "forearm",
+        "hand",
+        _YZX,
+        (
+            Angle("forearm_pronation", 0, 1.0, "palm to the back; 0 with the palm to the front"),
+            Angle("wrist_flexion", 1, 1.0, "palm to the forearm"),
+            Angle("wrist_deviation", 2, 1.0, "to the little finger"),
+        ),
+    ),
+)
+"""Joints from the pelvis outwards."""
+
+# Hips and shoulders are two lines: how a trunk that bends to the front shares its bend is the skeleton's guess. Errors
+# of the tilt in simulated walks, squats and kicks (docs/biomechanics.md).
+_PELVIS_DEG, _THORAX_DEG = 5.0, 3.0
+_MIDDLE_UP = {"left_shoulder": 0.5, "right_shoulder": 0.5, "left_hip": -0.5, "right_hip": -0.5}
+
+
+def _between(start: str, end: str) -> Mapping[str, float]:
+    return {start: -1.0, end: 1.0}
+
+
+def _limbs(side: str) -> dict[str, BodySegment]:
+    prefix, arm, hand = side.capitalize(), _ARMS[side], _HANDS[side]
+
+    def bone(start: str, end: str) -> Mapping[str, float]:
+        return _between(f"{side}_{start}", f"{side}_{end}")
+
+    return {
+        f"{side}_thigh": BodySegment(f"{prefix}UpLeg", _UPRIGHT, bone("hip", "knee"), bone("knee", "ankle")),
+        f"{side}_shank": BodySegment(f"{prefix}Leg", _UPRIGHT, bone("knee", "ankle"), bone("hip", "knee")),
+        f"{side}_foot": BodySegment(f"{prefix}Foot", _UPRIGHT, bone("heel", "big_toe"), bone("heel", "ankle")),
+        f"{side}_upper_arm": BodySegment(f"{prefix}Arm", arm, bone("shoulder", "elbow"), bone("elbow", "wrist")),
+        f"{side}_forearm": BodySegment(f"{prefix}ForeArm", arm, bone("elbow", "wrist"), bone("shoulder", "elbow")),
+        f"{side}_hand": BodySegment(f"{prefix}Hand", hand, bone("wrist", "middle_mcp"), bone("pinky_mcp", "index_mcp")),
+    }
+
+
+SEGMENTS: Mapping[str, BodySegment] = MappingProxyType(
+    {
+        "pelvis": BodySegment("Hips", _UPRIGHT, _between("left_hip", "right_hip"), _MIDDLE_UP, _PELVIS_DEG),
+        "thorax": BodySegment("Chest", _UPRIGHT, _between("left_shoulder", "right_shoulder"), _MIDDLE_UP, _THORAX_DEG),
+        "head": BodySegment(
+            "Head", _UPRIGHT, _between("left_ear", "right_ear"), {"left_ear": -0.5, "right_ear": -0.5, "nose": 1.0}
+        ),
+        **_limbs("left"),
+        **_limbs("right"),
+    }
+)
+"""Segments by name; those of limbs begin with the side."""
+
+
+def sides_of(joint: AngleJoint) -> tuple[str | None, ...]:
+    """Sides on which there is a joint; ``None`` for a joint of the trunk."""
+    return SIDES if joint.is_sided else (None,)
+
+
+def name_of(angle: Angle, side: str | None) -> str:
+    """Full name of an angle, such as ``left_hip_flexion``."""
+    return angle.name if side is None else f"{side}_{angle.name}"
+
+
+def segments_of(joint: AngleJoint, side: str | None) -> tuple[str | None, str]:
+    """Names of the proximal and the distal segment of a joint; ``None`` for the world."""
+
+    def named(segment: str) -> str:
+        return segment if segment in SEGMENTS else f"{side}_{segment}"
+
+    return None if joint.proximal == "world" else named(joint.proximal), named(joint.distal)
+
+
+ANGLE_NAMES: tuple[str, ...] = tuple(
+    name_of(angle, side) for joint in JOINTS for side in sides_of(joint) for angle in joint.angles
+)
+"""Full names of all angles, in the order of columns."""

@@ -1,0 +1,77 @@
+"""Gait and movements of a person, from the final positions of the joints."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
+from pipeline.motion.gait.events import FootEvent, find_swings
+from pipeline.motion.gait.figures import GaitFigures, gait_figures
+from pipeline.motion.gait.movements import BodyMovement, find_movements
+from pipeline.motion.gait.points import body_points
+from pipeline.motion.gait.strides import Stride, find_strides
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonGait:
+    """Gait and movements of a person. Rows are those of the person's track."""
+
+    start_frame: int  # Output frame of the first row
+    events: tuple[FootEvent, ...] = ()  # Foot strikes and foot offs of gait, in order of time
+    strides: tuple[Stride, ...] = ()
+    figures: GaitFigures | None = None  # ``None`` without gait
+    movements: tuple[BodyMovement, ...] = ()
+    belt_m_s: float = 0.0  # Speed of the treadmill's belt; 0 without one
+    has_marks: bool = False  # Whether events are those of heels and toes, not of ankles
+
+
+def analyse_gait(track: Track3D, joints: JointSet, frame_rate_hz: float) -> PersonGait:
+    """Find a person's gait and movements; empty for joint sets without legs, and for people who only stand."""
+    points = body_points(track, joints, frame_rate_hz)
+    if points is None:
+        return PersonGait(track.start_frame)
+    strides, events = find_strides(points, find_swings(points))
+    speed_m_s = float((points.belt_m_s**2).sum() ** 0.5)
+    return PersonGait(
+        track.start_frame,
+        events,
+        strides,
+        gait_figures(strides),
+        find_movements(points),
+        speed_m_s if strides else 0.0,
+        bool(points.is_marked.all()),
+    )
+
+
+Context = Literal["Left", "Right", "General"]
+
+
+class MarkedEvent(NamedTuple):
+    """Event in the words of C3D files: those of Vicon and Visual3D for feet."""
+
+    label: str  # ``Foot Strike`` and ``Foot Off`` of gait; ``Take Off`` and ``Landing`` of jumps
+    context: Context  # Side of a foot; ``General`` for both feet
+    frame: float  # Output frame, with its fraction
+    uncertainty_s: float | None
+    confidence: float
+
+
+def marked_events(gait: PersonGait) -> tuple[MarkedEvent, ...]:
+    """Events of gait and of jumps in order of time."""
+    marks = [
+        MarkedEvent(
+            "Foot Strike" if event.kind == "foot_strike" else "Foot Off",
+            "Left" if event.side == "left" else "Right",
+            gait.start_frame + event.row,
+            event.uncertainty_s,
+            event.confidence,
+        )
+        for event in gait.events
+    ]
+    for movement in gait.movements:
+        if movement.kind == "jump":
+            marks += [
+                MarkedEvent(label, "General", gait.start_frame + row, None, movement.confidence)
+                for label, row in (("Take Off", movement.start_row), ("Landing", movement.end_row))
+            ]
+    return tuple(sorted(marks, key=lambda mark: mark.frame))

@@ -1,0 +1,63 @@
+"""Uncertainty of joint positions, from the curvature of the fit's energy at the solution.
+
+An exact marginal of the whole system over time needs more arithmetic than a step of the fit. Instead, the information
+about each landmark in the frames around an instant is summed, with weights that fall with the distance in time as the
+term of acceleration lets them, and the skeleton's degrees of freedom combine the landmarks of the instant. In
+simulation, this agrees with the errors as well as the exact marginal does. What the sum leaves out, errors that last
+over frames and bodies that are not exactly the skeleton, is in two constants that were set in simulation (docs/fit.md).
+"""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import convolve1d
+
+from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed
+from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
+from pipeline.motion.skeleton.fitting.articulation_kernels import factorise, spread
+
+# Time in which the weight of evidence from other frames falls to 1 / e, and the time beyond which it is ignored.
+_MEMORY_S, _REACH_S = 0.04, 0.20
+# Ratio of the errors in simulation to those that independent noise would cause, and error without any noise.
+_LASTING, _FLOOR_M = 1.25, 0.0015
+# Weight that keeps rotations determined that nothing else determines.
+_INERTIA = 1.0
+
+
+@runtime_checkable
+class Precise(Protocol):
+    """Evidence whose precision is known."""
+
+    def precision(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> Float[np.ndarray, "frames landmarks 3 3"]:
+        """Inverse of the covariance of each landmark by its own evidence, in 1 / m2."""
+        ...
+
+
+def uncertainty_m(
+    bodies: JointPoses, skeleton: Articulation, evidence: Precise, frame_rate_hz: float
+) -> Float[np.ndarray, "frames landmarks"]:
+    """Standard deviation of each landmark's position in metres: root mean square over the three axes."""
+    posed = Posed(bodies, skeleton)
+    precision = convolve1d(evidence.precision(posed.landmark_m), _weights(frame_rate_hz), axis=0, mode="constant")
+    num_frames, num_freedoms = len(bodies.root_m), skeleton.num_freedoms
+    moving = posed.jacobian(), skeleton.moved_by, skeleton.num_moved_by
+    factor = np.empty((num_frames, num_freedoms, num_freedoms))
+    factorise(*moving, precision, _priors(skeleton), factor)
+    variance_m2 = np.empty(posed.landmark_m.shape[:2])
+    spread(*moving, factor, np.empty((num_freedoms, 3)), variance_m2)
+    return np.asarray(np.sqrt(_LASTING**2 * variance_m2 + _FLOOR_M**2))
+
+
+def _weights(frame_rate_hz: float) -> Float[np.ndarray, " weights"]:
+    """Weights of the evidence in the frames around an instant; 1 in the middle."""
+    reach = max(1, round(_REACH_S * frame_rate_hz))
+    return np.asarray(np.exp(-np.abs(np.arange(-reach, reach + 1)) / (_MEMORY_S * frame_rate_hz)))
+
+
+def _priors(skeleton: Articulation) -> Float[np.ndarray, " freedoms"]:
+    """Curvature of each degree of freedom by itself: the rest pose, or the inertia of the fit."""
+    usual_rad = np.array([freedom.usual_rad for freedom in skeleton.freedoms])
+    return np.concatenate([np.full(NUM_ROOT, _INERTIA), _INERTIA + 1.0 / usual_rad**2])

@@ -1,0 +1,254 @@
+"""Edited people of a take: pieces of tracks put together, fits of those who changed, and the cut."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.core.data.animation import Animation, SkeletonMotion
+from pipeline.core.data.arrays import no_detections, read_only
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Doubt, Observations, People, Source, Track3D
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
+from pipeline.run.engine.people import StoredSequence
+from pipeline.video.timeline import cut_timebase
+
+# Arrays of a track, a row a frame.
+_ARRAYS = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
+
+
+def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
+    """People after the edits of a configuration; without edits as they were found."""
+    return apply_edits(spans, config.edits, timebase.num_frames)
+
+
+def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:
+    """Tracks and observations of the people whom the edits changed, from those of the people who were found.
+
+    Frames between two pieces are absent. People without a single known joint are left out. ``spans`` are the frames of
+    ``people``, who were found, in the same order.
+    """
+    number_of = {span.id: number for number, span in enumerate(spans)}
+    tracks, observations = [], []
+    for person in take.people:
+        if unchanged_from(person, spans) is not None:
+            continue
+        parts = [people.tracks[number_of[piece.person]] for piece in person.pieces]
+        track = _track(person, parts)
+        known = np.flatnonzero(np.isfinite(track.xyz_m).all(-1).any(-1))
+        if not len(known):
+            continue
+        kept = slice(int(known[0]), int(known[-1]) + 1)
+        seen = _observations(person, parts, [people.observations[number_of[piece.person]] for piece in person.pieces])
+        tracks.append(part_of_track(track, kept))
+        observations.append(part_of_observations(seen, kept))
+    return People(tracks, observations)
+
+
+def unchanged_from(person: EditedPerson, spans: Sequence[PersonSpan]) -> int | None:
+    """Number of the person who was found with the same frames; ``None`` if the edits changed them."""
+    if len(person.pieces) == 1:
+        (piece,) = person.pieces
+        for span in spans:
+            if span == PersonSpan(piece.person, piece.start_frame, piece.stop_frame - piece.start_frame):
+                return span.id
+    return None
+
+
+def put_together(
+    people: People,
+    fitted: Animation,
+    spans: Sequence[PersonSpan],
+    changed: People,
+    refitted: Animation,
+    take: EditedTake,
+) -> tuple[People, Animation]:
+    """People of an edited take and their animation: the changed ones, and the others as they were found.
+
+    The floor is that of the people who were found: it does not depend on who is who. Doubts and losses remain of people
+    who did not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in
+    the same order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
+    """
+    number_of = {span.id: number for number, span in enumerate(spans)}
+    changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
+    sources: list[tuple[int, People, int]] = []
+    tracks, motions, doubts = [], [], []
+    for person in take.people:
+        source = unchanged_from(person, spans)
+        if source is None and person.id not in changed_number_of:
+            continue
+        number = changed_number_of[person.id] if source is None else number_of[source]
+        sources.append((person.id, changed if source is None else people, number))
+        animation = refitted if source is None else fitted
+        tracks.append(replace(animation.tracks[number], track_id=person.id))
+        name = person.name or f"person-{person.id}"
+        motions.append(replace(animation.motions[number], track_id=person.id, name=name))
+        doubts.append(_doubts(people, take, number) if people.doubts and source is not None else [])
+
+    def track(k: int) -> Track3D:
+        number, kept, row = sources[k]
+        return replace(kept.tracks[row], track_id=number)
+
+    def observations(k: int) -> Observations:
+        number, kept, row = sources[k]
+        return replace(kept.observations[row], track_id=number)
+
+    present = {spans[row].id: number for number, kept, row in sources if kept is people}
+    edited = People(
+        StoredSequence(len(sources), track),
+        StoredSequence(len(sources), observations),
+        people.num_approximate_frames,
+        doubts if people.doubts else (),
+        losses=[
+            loss._replace(track_id=present.get(loss.track_id, 0))
+            for loss in people.losses
+            if loss.track_id in present or not loss.track_id
+        ],
+    )
+    return edited, Animation(tuple(tracks), tuple(motions), fitted.floor)
+
+
+def renumbered(animation: Animation, number: int) -> Animation:
+    """Animation of one person with another number, and with the name of people who have none."""
+    (track,), (motion,) = animation.tracks, animation.motions
+    named = replace(motion, track_id=number, name=f"person-{number}")
+    return replace(animation, tracks=(replace(track, track_id=number),), motions=(named,))
+
+
+def united(parts: Sequence[Animation]) -> Animation:
+    """Animation of everybody from parts: person number k is in part k modulo the number of parts."""
+    numbers = range(sum(len(part.tracks) for part in parts))
+    places = [(parts[number % len(parts)], number // len(parts)) for number in numbers]
+    tracks, motions = [part.tracks[row] for part, row in places], [part.motions[row] for part, row in places]
+    return Animation(tuple(tracks), tuple(motions), parts[0].floor)
+
+
+def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
+    """Keep some frames of a reconstruction, numbered from 0; people who are not there are left out."""
+    kept, tracks, motions = [], [], []
+    for number, (track, motion) in enumerate(zip(reconstruction.tracks, reconstruction.motions, strict=True)):
+        rows = _rows(track, frames)
+        if rows.start < rows.stop:
+            kept.append((number, rows))
+            tracks.append(_moved(part_of_track(track, rows), frames.start))
+            motions.append(replace(_part_of_motion(motion, rows), start_frame=tracks[-1].start_frame))
+    located, observations, doubts = reconstruction.located, reconstruction.observations, reconstruction.doubts
+    return replace(
+        reconstruction,
+        timebase=cut_timebase(reconstruction.timebase, frames),
+        located=StoredSequence(
+            len(kept), lambda k: _moved(part_of_track(located[kept[k][0]], kept[k][1]), frames.start)
+        ),
+        observations=StoredSequence(len(kept), lambda k: part_of_observations(observations[kept[k][0]], kept[k][1])),
+        doubts=[
+            [
+                doubt._replace(frame=doubt.frame - frames.start)
+                for doubt in doubts[number]
+                if frames.start <= doubt.frame < frames.stop
+            ]
+            for number, _ in kept
+        ]
+        if doubts
+        else (),
+        losses=[
+            loss._replace(
+                start_frame=max(loss.start_frame, frames.start) - frames.start,
+                stop_frame=min(loss.stop_frame, frames.stop) - frames.start,
+            )
+            for loss in reconstruction.losses
+            if loss.start_frame < frames.stop and loss.stop_frame > frames.start
+        ],
+        animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
+    )
+
+
+def part_of_track(track: Track3D, rows: slice) -> Track3D:
+    """Some rows of a track."""
+    arrays: dict[str, Any] = {name: getattr(track, name) for name in _ARRAYS}
+    kept: dict[str, Any] = {name: array if array is None else array[rows] for name, array in arrays.items()}
+    return replace(track, start_frame=track.start_frame + rows.start, **kept)
+
+
+def part_of_observations(seen: Observations, rows: slice) -> Observations:
+    """Some rows of the observations of a track."""
+    return replace(seen, points_px=seen.points_px[rows], score=seen.score[rows], detection=seen.detection[rows])
+
+
+def _part_of_motion(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:
+    contacts = []
+    for contact in motion.contacts:
+        start, stop = max(contact.start_frame, rows.start), min(contact.start_frame + contact.num_frames, rows.stop)
+        if start < stop:
+            contacts.append(replace(contact, start_frame=start - rows.start, num_frames=stop - start))
+    root_m, parent_from_joint = motion.root_m[rows], motion.parent_from_joint[rows]
+    return replace(motion, root_m=root_m, parent_from_joint=parent_from_joint, contacts=tuple(contacts))
+
+
+def _rows(track: Track3D, frames: range) -> slice:
+    """Rows of a track within frames; empty without any."""
+    start, stop = max(frames.start, track.start_frame), min(frames.stop, track.start_frame + track.num_frames)
+    return slice(start - track.start_frame, max(start, stop) - track.start_frame)
+
+
+def _moved(track: Track3D, frames: int) -> Track3D:
+    return replace(track, start_frame=track.start_frame - frames)
+
+
+def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
+    """Track of a person from the tracks that the pieces are of."""
+    (num_joints,) = {part.xyz_m.shape[1] for part in parts}
+    num_frames = person.stop_frame - person.start_frame
+    shape = num_frames, num_joints
+    has_uncertainty = any(part.uncertainty_m is not None for part in parts)
+    arrays: dict[str, np.ndarray] = {
+        "xyz_m": np.full((*shape, 3), np.nan),
+        "score": np.zeros(shape),
+        "source": np.full(shape, Source.ABSENT, parts[0].source.dtype),
+        "error_px": np.full(shape, np.nan),
+        "views": np.zeros(shape, parts[0].views.dtype),
+    }
+    if has_uncertainty:
+        arrays["uncertainty_m"] = np.full(shape, np.nan)
+    for rows, own_rows, part in _places(person, parts):
+        for name, array in arrays.items():
+            values = getattr(part, name)
+            if values is not None:
+                array[rows] = values[own_rows]
+    return Track3D(person.id, person.start_frame, **{name: read_only(array) for name, array in arrays.items()})
+
+
+def _observations(person: EditedPerson, parts: Sequence[Track3D], seen: Sequence[Observations]) -> Observations:
+    num_frames = person.stop_frame - person.start_frame
+    points_px = np.full((num_frames, *seen[0].points_px.shape[1:]), np.nan)
+    score = np.zeros((num_frames, *seen[0].score.shape[1:]))
+    for (rows, own_rows, _), observations in zip(_places(person, parts), seen, strict=True):
+        points_px[rows] = observations.points_px[own_rows]
+        score[rows] = observations.score[own_rows]
+    # Identities are decided: the rows of the detections are needed for nothing else.
+    return Observations(person.id, read_only(points_px), read_only(score), no_detections())
+
+
+def _places(person: EditedPerson, parts: Sequence[Track3D]) -> Iterator[tuple[slice, slice, Track3D]]:
+    """Rows of each piece in the person's track, and in the track that it is of."""
+    for piece, part in zip(person.pieces, parts, strict=True):
+        num_frames = piece.stop_frame - piece.start_frame
+        row, own_row = piece.start_frame - person.start_frame, piece.start_frame - part.start_frame
+        yield slice(row, row + num_frames), slice(own_row, own_row + num_frames), part
+
+
+def _doubts(people: People, take: EditedTake, number: int) -> list[Doubt]:
+    """Doubts about a person who did not change, with the other person's present number; 0 if there is none."""
+    return [doubt._replace(other=_present(take, doubt)) for doubt in people.doubts[number]]
+
+
+def _present(take: EditedTake, doubt: Doubt) -> int:
+    holders: Mapping[int, int] = {
+        piece.person: person.id
+        for person in take.people
+        for piece in person.pieces
+        if piece.start_frame <= doubt.frame < piece.stop_frame
+    }
+    return holders.get(doubt.other, 0)

@@ -1,0 +1,210 @@
+"""What stages are made of: declarations, tasks on ranges of frames, outputs. Standard library only.
+
+A module of ``pipeline.run.steps`` declares a stage as ``STAGE``, beside its function. Its head imports this module and
+the standard library, so that the plan of a job loads no science; the function imports what it needs when it runs.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline.core.errors import PipelineError
+from pipeline.core.findings import Finding
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.edits import PersonSpan
+
+if TYPE_CHECKING:
+    from pipeline.run.engine.context import Context as Context  # noqa: PLC0414 - stages import it from here
+else:
+    Context = Any  # it knows the science
+
+LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
+LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
+EXPECT, REDETECT = "expect_bodies", "redetect"
+EXPECT_AGAIN, REDETECT_AGAIN = "expect_again", "redetect_again"
+IDENTIFY, FIT, HOLD = "identify", "fit", "hold_feet"
+EDIT, REFIT = "edit", "refit"
+WRITE, EXPORT = "write_people", "export"
+HEADS, BLUR = "find_heads", "blur_videos"
+OVERLAY, REPORT, RECORD = "draw_overlay", "write_report", "write_recording"
+RETARGET = "retarget_character"
+OPENSIM = "run_opensim"
+FIND_BOARD, CALIBRATE, PROXY = "find_board", "make_calibration", "make_proxy"
+CHECK = "check_session"
+TAKE = CHECK, SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT, REFIT
+"""Stages of whose outputs a take is assembled; see ``pipeline.run.engine.take``."""
+
+# Largest number of tasks of a stage that is cut by person.
+_MOST_PARTS = 4
+
+VIEWER = "viewer"
+"""Kind of the files that viewers read; lists of downloads leave them out."""
+MOTION, DESCRIPTION = "motion.bin", "motion.json"
+"""Names of these files."""
+
+Cut = Literal["cameras", "camera ranges", "ranges", "people", "whole"]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """Facts of a session that a plan depends on."""
+
+    inputs: tuple[str, ...]  # Digests of the files, and of all that was found in them or stated about them
+    # Output frames of the session, and their rate
+    num_frames: int
+    frame_rate_hz: float
+    stretches: tuple[range, ...]  # Output frames in which a camera took frames, ascending; pauses lie between them
+    camera_rates_hz: Mapping[str, float]  # Frame rate of each camera, by name, in the session's order
+    has_videos: bool  # Whether the session consists of videos; else of keypoints
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCut:
+    """Cut of a session's output frames into ranges."""
+
+    frames: range  # Wanted output frames
+    # Output frames of the session that have to be worked on, ascending; ranges without any of them are left out
+    stretches: tuple[range, ...]
+    chunk_frames: int  # Length of a range. Ranges begin at its multiples; the first and the last one may be shorter.
+
+    def __iter__(self) -> Iterator[range]:
+        """Ranges in order, at least one."""
+        stop = 0
+        for part in self.parts:
+            first = max(stop, part.start // self.chunk_frames)
+            stop = -(-part.stop // self.chunk_frames)
+            for number in range(first, stop):
+                start = number * self.chunk_frames
+                yield range(max(start, self.frames.start), min(start + self.chunk_frames, self.frames.stop))
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of all parts."""
+        return sum(map(len, self.parts))
+
+    @property
+    def parts(self) -> list[range]:
+        """Stretches within the wanted frames; the first wanted frame if there are none."""
+        inside = (
+            range(max(stretch.start, self.frames.start), min(stretch.stop, self.frames.stop))
+            for stretch in self.stretches
+        )
+        return [part for part in inside if part] or [self.frames[:1]]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task of a stage."""
+
+    stage: str  # Name of the stage
+    index: int  # Number within the stage
+    camera: str | None  # Camera whose frames it is about; ``None``: all cameras
+    frames: range  # Output frames, in the session's numbering
+    chunk_frames: int  # Length of the ranges into which the session's frames are cut
+    num_units: int  # Number of units that its progress counts, at least 1
+    key: str  # Content-addressed key of its output
+    # Key of all that pieces of its output depend on but the edits of people, for stages that follow edits; see
+    # ``pipeline.run.engine.pieces``
+    piece_key: str = ""
+
+    @property
+    def one_camera(self) -> str:
+        """Camera of a task of a stage that is cut by camera."""
+        if self.camera is None:
+            raise PipelineError(f"Tasks of the stage {self.stage} are of one camera each.")
+        return self.camera
+
+    def cut(self, facts: SessionFacts) -> FrameCut:
+        """Cut of the frames of a task on the whole session into the ranges of the plan."""
+        return FrameCut(self.frames, facts.stretches, self.chunk_frames)
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFile:
+    """A result file for the client. The executor may move it away from ``path``.
+
+    ``person`` is the number of a person as in ``name``, ``person_name`` the person's name.
+    """
+
+    name: str
+    kind: str
+    person: str | None
+    media_type: str
+    path: Path
+    person_name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Output of a task."""
+
+    content: bytes  # Bytes that later stages read; see ``pipeline.run.engine.codec``
+    files: tuple[ResultFile, ...] = ()  # Result files, of the last stage only
+    warnings: tuple[Finding, ...] = ()  # Findings about the results, for the last stage only
+    # Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none
+    interim: bytes | None = None
+    # Calibration that the job has made: ``files``, texts by format, and ``report``
+    calibration: Mapping[str, Any] | None = None
+    # Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
+    # ``pipeline.run.engine.pieces``.
+    pieces: Mapping[str, Path] = field(default_factory=dict)
+    # People whom the job has found, before any edit; ``None`` of a task that writes no results
+    people: tuple[PersonSpan, ...] | None = None
+
+
+def indexed(files: Sequence[ResultFile], **figures: Any) -> Output:
+    """Result files, and an index of them with figures about them."""
+    return Output(json.dumps({"files": [file.name for file in files], **figures}).encode(), tuple(files))
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Declaration of a stage."""
+
+    name: str  # Name in the service's API, in keys and in logs
+    label: str  # What forms and progress bars call it
+    # Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many of
+    # its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result file is
+    # not whole when it is read back.
+    function: Callable[[Task, Context], Output]
+    # How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at all
+    cut: Cut
+    # Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too
+    follows: tuple[str, ...]
+    # Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
+    choices: tuple[str, ...]
+    # Whether a job has this stage
+    is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
+    # Frames for each task of a stage that is cut by person, so that the shortest takes have one
+    frames_a_part: int = 25
+    unit: Literal["frames", "steps"] = "steps"  # What its progress counts
+    frames_a_unit: int = 1  # Frames of a camera that a unit of a stage on ranges of cameras stands for
+    max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all
+    # Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would
+    looked_at_hz: float | None = None
+    is_reusable: bool = True  # Whether its outputs serve other jobs of the session too
+    # Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
+    # removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same if
+    # its interim output is missing and an output of a stage that follows is missing too.
+    leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
+    reads_videos: bool = False  # It fails without the session's videos
+    # Networks run in it: its output depends on their execution provider, and two tasks overlap (``overlapped``).
+    runs_networks: bool = False
+    makes_files: bool = False  # Whether its output are result files, and their index
+    is_of_edits: bool = False  # Whether it works for edits of people alone
+    # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no
+    # pieces
+    pieces_of: str = ""
+
+    def num_parts(self, frames: range) -> int:
+        """Number of its tasks, if it is cut by person: person number k is in task k modulo this number.
+
+        A plan is made before anybody is found.
+        """
+        return max(1, min(_MOST_PARTS, len(frames) // self.frames_a_part))
+
+    def people(self, task: Task) -> slice:
+        """Numbers of the people of one of its tasks, if it is cut by person."""
+        return slice(task.index, None, self.num_parts(task.frames))

@@ -1,0 +1,103 @@
+"""Detection of bodies in the newest pictures, in processes that open the networks once."""
+
+import os
+import time
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.core.options.config import MotionChoices, detected_joints, networks_of
+from pipeline.detection.appearance import colour_histograms
+from pipeline.detection.profiles.detection import open_detection
+from pipeline.detection.profiles.sizes import RULES, USUAL_PX, CameraSizes, SizeRule, body_spans_px, choose_sizes
+from pipeline.detection.providers.find import current_provider
+from pipeline.video.rotation import Rotator
+
+# Below the processes that decode, which must not fall behind.
+_NICE = 5
+# Processes that a camera keeps busy: 60 Hz and networks of 65 ms.
+_MOST_BUSY = 4
+# Pictures by which a size is chosen.
+_NUM_LATEST = 50
+
+
+class DetectionJob(NamedTuple):
+    """Picture in which bodies are to be detected."""
+
+    choices: MotionChoices  # Choices of the networks
+    path: str  # File of the pictures
+    shape: tuple[int, int, int, int]  # Number of pictures, height, width and channels
+    slot: int  # Number of the picture in the file
+    rotation_deg: int  # Counterclockwise turn of the picture for display, after ``is_mirrored``
+    turn_deg: float  # Counterclockwise turn that brings the shown picture upright
+    sizes: CameraSizes | None  # Size of the picture in the network's input; ``None``: the usual one
+    measures_colours: bool  # Whether the colours of the clothes are measured
+    is_mirrored: bool = False  # Whether left and right of the picture are exchanged for display
+
+
+class DetectedBodies(NamedTuple):
+    """Bodies in a picture."""
+
+    keypoints_px: Float[np.ndarray, "bodies joints 2"]  # NaN where a joint was not found
+    score: Float[np.ndarray, "bodies joints"]
+    colour: UInt8[np.ndarray, "bodies parts bins"] | None  # Colours of the clothes; ``None``: not measured
+    spans_px: Float[np.ndarray, " bodies"]  # Size of each body, see ``body_spans_px``
+    duration_s: float  # Time that the detection took: of a core, which other programs don't lengthen, or of the GPU
+
+
+def num_processes(num_cameras: int) -> int:
+    """Number of processes that detect: one on a GPU, else one for each processor, but no more than can be busy."""
+    return 1 if current_provider().is_gpu else min(os.cpu_count() or 1, _MOST_BUSY * num_cameras)
+
+
+def start_detecting(choices: MotionChoices) -> None:
+    """Open the networks in this process, which yields to others."""
+    os.nice(_NICE)
+    open_detection(networks_of(choices), detected_joints(choices))
+
+
+def detect_bodies(job: DetectionJob) -> DetectedBodies:
+    """Detect the bodies in a picture, and measure the colours of their clothes if they are asked for."""
+    clock = time.perf_counter if current_provider().is_gpu else time.thread_time
+    started_s = clock()
+    pictures = np.memmap(job.path, np.uint8, "r", shape=job.shape)
+    image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90, job.is_mirrored)
+    detector = open_detection(networks_of(job.choices), detected_joints(job.choices), job.sizes, job.turn_deg)
+    bodies = detector.detect(image_rgb)
+    colour = None
+    if job.measures_colours:
+        colour = colour_histograms(image_rgb, bodies.keypoints_px, bodies.score, detector.joints)
+    spans_px = body_spans_px(bodies, job.turn_deg)
+    return DetectedBodies(bodies.keypoints_px, bodies.score, colour, spans_px, clock() - started_s)
+
+
+class PictureSize:
+    """Size of a camera's pictures in the network's input, by the people in the latest pictures.
+
+    The rule is that of finished sessions, but for one pass that is at most as large as the usual one: what is found out
+    about people must not make the detection slower than it was measured at the start.
+
+    Parameters
+    ----------
+    size_px
+        Width and height of the upright pictures.
+    """
+
+    def __init__(self, choices: MotionChoices, size_px: tuple[int, int]) -> None:
+        rule = RULES[choices.profile]
+        self._rule = SizeRule(rule.span_px, min(rule.max_px, USUAL_PX)) if networks_of(choices).is_sized else None
+        self._size_px = size_px
+        self._spans_px: deque[Float[np.ndarray, " bodies"]] = deque(maxlen=_NUM_LATEST)
+        self._num_until_choice = 1
+        self.sizes: CameraSizes | None = None
+
+    def add(self, spans_px: Float[np.ndarray, " bodies"]) -> None:
+        """Take the bodies of a picture; choose the size by the first one, and anew after many."""
+        self._spans_px.append(spans_px)
+        self._num_until_choice -= 1
+        if self._num_until_choice == 0 and self._rule is not None:
+            self._num_until_choice = _NUM_LATEST
+            chosen = choose_sizes(list(self._spans_px), self._size_px, self._rule)
+            self.sizes = CameraSizes(chosen.scaled_px[-1:])

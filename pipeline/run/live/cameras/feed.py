@@ -1,0 +1,200 @@
+"""Feed of a camera: its stream in a process, which is started again whenever it ends."""
+
+import queue
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.core.errors import Problem
+from pipeline.core.problems.live import STREAM_SILENT
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
+from pipeline.run.live.cameras.sources import CameraSource
+from pipeline.run.live.cameras.stream_process import SharedPictures, StreamProcess, StreamProcessError
+from pipeline.run.live.cameras.stream_program import StreamRequest
+
+# Longest wait for the first picture, and for the next one; the stream's own time-outs are shorter.
+_OPEN_S, _SILENT_S = 15.0, 6.0
+# A pause before another try is twice the last one.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
+_LOOK_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFormat:
+    """Form of a stream's pictures."""
+
+    stored_size_px: tuple[int, int]  # Width and height, before pixels become square and before rotation
+    square_width: int  # Width of the pictures with square pixels
+    rotation_deg: int  # Counterclockwise turn for display, after ``is_mirrored``
+    is_mirrored: bool = False  # Whether left and right of the stored picture are exchanged for display
+
+    @property
+    def shown_size_px(self) -> tuple[int, int]:
+        """Width and height as shown."""
+        size_px = self.square_width, self.stored_size_px[1]
+        return size_px if self.rotation_deg % 180 == 0 else size_px[::-1]
+
+
+@dataclass(frozen=True, slots=True)
+class FeedOpened:
+    """A stream has begun: at first, or again."""
+
+    camera: int
+    format: PictureFormat
+    rate_hz: float  # Rate that the stream states; 0: it states none
+
+
+@dataclass(frozen=True, slots=True)
+class FrameDecoded:
+    """A frame was decoded, and is the newest one."""
+
+    camera: int
+    number: int  # Number of frames so far, of this opening of the stream
+    time_s: float  # Time at which it was taken, of ``time.monotonic``
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReady:
+    """A picture that was asked for is in the shared file."""
+
+    camera: int
+    slot: int
+    time_s: float
+    pictures: SharedPictures
+
+
+@dataclass(frozen=True, slots=True)
+class FeedEnded:
+    """A stream has ended."""
+
+    camera: int
+    problem: Problem | None  # ``None`` at the end of a file
+    is_over: bool  # Whether it is not opened again: a file
+
+
+FeedEvent = FeedOpened | FrameDecoded | PictureReady | FeedEnded
+
+
+class CameraFeed:
+    """Feed of a camera; a thread reads what the process of its stream tells.
+
+    Parameters
+    ----------
+    camera
+        Position of the camera.
+    size_px
+        Size of its pictures by the calibration.
+    num_slots
+        Number of pictures that are held at a time.
+    events
+        Queue that gets a ``FeedEvent`` for everything that happens.
+    """
+
+    def __init__(
+        self,
+        camera: int,
+        source: CameraSource,
+        size_px: tuple[int, int],
+        num_slots: int,
+        events: "queue.SimpleQueue[FeedEvent | None]",
+    ) -> None:
+        self._camera, self._source, self._num_slots, self._events = camera, source, num_slots, events
+        self._request = StreamRequest(source.kind, source.address, size_px)
+        self._format: PictureFormat | None = None
+        self._process: StreamProcess | None = None
+        self._pictures: SharedPictures | None = None
+        self._is_waiting = source.kind == "file"  # until it is played
+        self._is_closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def start(self, start_s: float) -> None:
+        """Play a file from a time on; other streams have begun."""
+        self._is_waiting = False
+        if self._process is not None:
+            self._process.tell(start_s=start_s)
+
+    def ask(self, slot: int) -> None:
+        """Ask for the newest picture."""
+        if self._process is not None:
+            self._process.tell(slot=slot)
+
+    def close(self) -> None:
+        """End the process soon; ``join`` waits for its end."""
+        self._is_closed.set()
+
+    def join(self) -> None:
+        """Wait for the end of the process."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        pause_s, is_file = _FIRST_PAUSE_S, self._source.kind == "file"
+        while not self._is_closed.is_set():
+            started_s = time.monotonic()
+            problem = self._watch()
+            if self._is_closed.is_set():
+                return
+            self._events.put(FeedEnded(self._camera, problem, is_file))
+            if is_file:
+                return
+            if time.monotonic() - started_s > _LONGEST_PAUSE_S:
+                pause_s = _FIRST_PAUSE_S
+            self._is_closed.wait(pause_s)
+            pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+
+    def _watch(self) -> Problem:
+        """Start the process, and pass on what it tells; return why the stream ended."""
+        try:
+            with StreamProcess(self._request) as self._process:
+                return self._pass_on(self._process)
+        except StreamProcessError:
+            message = "The decoder crashed, or needs more memory than is allowed."
+            return self._problem(VIDEO_UNREADABLE, message, "See what the camera sends.")
+        except OSError as error:
+            message = f"The decoder can't be started, or has no memory for pictures: {error.strerror}."
+            return self._problem(VIDEO_UNREADABLE, message, "See how many processes and how much memory are left.")
+        finally:
+            self._process = self._pictures = None
+
+    def _pass_on(self, process: StreamProcess) -> Problem:
+        silent_s, is_at_end = time.monotonic() + _OPEN_S, False
+        for message in process.messages(_LOOK_S):
+            if message is not None or (self._format and self._is_waiting):
+                silent_s = time.monotonic() + _SILENT_S
+            if self._is_closed.is_set() or (time.monotonic() > silent_s and not is_at_end):
+                break
+            if message is None:
+                continue
+            match message["kind"]:
+                case "opened":
+                    if (problem := self._open(process, message)) is not None:
+                        return problem
+                case "decoded":
+                    self._events.put(FrameDecoded(self._camera, message["number"], message["time_s"]))
+                case "picture" if self._pictures is not None:
+                    self._events.put(PictureReady(self._camera, message["slot"], message["time_s"], self._pictures))
+                case "ended" if "code" in message:
+                    return self._problem(message["code"], message["message"], message["hint"])
+                case "ended" if self._source.kind == "file":
+                    # Its last pictures may still be asked for.
+                    self._events.put(FeedEnded(self._camera, None, is_over=True))
+                    is_at_end = True
+                case "ended":
+                    return self._problem(STREAM_SILENT, "The camera has ended the stream.", "See that it is on.")
+        return self._problem(STREAM_SILENT, "The camera sends no pictures.", "See that it is on.")
+
+    def _open(self, process: StreamProcess, message: dict[str, Any]) -> Problem | None:
+        stored_px, square_width = tuple(message["stored_size_px"]), message["square_width"]
+        form = PictureFormat(stored_px, square_width, message["rotation_deg"], message["is_mirrored"])
+        if self._format not in {None, form}:
+            return self._problem(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start the capture anew.")
+        self._format = form
+        self._pictures = SharedPictures(self._num_slots, stored_px[1], square_width)
+        process.tell(path=self._pictures.path)
+        self._events.put(FeedOpened(self._camera, form, message["rate_hz"]))
+        return None
+
+    def _problem(self, code: Code, message: str, hint: str | None) -> Problem:
+        return Problem(code, message, file=self._source.shown, camera=self._source.camera, hint=hint)

@@ -1,0 +1,98 @@
+"""Sources of cameras as users state them: addresses of streams, devices and files."""
+
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from urllib.parse import urlsplit
+
+from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.problems.live import CAMERA_SOURCE
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import VIDEO_MISSING
+
+SourceKind = Literal["rtsp", "http", "device", "file"]
+"""Kind of a source. A file is played at its own pace."""
+
+_SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
+_HINT = "Write it as cam_1=rtsp://192.168.0.10/stream, cam_2=http://..., cam_3=/dev/video0 or cam_4=clip.mp4."
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSource:
+    """Source of a camera's pictures."""
+
+    camera: str  # Name of the camera
+    kind: SourceKind
+    address: str  # Address with user and password, if there are any, or path
+
+    @property
+    def shown(self) -> str:
+        """Address for people, without user and password; of a file or device its base name."""
+        if self.kind in {"device", "file"}:
+            return Path(self.address).name
+        url = urlsplit(self.address)
+        return url._replace(netloc=url.netloc.rpartition("@")[2], query="").geturl()
+
+
+def read_sources(texts: Sequence[str], cameras: Sequence[str]) -> list[CameraSource]:
+    """Read what was stated as ``CAMERA=SOURCE``.
+
+    Parameters
+    ----------
+    cameras
+        Names of the calibrated cameras.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong: malformed texts, unknown and repeated cameras, missing files, fewer than two
+        cameras.
+    """
+    problems: list[Problem] = []
+    sources: list[CameraSource] = []
+    for text in texts:
+        name, sign, address = (part.strip() for part in text.partition("="))
+        if not (name and sign and address):
+            problems.append(Problem(CAMERA_SOURCE, f"{text!r} is not CAMERA=SOURCE.", field="camera", hint=_HINT))
+            continue
+        found = [*_name_problems(name, cameras, [source.camera for source in sources]), *_address_problems(address)]
+        problems += (Problem(code, message, camera=name, hint=hint) for code, message, hint in found)
+        sources.append(CameraSource(name, _kind(address) or "file", address))
+    if len(texts) < 2:
+        message, hint = "A live capture needs at least two cameras.", "Give --camera for each of them."
+        problems.append(Problem(CAMERA_SOURCE, message, field="camera", hint=hint))
+    if problems:
+        raise InputError(problems)
+    return sources
+
+
+def _kind(address: str) -> SourceKind | None:
+    """Kind of a source; ``None`` for a scheme that is not supported."""
+    scheme, sign, _ = address.partition("://")
+    if sign:
+        return _SCHEMES.get(scheme.lower())
+    try:
+        return "device" if stat.S_ISCHR(os.stat(address).st_mode) else "file"  # noqa: PTH116 - of a text
+    except (OSError, ValueError):
+        return "device" if address.startswith("/dev/") else "file"
+
+
+def _name_problems(name: str, cameras: Sequence[str], earlier: Sequence[str]) -> Iterator[tuple[Code, str, str]]:
+    if name not in cameras:
+        hint = f"Its cameras are {listed_names(cameras)}."
+        yield CAMERA_SOURCE, "The calibration has no camera of this name.", hint
+    if name in earlier:
+        yield CAMERA_SOURCE, "The camera is stated twice.", "State each camera once."
+
+
+def _address_problems(address: str) -> Iterator[tuple[Code, str, str]]:
+    kind = _kind(address)
+    if kind is None:
+        scheme = address.partition("://")[0]
+        yield CAMERA_SOURCE, f"Streams of {scheme}:// are not supported.", "Use rtsp, rtsps, http or https."
+    elif kind in {"device", "file"} and not Path(address).exists():
+        noun = "device" if kind == "device" else "file"
+        yield VIDEO_MISSING, f"There is no {noun} {Path(address).name}.", "Check the path."

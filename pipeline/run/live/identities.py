@@ -1,0 +1,268 @@
+"""Numbers of people who come back: by proportions and clothes, against those of everybody who was there before.
+
+The tracker gives a new number to whoever was hidden for longer than it waits. Until the bones of a new person are
+learnt, all full seconds of sight are compared with the people who are not there: by the log-likelihood ratio that the
+lengths of the limbs are those of one person, as of ``identity.proportions``, plus that of the clothes' colours where
+there are pictures, as of ``identity.clothes``. The number goes back only where it is clear.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from pipeline.association.identity.proportions import NUM_LIMBS, LimbProportions, Measured, limb_lengths_m, measure
+from pipeline.core.data.people import Source, Track3D
+from pipeline.core.joints import MARKED_AT_CENTERS, JointOffset, JointOffsets, JointSet
+from pipeline.motion.skeleton.marks import trunk_length_m
+from pipeline.motion.skeleton.model import INDEX
+from pipeline.run.live.clothing import ColourOfCamera, LiveClothes
+from pipeline.run.live.skeleton import LearntBones
+
+_STRETCH_S = 1.0
+# Positions of a second that are kept.
+_MOST_KEPT = 25
+# Standard deviation of a limb measured for a second, before a capture tells, and its weight in pairs of seconds.
+_USUAL_M, _USUAL_SECONDS = 0.03, 0.5
+# Log-likelihood ratio from which on somebody is a person who was there before (odds of 55), and by how much it is above
+# those of others. Whoever is announced is expected.
+_CLEAR, _CLEAR_IF_ANNOUNCED = 4.0, 2.0
+# Fewest positions of a second that are compared.
+_FEWEST_KEPT = 5
+# Seconds for which a body of an earlier take was measured, as far as its lengths are those of this detector's marks.
+_EARLIER_S = 5.0
+# Time in sight together from which on two people are certainly different ones. Their seconds may begin at different
+# times: when one of them is over, the other person's is at least half over, or the other way round.
+_TOGETHER_S = 0.4
+# People who are remembered.
+_MOST_KNOWN = 64
+
+
+@dataclass(slots=True, eq=False)
+class _Seconds:
+    """Lengths of a person's limbs by the seconds of sight."""
+
+    sum_m: Float[np.ndarray, " limbs"]  # Sum of the medians of seconds, times the seconds for which each was measured
+    duration_s: Float[np.ndarray, " limbs"]
+    before: Measured | None = None  # Second that has no partner yet
+
+    def measured(self) -> Measured:
+        """All seconds as one measurement."""
+        known = self.duration_s > 0
+        return Measured(np.where(known, self.sum_m / np.where(known, self.duration_s, 1.0), np.nan), self.duration_s)
+
+
+@dataclass(slots=True, eq=False)
+class _Sight:
+    """Positions and colours of the second that is not over."""
+
+    start_s: float
+    seen_s: float  # Time of the latest instant
+    located_m: list[Float[np.ndarray, "joints 3"]] = field(default_factory=list)
+    colours: list[ColourOfCamera] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownBody:
+    """Body of a person who was there before: its bones, or their lengths alone if it is of an earlier take."""
+
+    length_m: Float[np.ndarray, " bones"]
+    bones: LearntBones | None
+
+
+class Identities:
+    """Numbers of the people of a live capture.
+
+    Parameters
+    ----------
+    joints
+        Joint set of the detector.
+    num_cameras
+        Number of cameras.
+    bodies
+        Lengths of the skeleton's bones of people of earlier takes, in metres; they have the first numbers.
+    offsets
+        Offsets of the detector's marks from the joints' centres.
+    """
+
+    def __init__(
+        self,
+        joints: JointSet,
+        num_cameras: int,
+        bodies: Sequence[Float[np.ndarray, " bones"]],
+        offsets: JointOffsets = MARKED_AT_CENTERS,
+    ) -> None:
+        self._joints = joints
+        self._first = len(bodies)
+        self._number: dict[int, int] = {}  # of the people whom the tracker follows, by its number
+        self._known: dict[int, KnownBody] = {}
+        self._seconds: dict[int, _Seconds] = {}
+        self._clothes = LiveClothes(num_cameras)
+        self._sight: dict[int, _Sight] = {}
+        # Squares of the differences of seconds, and their number, as identity.proportions estimates the spread.
+        self._count = np.full(NUM_LIMBS, _USUAL_SECONDS)
+        self._square_m2 = _USUAL_M**2 * self._count
+        for number, length_m in enumerate(bodies, 1):
+            self._known[number] = KnownBody(np.asarray(length_m), None)
+            limbs_m = limbs_of_bones_m(np.asarray(length_m), offsets)
+            self._seconds[number] = _Seconds(_EARLIER_S * limbs_m, np.full(NUM_LIMBS, _EARLIER_S))
+
+    def __len__(self) -> int:
+        of_sights = sum(len(sight.located_m) + len(sight.colours) for sight in self._sight.values())
+        return len(self._seconds) + len(self._clothes) + len(self._number) + of_sights
+
+    def number_of(self, tracked: int) -> int:
+        """Number of a person by the tracker's number."""
+        return self._number.setdefault(tracked, tracked + self._first)
+
+    def keep(self, tracked: Set[int]) -> None:
+        """Forget positions of people whom the tracker does not follow any more, and the first of very many people.
+
+        People who were announced stay.
+        """
+        self._number = {key: number for key, number in self._number.items() if key in tracked}
+        present = set(self._number.values())
+        self._sight = {number: sight for number, sight in self._sight.items() if number in present}
+        # Whoever left without bones can't be recognised.
+        self._seconds = {n: seconds for n, seconds in self._seconds.items() if n in present or n in self._known}
+        absent = [number for number in self._known if number > self._first and number not in present]
+        for number in absent[: max(0, len(self._known) - _MOST_KNOWN)]:
+            del self._known[number]
+            self._seconds.pop(number, None)
+        self._clothes.keep(self._seconds.keys())
+
+    def see(
+        self,
+        tracked: int,
+        time_s: float,
+        xyz_m: Float[np.ndarray, "joints 3"],
+        colours: Mapping[int, UInt8[np.ndarray, "parts bins"]],
+    ) -> KnownBody | None:
+        """Take a person's located joints at an instant, and the colours of the clothes.
+
+        Parameters
+        ----------
+        tracked
+            The tracker's number of the person.
+        xyz_m
+            World positions in metres, NaN where unknown.
+        colours
+            Colours of the person's detections by the positions of their cameras, as of ``detect.appearance``; none
+            where they were not measured.
+
+        Returns
+        -------
+            Body of the person who was there before, if this is clear now; from then on ``number_of`` gives that
+            person's number. Only people without bones are compared.
+        """
+        number = self.number_of(tracked)
+        sight = self._sight.setdefault(number, _Sight(time_s, time_s))
+        if time_s - sight.start_s >= 2 * _STRETCH_S:  # hidden meanwhile
+            sight = self._sight[number] = _Sight(time_s, time_s)
+        sight.seen_s = time_s
+        step_s = _STRETCH_S / _MOST_KEPT
+        if time_s - sight.start_s >= len(sight.located_m) * step_s:
+            sight.located_m.append(xyz_m)
+        sight.colours += colours.items()
+        if time_s - sight.start_s < _STRETCH_S - step_s / 2:
+            return None
+        self._sight[number] = _Sight(sight.start_s + _STRETCH_S, time_s)
+        if len(sight.located_m) < _FEWEST_KEPT:
+            return None
+        self._add_second(number, np.array(sight.located_m))
+        if sight.colours:
+            self._clothes.add(number, sight.colours)
+            self._clothes.meet(number, self._together(number, sight))
+        if number in self._known:
+            return None
+        former = self._former(number)
+        if former is None:
+            return None
+        self._number[tracked] = former
+        self._sight[former] = self._sight.pop(number)
+        self._merge(self._seconds.pop(number), self._seconds[former])
+        self._clothes.merge(number, former)
+        return self._known[former]
+
+    def learn(self, tracked: int, bones: LearntBones) -> None:
+        """Note the bones of a person; who comes back is recognised from now on."""
+        self._known[self.number_of(tracked)] = KnownBody(bones.length_m, bones)
+
+    def _add_second(self, number: int, located_m: Float[np.ndarray, "instants joints 3"]) -> None:
+        source = np.where(np.isfinite(located_m[..., 0]), Source.MEASURED, Source.ABSENT)
+        nothing = np.zeros(source.shape)
+        track = Track3D(1, 0, located_m, nothing, source, nothing, np.zeros(source.shape, int))
+        second = measure(limb_lengths_m(track, self._joints), len(located_m) / _STRETCH_S)
+        seconds = self._seconds.setdefault(number, _Seconds(np.zeros(NUM_LIMBS), np.zeros(NUM_LIMBS)))
+        seconds.sum_m += second.duration_s * np.nan_to_num(second.median_m)
+        seconds.duration_s += second.duration_s
+        if seconds.before is None:
+            seconds.before = second
+            return
+        difference_m = second.median_m - seconds.before.median_m
+        weight = np.minimum(second.duration_s, seconds.before.duration_s)
+        known = np.isfinite(difference_m)
+        self._square_m2 += np.where(known, difference_m**2 / 2 * weight, 0.0)
+        self._count += known
+        seconds.before = None
+
+    def _together(self, number: int, second: _Sight) -> Iterator[int]:
+        """Numbers of the people who were in sight together with a person in a second that is over."""
+        for other, sight in self._sight.items():
+            both_s = min(second.seen_s, sight.seen_s) - max(second.start_s, sight.start_s)
+            if other != number and both_s >= _TOGETHER_S:
+                yield other
+
+    def _former(self, number: int) -> int | None:
+        """Number of the absent person who is this one; ``None`` if it is nobody, or not clear."""
+        present = set(self._number.values())
+        # People who were located too seldom in each second have bones, which need fewer positions, and no lengths.
+        absent = [known for known in self._known if known not in present and known in self._seconds]
+        if not absent:
+            return None
+        odds = self.log_odds(number, absent)
+        best, *others = sorted(odds, key=lambda other: -odds[other])
+        threshold = _CLEAR if self._known[best].bones is not None else _CLEAR_IF_ANNOUNCED
+        is_clear = odds[best] > threshold and all(odds[best] > odds[other] + _CLEAR for other in others)
+        return best if is_clear else None
+
+    def log_odds(self, number: int, others: Sequence[int]) -> Mapping[int, float]:
+        """Log-likelihood ratios that a person is each of others, against being somebody else."""
+        numbers = [number, *others]
+        # Everybody's proportions tell what an unknown person is like.
+        measured = [self._seconds[n].measured() for n in numbers]
+        proportions = LimbProportions(measured, np.sqrt(self._square_m2 / self._count))
+        information, pull = proportions.information, proportions.pull
+        alone = proportions.log_likelihood(information, pull)
+        together = proportions.log_likelihood(information[1:] + information[0], pull[1:] + pull[0])
+        odds = zip(others, (together - alone[1:] - alone[0]).tolist(), strict=True)
+        clothes = self._clothes.log_ratios(number, others)
+        return {other: of_other + clothes[other] for other, of_other in odds}
+
+    @staticmethod
+    def _merge(seconds: _Seconds, into: _Seconds) -> None:
+        into.sum_m += seconds.sum_m
+        into.duration_s += seconds.duration_s
+
+
+def limbs_of_bones_m(
+    length_m: Float[np.ndarray, " bones"], offsets: JointOffsets = MARKED_AT_CENTERS
+) -> Float[np.ndarray, " limbs"]:
+    """Lengths of the limbs of ``identity.proportions`` from those of a skeleton's bones, in metres.
+
+    Shoulders and hips are where a detector with such offsets marks them on somebody who stands upright.
+    """
+    trunk_m = trunk_length_m(length_m)
+
+    def of(kind: str) -> float:
+        return float(length_m[[INDEX[f"Left{kind}"], INDEX[f"Right{kind}"]]].mean())
+
+    def mark_m(kind: str, outwards_m: float, up_m: float) -> Float[np.ndarray, " 3"]:
+        offset = offsets.get(kind, JointOffset())
+        return np.array([outwards_m, 0.0, up_m]) + trunk_m * np.array([offset.outwards, offset.forward, offset.up])
+
+    shoulder_m, hip_m = mark_m("shoulder", of("Arm"), trunk_m), mark_m("hip", of("UpLeg"), 0.0)
+    flank_m = float(np.linalg.norm(shoulder_m - hip_m))
+    limbs_m = [of("ForeArm"), of("Hand"), of("Leg"), of("Foot")]
+    return np.array([*limbs_m, flank_m, 2 * shoulder_m[0], 2 * hip_m[0]])

@@ -1,0 +1,37 @@
+"""Expect leaning bodies where detectors miss them or call left right. The output is a ``Detections`` a camera."""
+
+from pipeline.run.engine.stage import ASSOCIATE, EXPECT, LOOK, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.steps.redetect import is_redetecting
+
+
+def expect_bodies(task: Task, context: Context) -> Output:
+    """Find the frames of each camera in which people are expected who lean, and their places there."""
+    from pipeline.association.redetection.expect import expect_leaning
+    from pipeline.run.engine.codec import encode
+
+    association = context.association(context.wanted(context.outline()))
+    # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
+    people = association.assign_identities(context.people(ASSOCIATE).people)
+    return Output(
+        encode(
+            expect_leaning(
+                zip(people.tracks, people.observations, strict=True),
+                association.cameras,
+                association.times,
+                association.timebase,
+                association.joints,
+                context.detections.turns_deg,
+            )
+        )
+    )
+
+
+STAGE = Stage(
+    EXPECT,
+    "Find leaning bodies",
+    expect_bodies,
+    cut="whole",
+    follows=(LOOK, SYNCHRONIZE, REFINE, ASSOCIATE),
+    choices=("people",),
+    is_planned=is_redetecting,
+)

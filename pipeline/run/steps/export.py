@@ -1,0 +1,109 @@
+"""Write files: the result files of a job. The output is their index, with the figures of ``metrics.json``."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.core.options.config import FILE_FORMATS, ending_of
+from pipeline.core.problems.warnings import OPENSIM_FAILED
+from pipeline.run.engine.stage import (
+    EXPORT,
+    IDENTIFY,
+    OPENSIM,
+    TAKE,
+    WRITE,
+    Context,
+    Output,
+    ResultFile,
+    Stage,
+    Task,
+    indexed,
+)
+
+if TYPE_CHECKING:
+    from pipeline.core.data.reconstruction import Reconstruction
+    from pipeline.export.results import ReportOf
+
+# People whom a warning names.
+_MAX_NAMED = 10
+
+
+def export(task: Task, context: Context) -> Output:
+    """Write the result files, and the files for viewers if they are wanted."""
+    from pipeline.export.quality.report import all_checks, quality_report
+    from pipeline.export.quality.views import views_of
+    from pipeline.export.results import NOTHING_KEPT, write_files
+    from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
+    from pipeline.run.engine.take import assemble, kept_frames, viewer_files
+
+    config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
+    reconstruction = assemble(context)
+    kept = FilesInPieces(pieces, scratch) if context.keeps_pieces else NOTHING_KEPT
+    views, take = cache(views_of), TakeInPieces(pieces, scratch, config.edits)
+    report: "ReportOf" = partial(take.report, views=views) if context.keeps_pieces else quality_report
+    if "osim" in config.exports:
+        report = partial(_with_opensim, report, context)
+    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
+    written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
+    names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
+    files = [_result_file(path, names) for path in written.paths]
+    if context.has_viewers:
+        frames = kept_frames(context)
+        first_frame = 0 if frames is None else frames.start
+
+        def for_viewers() -> Sequence[ResultFile]:
+            footage = context.outline()
+            return viewer_files(reconstruction, views(reconstruction), footage, written.metrics, scratch, first_frame)
+
+        files += take.viewer_files(reconstruction, for_viewers) if context.keeps_pieces else for_viewers()
+    warnings = tuple(all_checks(written.metrics))
+    output = indexed(files, metrics=written.metrics)
+    return replace(output, warnings=warnings, people=context.people(IDENTIFY).spans, pieces=pieces.files)
+
+
+def _with_opensim(report: "ReportOf", context: Context, take: "Reconstruction") -> dict[str, Any]:
+    """Content of ``metrics.json`` with what OpenSim found of each person, and warnings of what it could not do."""
+    found = [person for output in context.outputs(OPENSIM) for person in json.loads(output)["people"]]
+    people = sorted(found, key=lambda person: int(person["id"]))
+    failed = [f"Person {person['id']}: {person['problem']}" for person in people if person["problem"]]
+    content = report(take)
+    checks = content["capture_checks"]
+    if failed:
+        more = f" And {len(failed) - _MAX_NAMED} more." if len(failed) > _MAX_NAMED else ""
+        message = f"People without a motion of OpenSim. {' '.join(failed[:_MAX_NAMED])}{more}"
+        checks = [*checks, {"code": OPENSIM_FAILED, "message": message}]
+    return content | {"opensim": people, "capture_checks": checks}
+
+
+def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
+    """Result file by its path; ``names`` are those of people, by their numbers in names of files.
+
+    A file of a format that is no person's is of the whole take.
+    """
+    stem, _, ending = path.name.partition(".")
+    for name, file_format in FILE_FORMATS.items():
+        if ending == ending_of(name):
+            person = stem if stem in names else None
+            return ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
+    if stem in names:
+        # Tables of events and of strides.
+        kind, _, _ = ending.partition(".")
+        return ResultFile(path.name, kind, stem, FILE_FORMATS["csv"].media_type, path, names[stem])
+    return ResultFile(path.name, path.stem, None, "application/json", path)
+
+
+STAGE = Stage(
+    EXPORT,
+    "Write files",
+    export,
+    cut="whole",
+    follows=(*TAKE, WRITE, OPENSIM),
+    choices=("exports", "bvh", "output_rate_hz", "timeline", "body", "names"),
+    is_planned=lambda facts, config: config.making is None,
+    is_reusable=False,
+    makes_files=True,
+    pieces_of=EXPORT,
+)

@@ -1,0 +1,55 @@
+"""Tell people apart: who is who, from the tracks of the whole session. The output is stored people."""
+
+from pipeline.run.engine.stage import (
+    ASSOCIATE,
+    DETECT,
+    IDENTIFY,
+    REDETECT,
+    REDETECT_AGAIN,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    Stage,
+    Task,
+)
+from pipeline.run.steps.redetect import is_redetecting
+
+
+def identify(task: Task, context: Context) -> Output:
+    """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
+    from pipeline.association.hands.attach import has_hands
+    from pipeline.core.data.detections import Detections
+    from pipeline.run.engine.people import write_people
+
+    session = context.wanted(context.outline())
+    association, joints = context.association(session), context.detections.joints(session)
+    tracked = context.people(ASSOCIATE)
+    colour = context.gathered_bodies()[0].colour if context.detections.measures_colours else None
+    people = association.assign_identities(tracked.people, colour)
+    del colour
+    if is_redetecting(context.facts, context.config):
+        people = association.accept_redetected(people, context.records(REDETECT, Detections))
+        found_elsewhere = tuple(context.records(REDETECT_AGAIN, Detections))
+        if any(len(bodies.frame) for bodies in found_elsewhere):
+            # They were expected of people whose limbs were assigned.
+            people = association.accept_redetected(association.assign_limbs(people), found_elsewhere)
+    people = association.assign_limbs(people)
+    people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
+    if has_hands(joints):
+        people = association.attach(people, context.gathered_bodies()[0], joints)
+    path = context.scratch / "people.npz"
+    write_people(path, people, tracked.damaged)
+    del people
+    context.on_share(task)(1.0)
+    return Output(path.read_bytes())
+
+
+STAGE = Stage(
+    IDENTIFY,
+    "Tell people apart",
+    identify,
+    cut="whole",
+    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT, REDETECT_AGAIN),
+    choices=("people",),
+)

@@ -1,0 +1,37 @@
+"""Scale OpenSim's model to people and find its motion. The output indexes the files, with figures of each person."""
+
+from pipeline.core.options.config import FILE_FORMATS
+from pipeline.run.engine.stage import OPENSIM, TAKE, Context, Output, ResultFile, Stage, Task, indexed
+
+
+def run_opensim(task: Task, context: Context) -> Output:
+    """Write the archives of a part of the people."""
+    from pipeline.export.opensim.files import write_opensim_files
+    from pipeline.run.engine.take import assemble
+
+    take = assemble(context)
+    names = {motion.track_id: motion.name for motion in take.motions}
+    files, people = [], []
+    rate_hz = context.config.output_rate_hz
+    for written in write_opensim_files(take, STAGE.people(task), context.scratch, rate_hz, context.on_share(task)):
+        people.append(written.person.document())
+        if written.path is not None:
+            person = f"person-{written.person.id}"
+            media_type = FILE_FORMATS["osim"].media_type
+            name = names[written.person.id]
+            files.append(ResultFile(written.path.name, "osim", person, media_type, written.path, name))
+    return indexed(files, people=people)
+
+
+STAGE = Stage(
+    OPENSIM,
+    "Run OpenSim",
+    run_opensim,
+    cut="people",
+    frames_a_part=1,  # OpenSim takes much longer than a task without a person
+    follows=TAKE,
+    choices=("exports", "output_rate_hz", "names"),
+    is_planned=lambda facts, config: config.making is None and "osim" in config.exports,
+    is_reusable=False,
+    makes_files=True,
+)

@@ -1,0 +1,29 @@
+"""Convert videos for browsers: small copies that they play. The output is empty."""
+
+from pipeline.core.options.job_choices import PROXY_KIND, ProxyChoices, proxy_name
+from pipeline.run.engine.stage import PROXY, Context, Output, ResultFile, Stage, Task
+
+
+def make_proxy(task: Task, context: Context) -> Output:
+    """Make a small copy of a camera's video."""
+    from pipeline.video.playback.proxy_process import make_proxy_in_child
+
+    session, camera = context.videos(), task.one_camera
+    path = context.scratch / proxy_name(list(session.video_of).index(camera))
+    with context.video(camera):
+        make_proxy_in_child(session.video_of[camera], session.times[camera].time_s, path, context.on_unit)
+    return Output(b"", (ResultFile(path.name, PROXY_KIND, None, "video/mp4", path),))
+
+
+STAGE = Stage(
+    PROXY,
+    "Convert videos for browsers",
+    make_proxy,
+    cut="cameras",
+    follows=(),
+    choices=("making",),
+    is_planned=lambda facts, config: isinstance(config.making, ProxyChoices),
+    unit="frames",
+    is_reusable=False,
+    reads_videos=True,
+)

@@ -1,0 +1,46 @@
+"""Refine calibration: from the people that a first association finds. The output is a ``RefinedCalibration``.
+
+Errors of the session's check that refinement may mend are judged here, with the refined cameras.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from pipeline.run.engine.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+
+
+def refine(task: Task, context: Context) -> Output:
+    """Refine the cameras of the session, on measured clocks if they were measured."""
+    from pipeline.core.findings import SessionCheck
+    from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.context import from_first
+    from pipeline.run.engine.refinement import refine_from_bodies, refine_from_fields
+    from pipeline.run.preflight.verdict import is_deferred, judge_refined
+    from pipeline.run.steps.session_check import check_refined
+
+    config, detections, on_share = context.config, context.detections, context.on_share(task)
+    session = context.on_clocks(context.session())
+    association = context.association(session)
+
+    def chunks() -> Iterator[tuple[range, Any]]:
+        for number, frames in enumerate(task.cut(context.facts)):
+            yield from_first(frames, task.frames), detections.in_range(task, session, number, frames)
+
+    if detections.finds_fields:
+        refined = refine_from_fields(association, chunks, on_share)
+    else:
+        refined = refine_from_bodies(association, detections.bodies(session), detections.joints(session), on_share)
+    if is_deferred(context.record(CHECK, SessionCheck), session.cameras, config):
+        judge_refined(check_refined(task, context, refined.cameras), refined.cameras)
+    return Output(encode(refined))
+
+
+STAGE = Stage(
+    REFINE,
+    "Refine calibration",
+    refine,
+    cut="whole",
+    follows=(DETECT, SYNCHRONIZE, CHECK),
+    choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
+    is_planned=lambda facts, config: config.is_of_people and config.refine_calibration == "auto",
+)

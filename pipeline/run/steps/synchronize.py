@@ -1,0 +1,30 @@
+"""Synchronise cameras: when the frames of each were taken. The output is a ``Synchronization``."""
+
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.jobs import SYNC_NEEDS_BODIES
+from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Stage, Task
+
+
+def synchronize(task: Task, context: Context) -> Output:
+    """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
+    from pipeline.capture.synchronization.session import listen, measure_clocks
+    from pipeline.run.engine.codec import encode
+
+    if context.detections.finds_fields:
+        message = "Cameras are synchronised from whole bodies; this network finds joints."
+        raise InputError([Problem(SYNC_NEEDS_BODIES, message, hint="Choose another detector, or declare offsets.")])
+    session = context.session()
+    bodies, joints = context.detections.bodies(session), context.detections.joints(session)
+    sound = listen(session, context.video)
+    return Output(encode(measure_clocks(session, bodies, joints, sound, context.on_share(task))))
+
+
+STAGE = Stage(
+    SYNCHRONIZE,
+    "Synchronise cameras",
+    synchronize,
+    cut="whole",
+    follows=(DETECT,),
+    choices=("sync",),
+    is_planned=lambda facts, config: config.is_of_people and config.sync == "auto",
+)

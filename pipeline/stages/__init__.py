@@ -1,1 +1,0 @@
-"""The stages of a reconstruction: planned, run, and executed on one machine."""

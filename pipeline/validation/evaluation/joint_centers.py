@@ -1,0 +1,115 @@
+"""Offsets of a detector's marks from the centres of joints, learnt from captures with exact truth.
+
+The offsets are those of ``pipeline.motion.skeleton.marks``: in the axes of the part of the body that carries a mark,
+for each metre of the trunk. They are cross-validated over people: each person is corrected by what the other ones tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import JointOffset, JointOffsets
+from pipeline.motion.skeleton.marks import part_of_mark, trunk_length_m
+from pipeline.motion.skeleton.model import joint_pose
+from pipeline.validation.evaluation.datasets.rendered import RenderedTruth
+from pipeline.validation.evaluation.mpjpe import GATE_M
+
+KINDS = ("shoulder", "hip", "ear", "nose")
+"""Kinds of joints whose marks hang on a part of the body."""
+
+# A mark farther from the true joint is a mistake of the detector, not an offset.
+_LARGEST_OFFSET_M = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkedPerson:
+    """Marks of a person beside the true joints, of the kinds that were seen."""
+
+    # Offset of each mark of a kind from its true joint in metres, (marks, 3): outwards, forward, up; without NaN
+    offset_m: dict[str, Float[np.ndarray, "_ 3"]]
+    trunk_m: float  # Length of the trunk between the marks
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Mean distance of a person's joints of a kind from the true ones, in millimetres."""
+
+    person: int  # Number in the order in which people were given
+    kind: str
+    marked_mm: float
+    corrected_mm: float  # After the offsets that the other people tell
+
+
+def marked_people(reconstruction: Reconstruction, truth: RenderedTruth) -> list[MarkedPerson]:
+    """Compare a reconstruction that was fitted without offsets with its truth.
+
+    Each track is compared with the true person whose joints are nearest (median over frames and joints); tracks that
+    are farther than 0.5 m from everybody are left out, and of several tracks of one person all but the longest.
+    """
+    timebase, joints = reconstruction.timebase, reconstruction.joints
+    at = np.rint((truth.time_s - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
+    names = tuple(name for name in joints.names if name.rpartition("_")[2] in KINDS and name in truth.names)
+    columns = np.array(joints.indices(names))
+    true_m = truth.xyz_m[:, :, [truth.names.index(name) for name in names]]
+    longest: dict[int, tuple[int, MarkedPerson]] = {}
+    for track, motion in zip(reconstruction.animation.tracks, reconstruction.animation.motions, strict=True):
+        instants = np.flatnonzero((at >= track.start_frame) & (at < track.start_frame + track.num_frames))
+        rows = at[instants] - track.start_frame
+        away_m = track.xyz_m[rows][:, columns] - true_m[:, instants]
+        distance_m = np.linalg.norm(away_m, axis=-1).reshape(len(true_m), -1)
+        is_known = np.isfinite(distance_m).any(-1)
+        median_m = np.where(is_known, np.nanmedian(np.where(is_known[:, None], distance_m, 0.0), axis=-1), np.inf)
+        person = int(np.argmin(median_m))
+        if median_m[person] > GATE_M or longest.get(person, (0,))[0] >= len(rows):
+            continue
+        offset_m: dict[str, list[np.ndarray]] = {}
+        for name, away in zip(names, np.moveaxis(away_m[person], 1, 0), strict=True):
+            _, world_from_part = joint_pose(motion, part_of_mark(name))
+            side, _, kind = name.rpartition("_")
+            x, y, z = world_from_part[rows].inv().apply(away).T
+            offset_m.setdefault(kind, []).append(
+                np.stack([{"left": x, "right": -x}.get(side, 0.0 * x), -y, z], axis=-1)
+            )
+        kept = {kind: _near(np.concatenate(marks)) for kind, marks in offset_m.items()}
+        seen = {kind: marks for kind, marks in kept.items() if len(marks)}
+        longest[person] = len(rows), MarkedPerson(seen, trunk_length_m(motion.bone_length_m))
+    return [marked for _, (_, marked) in sorted(longest.items())]
+
+
+def _near(offset_m: Float[np.ndarray, "marks 3"]) -> Float[np.ndarray, "_ 3"]:
+    return offset_m[np.linalg.norm(offset_m, axis=-1) < _LARGEST_OFFSET_M]  # NaN is not
+
+
+def learn_offsets(people: Sequence[MarkedPerson], kinds: Sequence[str] = KINDS) -> JointOffsets:
+    """Learn offsets: the mean over people of each one's median; kinds that nobody shows are left out."""
+    medians = {kind: [_median(person.offset_m[kind]) for person in people if kind in person.offset_m] for kind in kinds}
+    means_m = {kind: np.mean(of_people, axis=0) for kind, of_people in medians.items() if of_people}
+    # Of the trunk between the joints, which the marks make longer.
+    longer_m = sum(sign * means_m[kind][2] for kind, sign in (("shoulder", 1.0), ("hip", -1.0)) if kind in means_m)
+    trunk_m = float(np.mean([person.trunk_m for person in people])) - longer_m
+    return {kind: JointOffset(*(round(float(part), 3) for part in mean / trunk_m)) for kind, mean in means_m.items()}
+
+
+def _median(offset_m: Float[np.ndarray, "marks 3"]) -> Float[np.ndarray, " 3"]:
+    return np.asarray(np.median(offset_m, axis=0))
+
+
+def cross_validate(people: Sequence[MarkedPerson], kinds: Sequence[str] = KINDS) -> list[HeldOut]:
+    """Correct each person by the offsets of all others, and measure what is left. Needs two people."""
+    found = []
+    for number, person in enumerate(people):
+        offsets = learn_offsets([*people[:number], *people[number + 1 :]], kinds)
+        longer = sum(sign * offsets[kind].up for kind, sign in (("shoulder", 1.0), ("hip", -1.0)) if kind in offsets)
+        trunk_m = person.trunk_m / (1.0 + longer)
+        for kind, marks_m in person.offset_m.items():
+            offset = offsets.get(kind)
+            moved_m = np.zeros(3) if offset is None else np.array([offset.outwards, offset.forward, offset.up])
+            found.append(HeldOut(number, kind, _mean_mm(marks_m), _mean_mm(marks_m - trunk_m * moved_m)))
+    return found
+
+
+def _mean_mm(offset_m: Float[np.ndarray, "marks 3"]) -> float:
+    return 1000.0 * float(np.linalg.norm(offset_m, axis=-1).mean())

@@ -1,0 +1,120 @@
+"""Accuracy of tracks on simulated scenes: joint errors, MOTA, IDF1, and hands that touch."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
+from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
+from pipeline.validation.evaluation.mot import MotFrame, score_mot
+from pipeline.validation.evaluation.mpjpe import (
+    BODY_JOINTS,
+    GATE_M,
+    accuracy,
+    match_frames,
+    mean_distance_m,
+    select_joints,
+)
+from pipeline.validation.simulation.scenes import Simulation
+
+_WRISTS = [BODY_JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
+# Distance of a wrist from a joint of another person who is touched, and from the true wrist if it counts as found.
+_TOUCH_M, _HAND_M = 0.25, 0.15
+
+
+def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet) -> dict[str, Any]:
+    """Score tracks over the twelve joints of the body.
+
+    Returns
+    -------
+    mpjpe_mm, recall, ghost_rate, switches
+        See ``evaluation.mpjpe``.
+    mota, idf1
+        See ``evaluation.mot``; pairs match within 0.5 m.
+    bone_std_cm, jitter_m_s2
+        See ``quality.report``; ``None`` without tracks.
+    people_correct
+        Share of frames with as many tracks as people.
+    hands_kept
+        Share of the frames with two touching people in which all four wrists are within 0.15 m of the truth; ``None``
+        if nobody touches.
+    mpjpe_by_joint_mm
+        Mean error by kind of joint, left and right together, for the twelve joints, nose and neck.
+    """
+    frames = np.arange(simulation.timebase.num_frames)
+    truth_m = simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)]
+    predicted_m = select_joints(tracks, joints, BODY_JOINTS, frames)
+    there = np.isfinite(predicted_m).all(-1).any(-1)
+    scores = accuracy(predicted_m, truth_m)
+    error_m = _errors_m(predicted_m, truth_m, match_frames(predicted_m, truth_m))
+    mot = score_mot([_mot_frame(truth_m[:, k], predicted_m[:, k]) for k in frames])
+    return {
+        "mpjpe_mm": scores.mpjpe_mm,
+        "mota": mot.mota,
+        "idf1": mot.idf1,
+        "switches": scores.switches,
+        "bone_std_cm": bone_length_std_cm(tracks, joints) if tracks else None,
+        "jitter_m_s2": mean_jitter_m_s2(tracks, simulation.timebase.frame_rate_hz) if tracks else None,
+        "people_correct": float(np.mean(there.sum(0) == simulation.present.sum(0))),
+        "recall": scores.recall,
+        "ghost_rate": scores.ghost_rate,
+        "hands_kept": _hands_kept(error_m, truth_m),
+        "mpjpe_by_joint_mm": _by_joint_mm(tracks, simulation, joints, match_frames(predicted_m, truth_m)),
+    }
+
+
+def _errors_m(
+    predicted_m: Float[np.ndarray, "tracks frames joints 3"],
+    truth_m: Float[np.ndarray, "people frames joints 3"],
+    matched: Int[np.ndarray, "people frames"],
+) -> Float[np.ndarray, "people frames joints"]:
+    """Distance of each true joint to that of the matched track, NaN without a match."""
+    nobody = np.full((1, *predicted_m.shape[1:]), np.nan)
+    of_match_m = np.concatenate([predicted_m, nobody])[matched, np.arange(truth_m.shape[1])]
+    return np.linalg.norm(of_match_m - truth_m, axis=-1)
+
+
+def _by_joint_mm(
+    tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet, matched: Int[np.ndarray, "people frames"]
+) -> dict[str, float | None]:
+    """Mean error of each kind of joint (Chen et al. 2020, table 2); the true neck is the midpoint of the shoulders."""
+    names = ("nose", "neck", *BODY_JOINTS)
+    body_m = simulation.truth_m[:, :, simulation.joints.indices(("nose", *BODY_JOINTS))]
+    truth_m = np.insert(body_m, 1, body_m[:, :, 1:3].mean(2), axis=2)
+    predicted_m = select_joints(tracks, joints, names, np.arange(simulation.timebase.num_frames))
+    error_m = _errors_m(predicted_m, truth_m, matched)
+    kinds = [name.rpartition("_")[2] for name in names]
+    return {
+        kind: float(np.nanmean(of_kind_m)) * 1000 if np.isfinite(of_kind_m).any() else None
+        for kind in dict.fromkeys(kinds)
+        for of_kind_m in [error_m[..., np.array([other == kind for other in kinds])]]
+    }
+
+
+def _hands_kept(
+    error_m: Float[np.ndarray, "people frames joints"], truth_m: Float[np.ndarray, "people frames joints 3"]
+) -> float | None:
+    """Share of the frames of touching pairs in which both people have both wrists."""
+    has_both = np.asarray((error_m[..., _WRISTS] <= _HAND_M).all(-1))
+    num_kept = num_touching = 0
+    for first, second in itertools.combinations(range(len(truth_m)), 2):
+        apart_m = [
+            np.linalg.norm(truth_m[a][:, _WRISTS, None] - truth_m[b][:, None], axis=-1)
+            for a, b in ((first, second), (second, first))
+        ]
+        touching = np.nanmin(np.where(np.isnan(apart_m), np.inf, apart_m), axis=(0, 2, 3)) < _TOUCH_M
+        num_touching += int(touching.sum())
+        num_kept += int((touching & has_both[first] & has_both[second]).sum())
+    return num_kept / num_touching if num_touching else None
+
+
+def _mot_frame(truth_m: np.ndarray, predicted_m: np.ndarray) -> MotFrame:
+    """Make the record of a frame; the similarity of a pair at the gate is 0.5, the threshold of ``trackeval``."""
+    people = np.flatnonzero(np.isfinite(truth_m).all(-1).any(-1))
+    tracks = np.flatnonzero(np.isfinite(predicted_m).all(-1).any(-1))
+    distance_m = mean_distance_m(predicted_m[tracks], truth_m[people])
+    return MotFrame(people, tracks, np.maximum(0.0, 1.0 - distance_m / (2 * GATE_M)))

@@ -1,0 +1,64 @@
+"""Problem codes are declared once, each with sentences and places; the type checker compares them with the raisers."""
+
+import ast
+import importlib
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+import pipeline.core.problems
+from api.web.contract.problem_codes.page import GROUPS, PAGE, document, main
+from api.web.errors import _CODES
+from pipeline.core.problems.model import ProblemCode, status_of
+
+CODES = [code for group in GROUPS for code in group.codes]
+ROOT = Path(__file__).parents[4]
+PLACES = {"live", "recording", "job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
+
+
+def test_codes_are_declared_once() -> None:
+    names = [code.name for code in CODES]
+    assert len(names) > 250
+    assert sorted(names) == sorted(set(names))
+
+
+@pytest.mark.parametrize("code", CODES, ids=lambda code: code.name)
+def test_entries_are_sentences_and_places(code: ProblemCode) -> None:
+    assert re.fullmatch(r"[a-z]+(_[a-z0-9]+)*", code.name)
+    assert code.meaning.endswith(".")
+    assert code.remedy.endswith(".")
+    assert "|" not in code.meaning + code.remedy
+    assert code.where
+    assert all(place in PLACES or re.fullmatch(r"4\d\d|5\d\d", place) for place in code.where)
+
+
+def test_every_code_has_a_use() -> None:
+    """A code is dead that no module imports and names; examples of the contract raise nothing."""
+    dead = set()
+    for module in pkgutil.iter_modules(pipeline.core.problems.__path__, "pipeline.core.problems."):
+        constants = vars(importlib.import_module(module.name)).items()
+        dead |= {(module.name, name) for name, value in constants if name.isupper() and isinstance(value, str)}
+    assert len(dead) == len(CODES)
+    for package in ("api", "multicap", "pipeline", "worker"):
+        for path in {*(ROOT / package).rglob("*.py")} - {ROOT / "api" / "web" / "contract" / "examples.py"}:
+            source = path.read_bytes()
+            if b"pipeline.core.problems" not in source:
+                continue
+            nodes = [*ast.walk(ast.parse(source))]
+            named = {node.id for node in nodes if isinstance(node, ast.Name)}
+            for node in nodes:
+                if isinstance(node, ast.ImportFrom):
+                    dead -= {(node.module, known.name) for known in node.names if (known.asname or known.name) in named}
+    assert not dead
+
+
+def test_errors_of_the_framework_have_their_statuses() -> None:
+    assert {status_of(code): code for code in _CODES.values()} == dict(_CODES)
+
+
+def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:
+    assert PAGE.read_text(encoding="utf-8") == document()
+    assert main(["--check"]) == 0
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,57 @@
+"""Documents of live captures: the contract, its examples, and the page."""
+
+import json
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from api.web.contract.openapi import LIVE
+from api.web.live.asyncapi import describe_live
+from api.web.live.examples import MESSAGES
+from api.web.live.schemas import POINTS, RECEIVED, SENT, Layout, LiveStart
+from pipeline.core.layouts import LAYOUTS
+from pipeline.run.live.packets import InstantHead, KeypointsHead
+from pipeline.run.live.settings import LiveSettings
+
+PAGE = (Path(__file__).parents[4] / "docs/live_service.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("model", [*RECEIVED, *SENT], ids=lambda model: model.__name__)
+def test_examples_are_messages(model: type[BaseModel]) -> None:
+    message = model.model_validate_json(json.dumps(MESSAGES[model.__name__]))
+    assert message.model_dump(mode="json", exclude_unset=True) == MESSAGES[model.__name__]
+
+
+def test_references_of_the_contract_lead_somewhere() -> None:
+    document = describe_live()
+    references = set(re.findall(r"'\$ref': '#/([^']+)'", str(document)))
+    assert len(references) > 20
+    for reference in references:
+        node = document
+        for step in reference.split("/"):
+            node = node[step]
+    assert LIVE.is_file()
+
+
+def test_layouts_are_those_of_keypoint_files() -> None:
+    assert set(get_args(Layout)) == set(POINTS)
+    assert {name: len(LAYOUTS[name].points) for name in POINTS} == POINTS
+
+
+def test_page_names_every_choice_and_layout() -> None:
+    assert [name for name in LiveStart.model_fields if f"`{name}`" not in PAGE and name != "type"] == []
+    assert [name for name in POINTS if f"`{name}`" not in PAGE] == []
+
+
+def test_start_has_the_settings_of_the_library() -> None:
+    start = LiveStart(type="start", layout="coco-17", frame_rate_hz=30.0)
+    assert LiveSettings(**start.settings()) == LiveSettings(30.0)
+
+
+def test_heads_have_the_lengths_of_the_page() -> None:
+    assert len(KeypointsHead(0, 0, 17, 1.0).encode()) == 20
+    assert len(InstantHead(0, 17, 21, 1.0, 0.1, 0).encode()) == 36
+    assert InstantHead(2, 17, 21, 1.0, 0.1, 0).num_bytes == 36 + 2 * (8 + 4 * (17 * 3 + 3 + 21 * 8))

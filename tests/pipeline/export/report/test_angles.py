@@ -1,0 +1,97 @@
+"""Joint angles in a report: lines with gaps, ranges as words, names that are text."""
+
+import re
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from defusedxml import ElementTree
+
+from pipeline.export.report.angles import PersonAngles, angle_parts
+from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.angles.ranges import ranges_of_motion
+from pipeline.motion.gait.strides import Stride
+
+
+def person(name: str, columns_deg: dict[str, np.ndarray], num_frames: int) -> PersonAngles:
+    angle_deg = np.full((num_frames, len(ANGLE_NAMES)), np.nan)
+    for angle, line_deg in columns_deg.items():
+        angle_deg[:, ANGLE_NAMES.index(angle)] = line_deg
+    angles = JointAngles(30, angle_deg, np.where(np.isnan(angle_deg), np.nan, 1.5))
+    return PersonAngles(name, angles, ranges_of_motion(angles))
+
+
+def read(part: str) -> Any:
+    """Part of a page, which is XML but for an attribute without a value."""
+    return ElementTree.fromstring(part.replace("<details open>", '<details open="">'))
+
+
+def test_lines_are_broken_where_the_angle_is_unknown() -> None:
+    knee_deg = np.linspace(5.0, 65.0, 100)
+    knee_deg[40:50] = np.nan
+    known = person("person-1", {"left_knee_flexion": knee_deg, "right_knee_flexion": knee_deg[::-1]}, 100)
+    (part,) = angle_parts([known], frame_rate_hz=10.0)
+    page = read(part)
+    assert "open" in page.attrib
+    (svg,) = page.iter("svg")
+    assert svg.attrib["aria-label"] == "Knee flexion from 5 to 65 degrees, left and right"
+    left, right = svg.iter("path")
+    assert [path.attrib["class"] for path in (left, right)] == ["left", "right"]
+    assert left.attrib["d"].count("M") == 2
+    assert left.attrib["d"].count("L") == 88
+    heights = [float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", left.attrib["d"])]
+    assert heights == sorted(heights, reverse=True)
+    texts = [text.text for text in svg.iter("text")]
+    assert {"20°", "40°", "60°", "3.0 s", "12.9 s"} <= set(texts)
+    cells = [cell.text for cell in page.iter("td")]
+    assert cells == ["5 to 65° ± 1.5", "5 to 65° ± 1.5", "bent"]
+
+
+def test_long_takes_have_a_point_for_each_pixel_and_several_people_are_folded_up() -> None:
+    elbow_deg = 40.0 + 30.0 * np.sin(np.arange(5000) / 50.0)
+    people = [person(name, {"right_elbow_flexion": elbow_deg}, 5000) for name in ("<script>", "person-2")]
+    parts = list(angle_parts(people, frame_rate_hz=50.0))
+    assert len(parts) == 2
+    assert "<script>" not in parts[0]
+    assert "&lt;script&gt;" in parts[0]
+    page = read(parts[0])
+    assert "open" not in page.attrib
+    left, right = page.iter("path")
+    assert left.attrib["d"] == ""
+    assert right.attrib["d"].count("L") < 360
+    assert [cell.text for cell in page.iter("td")] == ["-", "10 to 70° ± 1.5", "bent"]
+
+
+def test_an_angle_that_hardly_moves_fills_no_plot() -> None:
+    still = person("person-1", {"left_hip_flexion": np.full(20, 3.0)}, 20)
+    (part,) = angle_parts([still], frame_rate_hz=10.0)
+    (line, _) = read(part).iter("path")
+    heights = {float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", line.attrib["d"])}
+    assert len(heights) == 1
+    assert 40.0 < heights.pop() < 80.0
+
+
+def stride(side: Literal["left", "right"], start: float, stop: float, is_steady: bool = True) -> Stride:
+    durations = (0.6, 0.3, 0.36, 0.24, 0.12, 0.0)
+    return Stride(side, 1, start, start + 18, start + 15, stop, 1.2, 0.6, 0.1, *durations, 1.2, 0.0, is_steady, 0.9)
+
+
+def test_people_who_walk_have_plots_over_their_strides() -> None:
+    rows = np.arange(120)
+    knee_deg = 30.0 - 30.0 * np.cos(2 * np.pi * rows / 30.0)
+    walker = person("person-1", {"left_knee_flexion": knee_deg, "right_knee_flexion": knee_deg}, 120)
+    strides = (stride("left", 0, 30), stride("left", 30, 60), stride("left", 60, 75, is_steady=False))
+    (part,) = angle_parts([replace(walker, strides=strides)], frame_rate_hz=30.0)
+    _, over_strides = read(part).iter("svg")
+    assert over_strides.attrib["aria-label"] == "Knee flexion over a stride: left, 2 strides"
+    (path,) = over_strides.iter("path")
+    heights = [float(y) for y in re.findall(r"[ML][\d.]+ ([\d.]+)", path.attrib["d"])]
+    assert len(heights) == 101
+    # Straight at both foot strikes, most bent half-way.
+    assert heights[0] == heights[-1] == max(heights)
+    assert min(heights) == heights[50]
+    (band,) = over_strides.iter("polygon")
+    assert len(band.attrib["points"].split()) == 202
+    (plain,) = angle_parts([walker], frame_rate_hz=30.0)
+    assert len(list(read(plain).iter("svg"))) == 1

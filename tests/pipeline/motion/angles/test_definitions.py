@@ -1,0 +1,128 @@
+"""Angles of poses made by hand: values, and signs that are the same on both sides."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.motion.angles.compute import angles_of, segments_from
+from pipeline.motion.angles.definitions import ANGLE_NAMES, JOINTS, SEGMENTS
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON
+
+X, Y, Z = np.eye(3)
+# Arms of the T-pose lowered to hang beside the body; palms are then turned to the thighs.
+HANGING = {"LeftArm": 90.0 * Y, "RightArm": -90.0 * Y}
+
+
+def posed(turns_deg: dict[str, np.ndarray]) -> SkeletonMotion:
+    """One frame of a skeleton whose joints are turned by rotation vectors in degrees, in the axes of the rest pose."""
+    quat = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(WHOLE_SKELETON), 1))
+    for joint, turn_deg in turns_deg.items():
+        quat[0, INDEX[joint]] = Rotation.from_rotvec(turn_deg, degrees=True).as_quat()
+    return SkeletonMotion(1, "person-1", 0, 30.0, np.full(len(WHOLE_SKELETON), 0.3), np.zeros((1, 3)), quat, ())
+
+
+def angles_deg(turns_deg: dict[str, np.ndarray]) -> dict[str, float]:
+    found = np.degrees(angles_of(segments_from(posed(turns_deg))))[0]
+    return dict(zip(ANGLE_NAMES, found.tolist(), strict=True))
+
+
+def both(joint: str, left_deg: np.ndarray) -> dict[str, np.ndarray]:
+    """Turns of the joints of both sides that are mirror images: rotations about X are the same, others opposite."""
+    return {f"Left{joint}": left_deg, f"Right{joint}": left_deg * [1.0, -1.0, -1.0]}
+
+
+def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Rotation vector of two turns about axes of the parent, the first one first."""
+    first, second = (Rotation.from_rotvec(turn_deg, degrees=True) for turn_deg in (before, after))
+    return (second * first).as_rotvec(degrees=True)
+
+
+# Turns of joints; the angles that differ from those of the T-pose.
+POSES: dict[str, tuple[dict[str, np.ndarray], dict[str, float]]] = {
+    "pelvis to the world's X": ({"Hips": 90.0 * Z}, {"pelvis_rotation": 0.0}),
+    "pelvis to the left": ({"Hips": 120.0 * Z}, {"pelvis_rotation": 30.0}),
+    "pelvis to the front": ({"Hips": 15.0 * X}, {"pelvis_tilt": 15.0}),
+    "right side lower": ({"Hips": -10.0 * Y}, {"pelvis_obliquity": 10.0}),
+    "trunk to the front": ({"Spine": 10.0 * X, "Chest": 15.0 * X}, {"trunk_flexion": 25.0}),
+    "trunk to the right": ({"Chest": -20.0 * Y}, {"trunk_bending": 20.0}),
+    "trunk to the left": ({"Spine": 12.0 * Z}, {"trunk_rotation": 12.0}),
+    "head to the front": ({"Neck": 10.0 * X, "Head": 20.0 * X}, {"neck_flexion": 30.0}),
+    "head to the left": ({"Head": 40.0 * Z}, {"neck_rotation": 40.0}),
+    "thigh to the front": (both("UpLeg", -60.0 * X), {"hip_flexion": 60.0}),
+    "thigh outwards": (both("UpLeg", -30.0 * Y), {"hip_adduction": -30.0}),
+    "toes inwards": (both("UpLeg", -20.0 * Z), {"hip_rotation": 20.0}),
+    "knee": (both("Leg", 70.0 * X), {"knee_flexion": 70.0}),
+    "toes up": (both("Foot", -15.0 * X), {"ankle_dorsiflexion": 15.0}),
+    "soles inwards": (both("Foot", 10.0 * Y), {"subtalar_inversion": 10.0}),
+    "feet inwards": (both("Foot", -12.0 * Z), {"ankle_rotation": 12.0}),
+    "elbow": (both("ForeArm", -80.0 * Z), {"elbow_flexion": 80.0}),
+    "palms to the front": (both("Hand", -90.0 * X), {"forearm_pronation": 0.0}),
+    "palms to the forearm": (both("Hand", 30.0 * Y), {"wrist_flexion": 30.0}),
+    "hands to the little finger": (both("Hand", 15.0 * Z), {"wrist_deviation": 15.0}),
+    "arms hang": (
+        HANGING,
+        {"shoulder_adduction": 0.0, "shoulder_flexion": 0.0, "shoulder_rotation": 0.0, "shoulder_elevation": 0.0},
+    ),
+    "arms to the front": (
+        both("Arm", turned(90.0 * Y, -90.0 * X)),
+        {"shoulder_flexion": 90.0, "shoulder_adduction": 0.0, "shoulder_rotation": 0.0, "shoulder_elevation": 90.0,
+         "shoulder_plane": 90.0, "shoulder_axial": -90.0},
+    ),
+    "hanging arms turned inwards": (
+        both("Arm", turned(90.0 * Y, -35.0 * Z)),
+        {"shoulder_rotation": 35.0, "shoulder_adduction": 0.0, "shoulder_flexion": 0.0, "shoulder_elevation": 0.0},
+    ),
+    "arms half raised aside": (both("Arm", 45.0 * Y), {"shoulder_elevation": 45.0, "shoulder_adduction": -45.0}),
+}  # fmt: skip
+T_POSE = {"pelvis_rotation": -90.0, "shoulder_adduction": -90.0, "shoulder_elevation": 90.0, "forearm_pronation": 90.0}
+# Of the T-pose, flexion and rotation are locked; of a hanging arm, plane and axial rotation.
+LOCKED = {"T": ("shoulder_flexion", "shoulder_rotation"), "hanging": ("shoulder_plane", "shoulder_axial")}
+
+
+def free(name: str, found: dict[str, float]) -> bool:
+    kind = name.removeprefix("left_").removeprefix("right_")
+    side = name[: -len(kind)]
+    raised_deg = found[f"{side or 'left_'}shoulder_elevation"]
+    return not (
+        (abs(raised_deg - 90.0) < 1e-6 and abs(found[f"{side or 'left_'}shoulder_adduction"]) > 89.0
+         and kind in LOCKED["T"])
+        or (abs(raised_deg) < 1e-6 and kind in LOCKED["hanging"])
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_poses_have_the_angles_of_their_names_on_both_sides(pose: str) -> None:
+    turns_deg, named_deg = POSES[pose]
+    found = angles_deg(turns_deg)
+    for name, found_deg in found.items():
+        kind = name.removeprefix("left_").removeprefix("right_")
+        if free(name, found):
+            expected_deg = named_deg.get(kind, T_POSE.get(kind, 0.0))
+            assert found_deg == pytest.approx(expected_deg, abs=1e-6), name
+
+
+def test_an_arm_raised_aside_is_abducted_by_90_degrees() -> None:
+    found = angles_deg({})
+    for side in ("left", "right"):
+        assert found[f"{side}_shoulder_adduction"] == pytest.approx(-90.0)
+        assert found[f"{side}_shoulder_elevation"] == pytest.approx(90.0)
+        assert found[f"{side}_shoulder_plane"] == pytest.approx(0.0)
+
+
+def test_a_single_side_moves_no_angle_of_the_other() -> None:
+    found = angles_deg({"RightUpLeg": -50.0 * X, "RightLeg": 90.0 * X})
+    assert (found["right_hip_flexion"], found["right_knee_flexion"]) == pytest.approx((50.0, 90.0))
+    assert (found["left_hip_flexion"], found["left_knee_flexion"]) == pytest.approx((0.0, 0.0))
+
+
+def test_frames_of_segments_are_rotations_and_joints_are_of_the_body() -> None:
+    body = {joint.name for joint in SKELETON}
+    for segment in SEGMENTS.values():
+        axes = segment.rest_from_segment
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+        assert segment.joint in body
+    assert len(set(ANGLE_NAMES)) == len(ANGLE_NAMES) == 43
+    for joint in JOINTS:
+        assert all(angle.rotation < 3 and abs(angle.sign) == 1.0 for angle in joint.angles)

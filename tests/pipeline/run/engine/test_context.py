@@ -1,0 +1,92 @@
+"""What a task asks: joints of detections, offsets of joint centres, and the session that it was planned for."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession, Session
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.errors import PipelineError
+from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointOffsets, JointSet
+from pipeline.core.options.config import JointCenters, ReconstructionConfig
+from pipeline.detection.entries import REGISTRY
+from pipeline.run.engine.context import Context
+from pipeline.run.engine.local import _Job, _TaskContext
+from pipeline.run.engine.output_folder import OutputFolder
+from pipeline.run.engine.stage import SessionFacts
+
+VIDEOS = CaptureSession((), (), {}, ())
+KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())
+NOWHERE = Path("nowhere")
+
+
+def context_of(session: Session, config: ReconstructionConfig = ReconstructionConfig()) -> Context:  # noqa: B008
+    facts = SessionFacts((), 1, 25.0, (range(1),), {}, has_videos=session is VIDEOS)
+    folder = OutputFolder(NOWHERE)
+    return _TaskContext(_Job(session, config, facts, (), folder, folder, NOWHERE))
+
+
+def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
+    return context_of(session, config).offsets()
+
+
+@pytest.mark.parametrize(
+    ("choice", "of_videos", "of_keypoints"),
+    [
+        ("auto", "blazepose-full", None),
+        ("off", None, None),
+        ("openpose-mobilenet-thin", "openpose-mobilenet-thin", "openpose-mobilenet-thin"),
+    ],
+)
+def test_offsets_are_those_of_the_detector_or_those_that_are_chosen(
+    choice: JointCenters, of_videos: str | None, of_keypoints: str | None
+) -> None:
+    config = ReconstructionConfig(joint_centers=choice)
+    for session, name in ((VIDEOS, of_videos), (KEYPOINTS, of_keypoints)):
+        assert used_offsets(session, config) == (REGISTRY[name].offsets if name else {})
+
+
+def test_smoothing_other_than_the_fit_moves_nothing_and_a_network_without_offsets_has_none() -> None:
+    assert REGISTRY["movenet-multipose"].offsets
+    assert used_offsets(VIDEOS, ReconstructionConfig(smoothing="none")) == {}
+    assert used_offsets(VIDEOS, ReconstructionConfig(detector="human-pose-estimation-0001")) == {}
+
+
+def test_joints_that_crops_do_not_refine_have_the_offsets_of_the_detector_of_bodies() -> None:
+    alone = ReconstructionConfig(detector="movenet-multipose")
+    assert used_offsets(VIDEOS, alone) == REGISTRY["movenet-multipose"].offsets
+    accurate = ReconstructionConfig(profile="accurate")
+    assert used_offsets(VIDEOS, accurate) == REGISTRY["blazepose-heavy"].offsets
+    assert used_offsets(VIDEOS, accurate)["shoulder"].up < used_offsets(VIDEOS, alone)["shoulder"].up
+
+
+@pytest.mark.parametrize(
+    ("config", "joints"),
+    [
+        (ReconstructionConfig(), BODY_FEET),
+        (ReconstructionConfig(joints="body"), COCO_17),
+        (ReconstructionConfig(joints="whole"), WHOLE_BODY),
+        (ReconstructionConfig(detector="openpose-mobilenet-thin"), COCO_18),
+    ],
+)
+def test_detections_have_the_joints_that_are_asked_for(config: ReconstructionConfig, joints: JointSet) -> None:
+    assert context_of(VIDEOS, config).detections.joints(VIDEOS) is joints
+    assert context_of(KEYPOINTS, config).detections.joints(KEYPOINTS) is COCO_17
+
+
+def test_keypoints_came_with_the_session_and_no_network_finds_them() -> None:
+    config = ReconstructionConfig("clustering", "openpose-mobilenet-thin")
+    videos, keypoints = context_of(VIDEOS, config).detections, context_of(KEYPOINTS, config).detections
+    assert (videos.finds_fields, keypoints.finds_fields) == (True, False)
+    assert (videos.networks, keypoints.networks) == (("openpose-mobilenet-thin",), ())
+    measured = [context_of(session).detections.measures_colours for session in (VIDEOS, KEYPOINTS)]
+    assert measured == [True, False]
+    assert keypoints.bodies(KEYPOINTS) is KEYPOINTS.detections
+
+
+def test_a_task_on_another_kind_of_session_than_planned_fails() -> None:
+    with pytest.raises(PipelineError, match="planned for a CaptureSession, not for a KeypointSession"):
+        context_of(KEYPOINTS).videos()
+    with pytest.raises(PipelineError, match="planned for a KeypointSession"):
+        context_of(KEYPOINTS).detections.bodies(VIDEOS)

@@ -1,0 +1,71 @@
+"""Blurred videos of jobs: made once with the job, and left by edits of people and by visuals that are made anew."""
+
+from pipeline.core.options.edits import Remove
+from pipeline.run.engine.stage import BLUR, DETECT, HEADS
+from tests.worker.conftest import RESULT, RunnerBench
+from worker.run.planning import plan_job, plan_visuals
+from worker.store.files.removals import remove_files
+from worker.store.model.jobs import JobRecord
+from worker.store.model.states import JobState
+from worker.store.spec import JobSpec
+
+SPEC = JobSpec(blur_faces=True, overlay=True)
+VIDEO = b"blurred by heads in " + RESULT
+
+
+def done(bench: RunnerBench, spec: JobSpec = SPEC) -> JobRecord:
+    job = bench.create_job(spec=spec)
+    bench.runner().work(60.0)
+    job = bench.store.jobs.get(job.id)
+    assert job.state is JobState.SUCCEEDED
+    return job
+
+
+def stage_names(job: JobRecord) -> set[str]:
+    return {stage.name for stage in job.stages}
+
+
+def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
+    return {result.name: result.revision for result in bench.store.results.of_job(job_id)}
+
+
+def test_a_job_that_blurs_has_a_blurred_video_of_each_camera(bench: RunnerBench) -> None:
+    job = done(bench)
+    assert {HEADS, BLUR} <= stage_names(job)
+    assert bench.result(job.id, "blurred-0.mp4") == VIDEO
+    assert not {HEADS, BLUR} & stage_names(done(bench, JobSpec(overlay=True)))
+
+
+def test_blurring_detects_nothing_again(bench: RunnerBench) -> None:
+    """The heads are found in what the session has; the outputs of the earlier job are used."""
+    done(bench, JobSpec())
+    job = done(bench)
+    assert [stage.name for stage in job.stages if stage.name == DETECT and not stage.reused] == []
+
+
+def test_edits_and_visuals_leave_blurred_videos(bench: RunnerBench) -> None:
+    job = done(bench)
+    edits = (Remove(person=1),)
+    bench.store.jobs.edit(job.id, edits, plan_job(bench.session, job.spec, edits=edits, revision=1))
+    bench.runner().work(60.0)
+    edited = bench.store.jobs.get(job.id)
+    assert (edited.state, BLUR in stage_names(edited)) == (JobState.SUCCEEDED, False)
+    before = listed(bench, job.id)
+    assert (before["person-1.bvh"], before["blurred-0.mp4"], before["overlay-left.mp4"]) == (1, 0, 0)
+    visuals = bench.store.visuals.add(job.id, plan_visuals(bench.session, edited), 1)
+    assert (HEADS in stage_names(visuals), BLUR in stage_names(visuals)) == (True, False)
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    after = listed(bench, job.id)
+    assert (after["blurred-0.mp4"], after["overlay-left.mp4"]) == (0, 1)
+    assert bench.result(job.id, "blurred-0.mp4") == VIDEO
+
+
+def test_expired_and_deleted_jobs_leave_no_blurred_video(bench: RunnerBench) -> None:
+    job = done(bench)
+    assert bench.store.sessions.capture(bench.session.id).blurred >= {"blurred-0.mp4"}
+    bench.store.jobs.delete(job.id)
+    remove_files(bench.store.removals, bench.artifacts)
+    capture = bench.store.sessions.capture(bench.session.id)
+    assert (capture.is_blurred, capture.blurred) == (False, frozenset())
+    assert not list((bench.data_dir / "artifacts" / "jobs").rglob("blurred-*"))

@@ -1,0 +1,263 @@
+"""Edits of people in the service: what is done stays done, results are replaced, and every edit can be undone."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from pipeline.core.errors import PipelineError
+from pipeline.core.findings import Finding
+from pipeline.core.options.edits import PeopleEdit, Remove, Rename
+from pipeline.core.problems.warnings import NOBODY_FOUND
+from pipeline.run.engine.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT, WRITE, Output, ResultFile
+from tests.cases import slow_but
+from tests.worker.conftest import FOUND, RESULT, RunnerBench
+from worker.run.chunk import StoppedError, Work
+from worker.run.planning import plan_job
+from worker.store.errors import Conflict
+from worker.store.files.artifacts import results_prefix
+from worker.store.files.removals import remove_files
+from worker.store.model.jobs import JobRecord
+from worker.store.model.states import JobState
+
+FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")
+
+
+@pytest.fixture
+def done(bench: RunnerBench) -> JobRecord:
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    return bench.store.jobs.get(job.id)
+
+
+def edit(bench: RunnerBench, job: JobRecord, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> JobRecord:
+    stages = plan_job(bench.session, job.spec, codes, edits=edits)
+    return bench.store.jobs.edit(job.id, edits, stages, job.revision)
+
+
+def expected(*edits: PeopleEdit) -> bytes:
+    return RESULT + repr(edits).encode() if edits else RESULT
+
+
+def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -> None:
+    assert done.people == FOUND
+    queued = edit(bench, done, FIRST)
+    assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
+    run: list[str] = []
+
+    def noted(function: Callable[[Work], Output]) -> Callable[[Work], Output]:
+        def run_noted(work: Work) -> Output:
+            run.append(work.claim.stage)
+            return function(work)
+
+        return run_noted
+
+    bench.stages |= {name: noted(function) for name, function in bench.stages.items()}
+    bench.runner().work(60.0)
+    assert run == [EDIT, REFIT, WRITE, EXPORT]
+    assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED
+    assert bench.result(done.id) == expected(FIRST)
+
+
+def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) -> None:
+    export, run = bench.stages[EXPORT], []
+
+    def export_with_name(work: Work) -> Output:
+        run.append(work.claim.stage)
+        path = work.scratch / "person-1.glb"
+        path.write_bytes(repr(work.claim.edits).encode())
+        made = export(work)
+        return replace(made, files=(*made.files, ResultFile(path.name, "glb", "person-1", "model/gltf-binary", path)))
+
+    def stored() -> dict[str, tuple[str, int]]:
+        """Key and time of the last change of each file."""
+        files = {file.name: file.key for file in bench.store.results.all_of_job(job.id)}
+        return {name: (key, (bench.data_dir / "artifacts" / key).stat().st_mtime_ns) for name, key in files.items()}
+
+    bench.stages[EXPORT] = export_with_name
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    before = stored()
+    renamed = edit(bench, bench.store.jobs.get(job.id), ANNA)
+    assert [stage.name for stage in renamed.stages if stage.state != "done"] == [EXPORT]
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    after = stored()
+    assert run == [EXPORT, EXPORT]
+    assert after["person-1.bvh"] == before["person-1.bvh"]
+    assert after["person-1.glb"] != before["person-1.glb"]
+    assert not bench.artifacts.exists(before["person-1.glb"][0])
+    assert {file.revision for file in bench.store.results.all_of_job(job.id)} == {1}
+
+    # A file that is damaged is stored again; one that no revision lists is removed.
+    bench.artifacts.put_bytes(after["person-1.bvh"][0], b"damaged")
+    edit(bench, bench.store.jobs.get(job.id), ANNA, replace(ANNA, person=2))
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(job.id) == RESULT
+    assert stored()["person-1.bvh"][0] != after["person-1.bvh"][0]
+    assert not bench.artifacts.exists(after["person-1.bvh"][0])
+
+
+def test_an_edit_is_undone(bench: RunnerBench, done: JobRecord) -> None:
+    job = done
+    for edits in ((FIRST,), (FIRST, NOBODY), (FIRST,), ()):
+        edit(bench, job, *edits)
+        bench.runner().work(60.0)
+        job = bench.store.jobs.get(job.id)
+        assert bench.result(job.id) == expected(*edits)
+    assert (job.revision, job.attempt, job.edits, job.people) == (4, 5, (), FOUND)
+    assert EDIT not in {stage.name for stage in job.stages}
+
+
+def test_files_of_earlier_revisions_are_removed(bench: RunnerBench, done: JobRecord) -> None:
+    edit(bench, done, FIRST)
+    bench.runner().work(60.0)
+    remove_files(bench.store.removals, bench.artifacts)
+    folders = [bench.data_dir / "artifacts" / results_prefix(done.id, revision) for revision in (0, 1)]
+    # Folders stay, empty, until the job is deleted.
+    assert [[path.name for path in folder.rglob("*") if path.is_file()] for folder in folders] == [[], ["person-1.bvh"]]
+
+
+def test_edits_of_another_revision_are_refused(bench: RunnerBench, done: JobRecord) -> None:
+    edit(bench, done, FIRST)
+    with pytest.raises(Conflict, match="revision 1 now"):
+        edit(bench, done, NOBODY)
+
+
+def test_the_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> None:
+    queued = edit(bench, done, FIRST)
+    newest = edit(bench, queued, FIRST, NOBODY)
+    bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.revision, job.results_revision) == (JobState.SUCCEEDED, newest.revision, 2)
+    assert bench.result(done.id) == expected(FIRST, NOBODY)
+    states = [attempt.state for attempt in bench.store.jobs.attempts(done.id)]
+    assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
+
+
+@pytest.mark.parametrize("stage", slow_but([EXPORT], [EDIT, REFIT, WRITE, EXPORT]))
+def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
+    """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
+    function, stopped = bench.stages[stage], []
+
+    def edited_meanwhile(work: Work) -> Output:
+        bench.stages[stage] = function
+        edit(bench, bench.store.jobs.get(done.id), NOBODY)
+        output = function(work)
+        if stage == EDIT:
+            wait_until_stopped(work)
+        return output
+
+    def wait_until_stopped(work: Work) -> None:
+        try:
+            for _ in range(600):
+                work.on_unit()
+                time.sleep(0.05)
+        except StoppedError:
+            stopped.append(work.claim.stage)
+            raise
+
+    bench.stages[stage] = edited_meanwhile
+    edit(bench, done, FIRST)
+    bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.results_revision, job.edits) == (JobState.SUCCEEDED, 2, (NOBODY,))
+    assert bench.result(done.id) == expected(NOBODY)
+    assert stopped == ([EDIT] if stage == EDIT else [])
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(done.id) == expected(NOBODY)
+
+
+@pytest.mark.parametrize("end", slow_but(["canceled"], ["canceled", "failed"]))
+def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord, end: str) -> None:
+    def broken(_: Work) -> Output:
+        raise PipelineError("It is broken.")
+
+    whole = bench.stages[EXPORT]
+    bench.stages[EXPORT] = broken
+    queued = edit(bench, done, FIRST)
+    assert (queued.results_revision, bench.result(done.id)) == (0, RESULT)
+    if end == "canceled":
+        bench.store.jobs.cancel(done.id)
+    else:
+        bench.runner().work(60.0)
+    job = bench.store.jobs.get(done.id)
+    assert (job.state, job.results_revision) == (end, 0)
+    remove_files(bench.store.removals, bench.artifacts)
+    assert bench.result(done.id) == RESULT
+
+    bench.stages[EXPORT] = whole
+    bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, edits=job.edits))
+    assert bench.result(done.id) == RESULT
+    bench.runner().work(60.0)
+    assert bench.result(done.id) == expected(FIRST)
+
+
+@pytest.mark.slow
+def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobRecord) -> None:
+    running, queued = bench.create_job(), bench.create_job()
+    claim = bench.store.leases.claim("worker", 30.0)
+    assert claim is not None
+    assert claim.job_id == running.id
+    edited = edit(bench, done, FIRST)
+    assert edited.queue_position == 1
+    assert bench.store.jobs.get(queued.id).queue_position == 2
+    claim = bench.store.leases.claim("worker", 30.0)
+    assert claim is not None
+    assert claim.job_id == done.id
+
+
+@pytest.mark.slow
+def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecord) -> None:
+    """The tenant with fewer running chunks is next, whatever the other one edits."""
+    store = bench.store
+    session = store.of("other").sessions.add(
+        "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
+    )
+    theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec))
+    edit(bench, done, FIRST)
+    again = bench.create_job()
+    taken = []
+    for _ in range(2):
+        claim = store.leases.claim("worker", 30.0)
+        assert claim is not None
+        taken.append(claim.job_id)
+    assert sorted(taken) == sorted([done.id, theirs.id])
+    assert store.jobs.get(again.id).state is JobState.QUEUED
+
+
+def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: RunnerBench) -> None:
+    export, doubt = bench.stages[EXPORT], Finding(NOBODY_FOUND, "Nobody was found.")
+    bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
+    job = bench.create_job()
+    bench.runner().work(60.0)
+    assert edit(bench, bench.store.jobs.get(job.id), FIRST).result_warnings == (doubt,)
+    bench.runner().work(60.0)
+    assert bench.store.jobs.get(job.id).result_warnings == ()
+
+
+def test_people_must_have_been_found(bench: RunnerBench) -> None:
+    job = bench.create_job()
+    bench.store.jobs.cancel(job.id)
+    with pytest.raises(Conflict, match="no results yet"):
+        edit(bench, bench.store.jobs.get(job.id), FIRST)
+
+
+@pytest.mark.slow
+def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
+    edit(bench, done, FIRST)
+    canceled = bench.store.jobs.cancel(done.id)
+    assert canceled.state is JobState.CANCELED
+    edit(bench, canceled)
+    bench.runner().work(60.0)
+    assert bench.result(done.id) == RESULT
+
+
+def test_another_version_computes_what_differs(bench: RunnerBench, done: JobRecord) -> None:
+    """After an upgrade that changed the code of `identify`, everything from there on is run again."""
+    old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, edits=(FIRST,))}
+    queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})
+    states = {stage.name: stage.state for stage in queued.stages}
+    assert (states[DETECT], states[IDENTIFY], states[FIT]) == ("done", "ready", "waiting")

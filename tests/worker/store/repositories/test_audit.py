@@ -1,0 +1,73 @@
+from pipeline.core.problems.model import Code
+from tests.worker.store.conftest import PREFLIGHT, StoreBench, stages
+from worker.store.database.quotas import Quotas
+from worker.store.model.jobs import JobProblem
+from worker.store.model.rights import Actor, Scope
+from worker.store.spec import JobSpec
+
+ACTOR = Actor("key", "request")
+
+
+def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
+    mine = jobs.store.of("mine", Quotas(), ACTOR)
+    session_id = mine.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
+    for name in ("Handshake", "Handshake"):  # the second time it is no change
+        mine.sessions.rename(session_id, name)
+    job_id = mine.jobs.add(session_id, JobSpec(), stages(1)).id
+    claim = jobs.claim()
+    jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
+    mine.jobs.retry(job_id, stages(1))
+    mine.jobs.cancel(job_id)
+    mine.jobs.delete(job_id)
+    mine.sessions.delete(session_id)
+    events = jobs.store.audit.events("mine")
+    assert [(event.act, event.subject) for event in reversed(events)] == [
+        ("session-created", session_id),
+        ("session-renamed", session_id),
+        ("job-created", job_id),
+        ("job-retried", job_id),
+        ("job-canceled", job_id),
+        ("job-deleted", job_id),
+        ("session-deleted", session_id),
+    ]
+    assert {(event.tenant, event.actor) for event in events} == {("mine", ACTOR)}
+    assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
+
+
+def test_a_calibration_that_is_renamed_is_noted(jobs: StoreBench) -> None:
+    mine = jobs.store.of("mine", Quotas(), ACTOR)
+    made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
+    for name in ("Studio B", "Studio B"):  # the second time it is no change
+        assert mine.calibrations.rename(made, name).name == "Studio B"
+    acts = [event.act for event in jobs.store.audit.events("mine") if event.subject == made]
+    assert acts == ["calibration-renamed", "calibration-created"]
+
+
+def test_what_is_refused_was_not_done(jobs: StoreBench) -> None:
+    job = jobs.queue()
+    before = jobs.store.audit.events()
+    jobs.claim()
+    jobs.store.jobs.cancel(job.id)
+    jobs.store.jobs.cancel(job.id)  # once is enough
+    assert [event.act for event in jobs.store.audit.events()][: -len(before)] == ["job-canceled"]
+
+
+def test_keys_are_noted_too(jobs: StoreBench) -> None:
+    key, _ = jobs.store.keys.add("studio", "portal", {Scope.READ})
+    jobs.store.browser_sessions.open(key, 60.0, "request")
+    jobs.store.keys.revoke(key.id)
+    jobs.store.keys.revoke(key.id)
+    events = jobs.store.audit.events("studio")
+    assert [(event.act, event.subject, event.actor) for event in events] == [
+        ("key-revoked", key.id, Actor()),
+        ("browser-let-in", key.id, Actor(key.id, "request")),
+        ("key-created", key.id, Actor()),
+    ]
+
+
+def test_the_last_ones_come_first(jobs: StoreBench) -> None:
+    for _ in range(5):
+        jobs.queue()
+    assert len(jobs.store.audit.events(limit=3)) == 3
+    assert jobs.store.audit.events(limit=1)[0].subject == jobs.store.jobs.page(limit=1)[0].id
+    assert jobs.store.audit.events("nobody") == []

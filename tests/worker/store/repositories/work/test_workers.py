@@ -1,0 +1,118 @@
+import pytest
+import sqlalchemy as sa
+
+from pipeline.core.options.providers import CPU, Provider
+from tests.worker.store.conftest import StoreBench
+from worker.store.database.tables import workers
+from worker.store.errors import NewerDatabase
+from worker.store.repositories.work.workers import (
+    installed_bodies,
+    installed_detectors,
+    provider_at_work,
+    writable_formats,
+)
+from worker.store.worker_status import WorkerState, WorkerStatus
+
+STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
+READY = WorkerStatus(
+    "host:2",
+    WorkerState.READY,
+    "A worker works",
+    detectors=("movenet-multipose", "other"),
+    bodies=("human",),
+    formats=("bvh", "usd"),
+)
+
+
+def seen_ago(jobs: StoreBench, seconds: float) -> None:
+    jobs.execute(sa.update(workers).values(seen_at=workers.c.seen_at - seconds))
+
+
+def test_workers_are_listed_as_they_last_reported(jobs: StoreBench) -> None:
+    jobs.store.workers.report(READY)
+    jobs.store.workers.report(STARTING)
+    assert jobs.store.workers.all() == [STARTING, READY]
+    further = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 4, 75)
+    jobs.store.workers.report(further)
+    assert jobs.store.workers.all() == [further, READY]
+    jobs.store.workers.remove(["host:1"])
+    assert jobs.store.workers.all() == [READY]
+
+
+@pytest.mark.parametrize("seconds", [11.0, -11.0])
+def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: StoreBench, seconds: float) -> None:
+    jobs.store.workers.report(READY)
+    seen_ago(jobs, seconds)
+    assert jobs.store.workers.all() == []
+    seen_ago(jobs, 6 * seconds)
+    jobs.store.workers.report(STARTING)
+    engine = sa.create_engine(jobs.url)
+    with engine.connect() as connection:
+        assert connection.execute(sa.select(workers.c.id)).scalars().all() == ["host:1"]
+    engine.dispose()
+
+
+def test_only_workers_that_are_ready_know_their_detectors(jobs: StoreBench) -> None:
+    assert installed_detectors([]) is None
+    assert installed_detectors([STARTING]) is None
+    assert installed_detectors([STARTING, READY]) == frozenset({"movenet-multipose", "other"})
+
+
+def test_a_detector_is_installed_where_every_worker_has_it() -> None:
+    # Any of them may take a chunk.
+    other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
+    assert installed_detectors([READY, other]) == frozenset({"movenet-multipose"})
+
+
+def test_a_body_is_installed_where_every_worker_has_it() -> None:
+    assert installed_bodies([STARTING]) is None
+    assert installed_bodies([STARTING, READY]) == frozenset({"human"})
+    other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("other",))
+    assert installed_bodies([READY, other]) == frozenset()
+
+
+def test_a_format_is_written_where_every_worker_can() -> None:
+    assert writable_formats([STARTING]) is None
+    assert writable_formats([STARTING, READY]) == frozenset({"bvh", "usd"})
+    other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", formats=("bvh",))
+    assert writable_formats([READY, other]) == frozenset({"bvh"})
+
+
+def test_a_worker_refuses_a_database_of_a_newer_version(jobs: StoreBench) -> None:
+    jobs.store.require_known_schema()
+    jobs.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
+    with pytest.raises(NewerDatabase, match="0099"):
+        jobs.store.require_known_schema()
+
+
+GPU, SLOWER = Provider("cuda", "1.31.1", "NVIDIA H200"), Provider("openvino", "1.8.1", note="")
+
+
+def with_provider(number: int, provider: Provider, state: WorkerState = WorkerState.READY) -> WorkerStatus:
+    return WorkerStatus(f"host:{number}", state, "A worker works", provider=provider)
+
+
+def test_providers_of_workers_are_listed_as_they_were_reported(jobs: StoreBench) -> None:
+    fallback = Provider(note="Networks run on the CPU, not by cuda: there is no driver.")
+    for number, provider in enumerate((GPU, fallback)):
+        jobs.store.workers.report(with_provider(number, provider))
+    assert [worker.provider for worker in jobs.store.workers.all()] == [GPU, fallback]
+
+
+@pytest.mark.parametrize(
+    ("workers_", "earlier", "expected"),
+    [
+        ([], None, ""),
+        ([with_provider(1, CPU)], None, ""),
+        ([with_provider(1, CPU), with_provider(2, GPU)], None, "cuda 1.31.1"),
+        ([with_provider(1, CPU), with_provider(2, GPU)], "", ""),
+        ([with_provider(1, CPU), with_provider(2, SLOWER)], None, ""),
+        ([with_provider(1, SLOWER)], "cuda 1.31.1", "openvino 1.8.1"),
+        ([with_provider(1, CPU), with_provider(2, GPU, WorkerState.STARTING)], None, ""),
+    ],
+)
+def test_work_is_planned_for_a_provider_that_a_ready_worker_has(
+    workers_: list[WorkerStatus], earlier: str | None, expected: str
+) -> None:
+    """A GPU comes first, and a job that was begun goes on with its own as long as a worker has it."""
+    assert provider_at_work(workers_, earlier) == expected

@@ -1,0 +1,140 @@
+"""Celery application of the workers: one task, and handlers that prepare each worker process.
+
+A message only tells workers that there is work; they claim it in the database. A message is acknowledged after its
+work, and returns to the queue if its worker is lost.
+"""
+
+import os
+import threading
+import time
+
+from celery import Celery, Task
+from celery.signals import (
+    celeryd_init,
+    setup_logging,
+    worker_init,
+    worker_process_init,
+    worker_process_shutdown,
+    worker_ready,
+    worker_shutting_down,
+)
+
+from pipeline.core.runtime.memory import limit_memory
+from pipeline.core.runtime.priorities import lower_priority
+from worker.run import tasks
+from worker.run.process.pool import release_sockets_of_parent
+from worker.run.process.presence import Presence
+from worker.run.process.scratch import remove_abandoned
+from worker.run.settings import WorkerSettings
+from worker.run.telemetry import tracing
+from worker.run.telemetry.logs import configure_logs
+from worker.store.queue import TASK_NAME, Queue, transport_options
+
+# Time after which the broker sends a message again that no worker has acknowledged: it only wakes a worker once more.
+_REDELIVERY_S = 3600
+
+# Longer than the broker keeps a worker waiting for a message, a second.
+_BROKER_TIMEOUT_S = 15.0
+
+_LOOK_S = 0.1
+
+_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def create_celery(settings: WorkerSettings) -> Celery:
+    """Create the Celery application with its only task."""
+    celery = Celery("multicap", broker=settings.broker_url)
+    celery.conf.update(
+        task_default_queue=Queue.ALL,
+        task_ignore_result=True,
+        task_acks_late=True,
+        task_reject_on_worker_lost=True,
+        worker_pool="worker.run.process.pool:PromptPool",
+        worker_prefetch_multiplier=1,
+        # Numeric libraries take seconds to load on a busy machine. Without a cache for compiled kernels every process
+        # compiles them first, which takes minutes.
+        worker_proc_alive_timeout=600.0,
+        worker_enable_remote_control=False,
+        broker_connection_retry_on_startup=True,
+        broker_connection_max_retries=None,
+        broker_transport_options={
+            "visibility_timeout": _REDELIVERY_S,
+            "unacked_restore_interval": 10,
+            "unacked_restore_throttle": 1,
+            **transport_options(_BROKER_TIMEOUT_S),
+        },
+    )
+    celery.task(name=TASK_NAME, bind=True)(_work)
+    setup_logging.connect(_log)
+    celeryd_init.connect(_one_thread_a_process)
+    celeryd_init.connect(_lower_priority)
+    worker_init.connect(_report_loading)
+    worker_process_init.connect(_load)
+    worker_ready.connect(_consume)
+    worker_shutting_down.connect(_return_chunks)
+    return celery
+
+
+def _work(task: Task) -> None:
+    traceparent = task.request.get("traceparent")
+    with tracing.message_span({"traceparent": traceparent} if traceparent else {}):
+        tasks.work(is_for_all=(task.request.delivery_info or {}).get("routing_key") == Queue.ALL)
+
+
+def _log(**_: object) -> None:
+    configure_logs(WorkerSettings().log_level)
+
+
+def _one_thread_a_process(**_: object) -> None:
+    """Use one thread for each process: several processes use the processors better than several threads of each.
+
+    The environment must be set before a child imports NumPy.
+    """
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+
+
+def _lower_priority(**_: object) -> None:
+    lower_priority(WorkerSettings().nice)
+
+
+def _report_loading(**_: object) -> None:
+    """Report again that workers load: on a busy machine Celery took seconds to start."""
+    tasks.report_loading()
+
+
+def _load(**_: object) -> None:
+    release_sockets_of_parent()
+    limit_memory(WorkerSettings().memory_bytes)
+    presence = tasks.start_presence()
+    worker_process_shutdown.connect(lambda exitcode, **_: _unload(presence, exitcode), weak=False)
+    threading.Thread(target=_end_while_loading, args=[presence], daemon=True).start()
+    tracing.start("multicap-worker")
+    remove_abandoned()
+    tasks.load()
+
+
+def _end_while_loading(presence: Presence) -> None:
+    """End the process if a shutdown begins while it loads: it could not react for seconds."""
+    while not tasks.is_loaded():
+        if tasks.shutting_down.is_set():
+            presence.stop()
+            os._exit(0)
+        time.sleep(_LOOK_S)
+
+
+def _unload(presence: Presence, exitcode: int) -> None:
+    presence.stop()
+    tracing.stop()
+    if tasks.shutting_down.is_set():
+        # The pool would let the process sleep for a second to deliver its last message, which is not read any more.
+        os._exit(exitcode)
+
+
+def _consume(**_: object) -> None:
+    """Record that the main process receives messages: loaded children can get work now."""
+    tasks.consuming.set()
+
+
+def _return_chunks(**_: object) -> None:
+    """Tell running tasks to return their chunks: a shutdown waits for them, and a chunk may take long."""
+    tasks.shutting_down.set()

@@ -1,0 +1,250 @@
+"""Settings of workers and reaper, from environment variables that begin with ``MULTICAP_``, or from files."""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import Field, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
+from sqlalchemy.exc import SQLAlchemyError
+
+from pipeline.core.options.providers import ProviderChoice
+from pipeline.core.options.requirements import Schema, requirement
+from worker.run.telemetry.logs import LogLevel
+from worker.store.errors import DamagedDatabase, NewerDatabase
+from worker.store.files.artifacts import ArtifactStore
+from worker.store.files.secret_files import S3_KEYS, FileVariableError, file_variable
+from worker.store.files.stores import (
+    ARTIFACTS_URL,
+    DEFAULT_CACHE_BYTES,
+    DEFAULT_CACHE_HOURS,
+    default_data_dir,
+    open_artifacts,
+)
+from worker.store.store import JobStore
+
+_Settings = TypeVar("_Settings", bound=BaseSettings)
+
+_PREFIX = "MULTICAP_"
+
+
+class UnusableFilesError(SettingsError):
+    """Files that variables name can't be used, with a sentence for each variable."""
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        super().__init__("\n".join(sentences))
+        self.sentences = sentences
+
+
+class FileVariables(PydanticBaseSettingsSource):
+    """Settings out of files: ``MULTICAP_NAME_FILE`` names the file with the value of ``MULTICAP_NAME``.
+
+    The keys of the bucket, which are no settings, are checked too.
+    """
+
+    def get_field_value(self, field: FieldInfo, field_name: str) -> tuple[Any, str, bool]:
+        """Text of a setting's file, or ``None``."""
+        return file_variable(f"{_PREFIX}{field_name.upper()}"), field_name, False
+
+    def __call__(self) -> dict[str, Any]:
+        """Values by setting; raises ``UnusableFilesError`` with all problems."""
+        values, sentences = {}, []
+        for name, field in self.settings_cls.model_fields.items():
+            try:
+                text, _, is_complex = self.get_field_value(field, name)
+                if text is not None:
+                    values[name] = self.prepare_field_value(name, field, text, is_complex)
+            except FileVariableError as error:
+                sentences.append(str(error))
+            except ValueError:
+                variable = f"{_PREFIX}{name.upper()}_FILE"
+                sentences.append(f"{variable}={os.environ[variable]}: the file must hold JSON.")
+        for name in S3_KEYS:
+            try:
+                file_variable(name)
+            except FileVariableError as error:
+                sentences.append(str(error))
+        if sentences:
+            raise UnusableFilesError(sentences)
+        return values
+
+
+def read_settings(kind: type[_Settings]) -> _Settings:
+    """Read settings from the environment; exit with a sentence for each wrong variable."""
+    try:
+        return kind()
+    except (ValidationError, SettingsError) as error:
+        sys.exit("\n".join(f"error: {sentence}" for sentence in explain(kind, error)))
+
+
+def explain(kind: type[BaseSettings], error: ValidationError | SettingsError) -> list[str]:
+    """Sentences about wrong environment variables, with all allowed values."""
+    if isinstance(error, UnusableFilesError):
+        return list(error.sentences)
+    root = kind.model_json_schema()
+    wrong = _undecodable(root) if isinstance(error, SettingsError) else _refused(error)
+    sentences = []
+    for name, shown in wrong.items():
+        schema = root["properties"][name]
+        form = "JSON, " if _is_json(schema) else ""
+        allowed = f"{form}{requirement(schema, root, null=False)}"
+        variable = f"{_PREFIX}{name.upper()}"
+        if path := os.environ.get(f"{variable}_FILE"):  # what it holds may be a secret
+            sentences.append(f"{variable}_FILE={path}: the file must hold {allowed}.")
+        else:
+            sentences.append(f"{variable}{shown}: must be {allowed}.")
+    return sentences
+
+
+def _refused(error: ValidationError) -> dict[str, str]:
+    """Refused settings with their values, as ``=value``; empty text if an item of a list is wrong."""
+    return {
+        str(detail["loc"][0]): f"={detail['input']}" if len(detail["loc"]) == 1 else ""
+        for detail in reversed(error.errors())
+    }
+
+
+def _undecodable(root: Schema) -> dict[str, str]:
+    """Settings that must be JSON and are not, with their values."""
+    wrong = {}
+    for name, schema in root["properties"].items():
+        value = os.environ.get(f"{_PREFIX}{name.upper()}")
+        if value is not None and _is_json(schema):
+            try:
+                json.loads(value)
+            except ValueError:
+                wrong[name] = f"={value}"
+    return wrong
+
+
+def _is_json(schema: Schema) -> bool:
+    return schema.get("type") in {"array", "object"}
+
+
+def require_usable_database(store: JobStore) -> None:
+    """Exit with a message if the database is damaged, or belongs to a newer version of Multicap."""
+    try:
+        store.require_whole()
+        store.require_known_schema()
+    except DamagedDatabase as error:
+        sys.exit(f"error: {error}\n{error.instructions()}")
+    except NewerDatabase as error:
+        sys.exit(f"error: {error}")
+    except SQLAlchemyError:  # the database may start later
+        return
+
+
+class StorageSettings(BaseSettings):
+    """Settings of the storage that the web API and the workers share."""
+
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True)
+
+    data_dir: Path = Field(
+        default_factory=default_data_dir,
+        description="Data folder: artifacts, unfinished uploads, and the database unless database_url names another.",
+    )
+    database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    artifacts_url: str = Field(
+        default="",
+        pattern=ARTIFACTS_URL,
+        examples=["s3://bucket/prefix"],
+        description="s3://bucket/prefix; empty for a folder in data_dir.",
+    )
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments, environment, and files that variables name."""
+        return init_settings, env_settings, FileVariables(settings_cls)
+
+    @property
+    def resolved_database_url(self) -> str:
+        """``database_url``, or SQLite in the data folder."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
+
+
+class WorkerSettings(StorageSettings):
+    """Storage, leases and limits of workers and reaper."""
+
+    cache_bytes: int = Field(
+        default=DEFAULT_CACHE_BYTES,
+        gt=0,
+        description="Largest size of the local copies in data_dir of files at artifacts_url.",
+    )
+    cache_hours: float = Field(
+        default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused local copy is kept."
+    )
+    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
+    headroom_bytes: int | None = Field(
+        default=None,
+        ge=0,
+        description="Bytes on data_dir's disk that are kept free; with fewer free bytes no chunk is started. Default: "
+        "5 % of the disk, at most 256 MiB.",
+    )
+    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
+    lease_s: float = Field(
+        default=20.0, gt=0, description="Time without a heartbeat after which a worker loses its chunk."
+    )
+    heartbeat_s: float = Field(
+        default=2.0, gt=0, description="Time between heartbeats, with which a worker reports its progress."
+    )
+    webhook_private: bool = Field(
+        default=False, description="Whether webhooks may go to addresses of private networks and of this machine."
+    )
+    visuals_rest_s: float = Field(
+        default=300.0,
+        ge=0,
+        description="Time after the last edit of a job's people at which its overlay videos, report and recording are "
+        "made anew; 0: only on request.",
+    )
+    reap_interval_s: float = Field(default=5.0, gt=0, description="Time between two checks for lost work.")
+    nice: int = Field(
+        default=10,
+        ge=0,
+        le=19,
+        description="Niceness of workers, by which their priority is lowered.",
+    )
+    memory_bytes: int = Field(
+        default=7 * 2**29,
+        ge=2**29,
+        description="Memory limit of a worker process; a chunk that needs more fails with memory_limit.",
+    )
+    machine_memory_bytes: int | None = Field(
+        default=None,
+        gt=0,
+        description="Memory that the chunks at work on the machine of a worker may be foreseen to need together; a "
+        "further one waits. Default: nine tenths of the machine's memory, or of the container's limit.",
+    )
+    reserve_gpu: bool = Field(
+        default=False,
+        description="Whether a worker with a GPU takes chunks of networks alone, as long as ready workers without a "
+        "GPU run the others; otherwise it takes them first.",
+    )
+    provider: ProviderChoice = Field(
+        default="auto",
+        description="What runs the networks of workers, see docs/providers.md; auto is CUDA where it works, else the "
+        "CPU.",
+    )
+    chunk_time_factor: float = Field(
+        default=10.0,
+        gt=0,
+        description="A chunk is stopped after ten minutes and this many times the time foreseen for it: a tenth of a "
+        "second for each of its units, such as frames of a camera.",
+    )
+    claim_for_s: float = Field(
+        default=300.0, gt=0, description="Time for which a worker claims chunks after one message."
+    )
+
+    def open_artifacts(self) -> ArtifactStore:
+        """Open the artifact store."""
+        return open_artifacts(self.artifacts_url, self.data_dir, self.cache_bytes, self.cache_hours)

@@ -1,0 +1,54 @@
+"""Access of a repository to the database: transactions, the tenant, its quotas, and the actor for the audit."""
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, Connection, Table, true
+
+from worker.store.database.connection import lock
+from worker.store.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
+from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.database.transactions import Transactions
+from worker.store.model.recordings import UploadingPhone
+from worker.store.model.rights import Actor
+
+_COMMAND_LINE = Actor()
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Access to the rows of one tenant, or of all tenants."""
+
+    transactions: Transactions  # Database, or one open transaction that all repositories share
+    tenant: str | None = None  # Tenant whose rows can be reached; ``None``: all tenants
+    quotas: Quotas = NO_QUOTAS  # Limits of the tenant
+    actor: Actor = _COMMAND_LINE  # Key and request that are written to the audit
+    phone: UploadingPhone | None = None  # Phone whose uploads alone can be reached; ``None``: all uploads
+
+    @property
+    def owner(self) -> str:
+        """Tenant that owns new rows."""
+        return self.tenant or DEFAULT_TENANT
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Transaction that reads."""
+        return self.transactions.reading()
+
+    def writing(self) -> AbstractContextManager[Connection]:
+        """Transaction that writes."""
+        return self.transactions.writing()
+
+    def may_reach(self, table: Table) -> ColumnElement[bool]:
+        """Condition that a row of a table belongs to the tenant."""
+        return true() if self.tenant is None else table.c.tenant == self.tenant
+
+    def require_room(self, connection: Connection, **more: int) -> None:
+        """Raise ``QuotaExceeded`` if the owner may not have so much more; the answer holds until the transaction ends.
+
+        ``more`` are amounts by the names of ``Quotas``.
+        """
+        if self.quotas == NO_QUOTAS:
+            return
+        lock(connection, f"quotas of {self.owner}")  # two requests at once must not both take the last place
+        read = read_unfinished if more.keys() == {"unfinished_jobs"} else read_usage
+        require_room(self.quotas, read(connection, self.owner), **more)

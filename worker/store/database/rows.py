@@ -1,0 +1,289 @@
+"""Records of the model, made from rows of the tables."""
+
+import functools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import compress, groupby
+from operator import itemgetter
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, tuple_
+
+from pipeline.capture.preflight_record import Preflight
+from pipeline.core.findings import Finding
+from pipeline.core.options.config import method_warnings
+from pipeline.core.options.edits import PeopleEdit, PersonSpan, edit_of
+from pipeline.core.options.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
+from pipeline.run.engine.stage import DETECT
+from pipeline.run.space import foreseen_space
+from worker.store.database.connection import now
+from worker.store.database.tables import chunks, jobs, sessions
+from worker.store.model.calibrations import Calibration
+from worker.store.model.characters import Character, CharacterSummary, JobCharacter, StoredCharacterFile
+from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress, config_of
+from worker.store.model.sessions import InputFile, Session
+from worker.store.model.states import ChunkState, JobState
+from worker.store.spec import JobSpec
+
+_STATES = tuple(ChunkState)
+_ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
+
+
+def session_of(row: Row[Any]) -> Session:
+    """Session from its row."""
+    return Session(
+        id=row.id,
+        name=row.name,
+        created_at=row.created_at,
+        files=tuple(InputFile(**file) for file in row.files),
+        preflight=Preflight.from_json(row.preflight),
+        metadata=row.client_metadata,
+        record_sha256=row.record_sha256,
+        purpose=row.purpose,
+        videos_deleted_at=row.videos_deleted_at,
+        chunk_frames=row.chunk_frames,
+    )
+
+
+def result_of(row: Row[Any]) -> Result:
+    """Result from its row."""
+    return Result(
+        name=row.name,
+        kind=row.kind,
+        person=row.person,
+        media_type=row.media_type,
+        key=row.key,
+        num_bytes=row.num_bytes,
+        sha256=row.sha256,
+        revision=row.revision,
+        person_name=row.person_name if row.person_name is not None else row.person,
+    )
+
+
+# Clients ask for jobs all the time, and building the query takes longer than running it.
+@functools.cache
+def select_jobs() -> Select[Any]:
+    """Query of jobs with the preflight of their sessions, for ``jobs_of``."""
+    elapsed_s = now() - jobs.c.started_at
+    return select(
+        jobs,
+        sessions.c.name.label("session_name"),
+        sessions.c.preflight,
+        sessions.c.videos_deleted_at,
+        elapsed_s.label("elapsed_s"),
+    ).join(sessions)
+
+
+def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
+    """Jobs with their stages and their places in the queue, from rows of ``select_jobs``."""
+    stages = _stages(connection, [row.id for row in rows])
+    visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
+    positions = _queue_positions(connection, [row for row in rows if row.state == JobState.QUEUED])
+    return [_job(row, stages[row.id], visuals.get(row.id), positions.get(row.id)) for row in rows]
+
+
+def _queue_positions(connection: Connection, queued: Sequence[Row[Any]]) -> Mapping[str, int]:
+    """Places in the queue of queued jobs, from 1, by id; the queue is read once, up to the last of them."""
+    if not queued:
+        return {}
+    last = max(queued, key=lambda row: (row.precedence, row.queued_at, row.id))
+    rows = connection.execute(_select_positions(), {"job_ids": [row.id for row in queued], "last_id": last.id})
+    return {row.id: row.position for row in rows}
+
+
+@functools.cache
+def _select_positions() -> Select[Any]:
+    last = jobs.alias("last")
+    order, of_last = ((table.c.precedence, table.c.queued_at, table.c.id) for table in (jobs, last))
+    queue = (
+        select(jobs.c.id, func.row_number().over(order_by=order).label("position"))
+        .join(last, last.c.id == bindparam("last_id"))
+        .where(jobs.c.state == JobState.QUEUED, tuple_(*order) <= tuple_(*of_last))
+        .subquery()
+    )
+    return select(queue.c.id, queue.c.position).where(queue.c.id.in_(bindparam("job_ids", expanding=True)))
+
+
+def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, NewestJob]:
+    """Jobs that make visuals of edited jobs, by the ids of these."""
+    if not job_ids:
+        return {}
+    query = select(jobs.c.of_job, jobs.c.id, jobs.c.state).where(jobs.c.of_job.in_(job_ids))
+    return {row.of_job: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
+
+
+def _job(
+    row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
+) -> JobRecord:
+    spec = spec_of(row.spec)
+    config = config_of(spec)
+    preflight = Preflight.from_json(row.preflight)
+    has_videos = any(stage.name == DETECT for stage in stages)
+    found = tuple(Finding(**warning) for warning in row.warnings)
+    making, character = making_of(row.kind, row.making), job_character_of(row.character)
+    return JobRecord(
+        id=row.id,
+        session_id=row.session_id,
+        session_name=row.session_name,
+        num_frames=preflight.timebase.num_frames,
+        duration_s=preflight.duration_s,
+        state=JobState(row.state),
+        spec=spec,
+        attempt=row.attempt,
+        stages=stages,
+        progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
+        queue_position=queue_position,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+        expires_at=row.expires_at,
+        eta_s=_eta_s(row, stages),
+        problem=None if row.problem is None else JobProblem.from_json(row.problem),
+        waiting_for=None if row.waiting_for is None else JobProblem(**row.waiting_for),
+        warnings=(
+            *preflight.warnings,
+            *method_warnings(config, has_videos),
+            *(warning.message for warning in found),
+        ),
+        result_warnings=found,
+        making=making,
+        edits=edits_of(row.edits),
+        revision=row.revision,
+        people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
+        results_revision=row.results_revision,
+        has_old_visuals=row.visuals_old_at is not None,
+        visuals_job=visuals_job,
+        character=character,
+        has_videos=row.videos_deleted_at is None,
+        provider=row.provider,
+        space=None
+        if making is not None
+        else foreseen_space(preflight, config, 0 if character is None else character.file.num_bytes),
+    )
+
+
+def spec_of(document: Mapping[str, Any]) -> JobSpec:
+    """Spec of a job, from its column. Equal ones are checked once: a page of jobs has few different ones."""
+    return _checked_spec(json.dumps(document))
+
+
+@functools.lru_cache(1024)
+def _checked_spec(document: str) -> JobSpec:
+    return JobSpec.model_validate_json(document)
+
+
+def job_character_of(document: Mapping[str, Any] | None) -> JobCharacter | None:
+    """Character that a job moves, from its column."""
+    return None if document is None else JobCharacter.from_json(document)
+
+
+def edits_of(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
+    """Edits of a job's people, from their column."""
+    return tuple(map(edit_of, documents))
+
+
+def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
+    """Choices of what a job makes, from its columns."""
+    if choices is None:
+        return None
+    if kind == "proxies":
+        return ProxyChoices(tuple(choices["cameras"]))
+    if kind == "visuals":
+        return VisualChoices()
+    points = tuple(
+        KnownPoint(point["name"], tuple(point["xyz_m"]), tuple(tuple(view) for view in point["seen_px"]))
+        for point in choices.get("known_points", ())
+    )
+    statures_m = tuple(choices.get("stature_m", ()))
+    return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})
+
+
+def calibration_of(row: Row[Any]) -> Calibration:
+    """Calibration from its row, with the state and the problem of its job."""
+    return Calibration(
+        id=row.id,
+        name=row.name,
+        method=row.method,
+        created_at=row.created_at,
+        source=row.source,
+        files=row.files,
+        report=row.report,
+        session_id=row.session_id,
+        job_state=None if row.job_state is None else JobState(row.job_state),
+        problem=None if row.problem is None else JobProblem.from_json(row.problem),
+    )
+
+
+def character_summary_of(row: Row[Any]) -> CharacterSummary:
+    """Character without its bones, from its row."""
+    return CharacterSummary(row.id, row.name, row.created_at, StoredCharacterFile(**row.file), row.facts)
+
+
+def character_of(row: Row[Any]) -> Character:
+    """Character from its row."""
+    file = StoredCharacterFile(**row.file)
+    return Character(row.id, row.name, row.created_at, file, row.facts, row.bones, row.corrections)
+
+
+def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:
+    if row.state != JobState.RUNNING:
+        return None
+    # Outputs of an earlier job took no time.
+    worked_on = [stage for stage in stages if not stage.reused]
+    done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
+    return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
+
+
+def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[StageProgress, ...]]:
+    rows = connection.execute(_select_stages(), {"job_ids": job_ids}).all()
+    return {job_id: tuple(map(_stage, of_job)) for job_id, of_job in groupby(rows, key=itemgetter(0))}
+
+
+@functools.cache
+def _select_stages() -> Select[Any]:
+    return (
+        select(
+            chunks.c.job_id,
+            chunks.c.stage,
+            func.sum(chunks.c.done_units),
+            func.sum(chunks.c.unit_count),
+            func.min(chunks.c.started_at),
+            func.max(chunks.c.finished_at),
+            _count(chunks.c.reused),
+            func.count(),
+            *(_count(chunks.c.state == state) for state in _STATES),
+        )
+        .where(chunks.c.job_id.in_(bindparam("job_ids", expanding=True)))
+        .group_by(chunks.c.job_id, chunks.c.stage_index, chunks.c.stage)
+        .order_by(chunks.c.job_id, chunks.c.stage_index)
+    )
+
+
+def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
+    return func.sum(case((condition, 1), else_=0))
+
+
+def _stage(row: Sequence[Any]) -> StageProgress:
+    """Progress of a stage, from a row of ``_select_stages``: a page of jobs has hundreds of them."""
+    _, name, done, total, started_at, finished_at, num_reused, num_chunks, *of_states = row
+    state = stage_state(compress(_STATES, of_states))
+    return StageProgress(
+        name=name,
+        state=state,
+        done=done,
+        total=total,
+        started_at=started_at,
+        finished_at=finished_at if state in _ENDED else None,
+        reused=num_reused == num_chunks,
+    )
+
+
+def stage_state(states: Iterable[ChunkState]) -> ChunkState:
+    """State of a stage from those of its chunks: the worst one, else running, else the one that all share."""
+    found = frozenset(states)
+    for decisive in (ChunkState.FAILED, ChunkState.RUNNING, ChunkState.CANCELED):
+        if decisive in found:
+            return decisive
+    if len(found) > 1:
+        return ChunkState.RUNNING  # some chunks are done, the others wait for a worker
+    return next(iter(found))

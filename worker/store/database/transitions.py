@@ -1,0 +1,152 @@
+"""Transitions of jobs and chunks from state to state, inside a transaction of the caller.
+
+Every change of a job or its chunks locks the job first, and before a job that makes visuals, if they change, the
+reconstruction that lists them. So two changes of one job never overlap and never wait for each other in a circle. (A
+heartbeat updates one row and locks nothing else.)
+"""
+
+from collections.abc import Collection
+from dataclasses import asdict
+from typing import Any, Literal
+
+from sqlalchemy import Connection, Row, delete, insert, select, update
+
+from pipeline.core.options.job_choices import BLURRED_KIND, VISUAL_KINDS
+from worker.store.database.connection import now
+from worker.store.database.listed_results import drop_results
+from worker.store.database.removal_notes import remove_later
+from worker.store.database.tables import chunks, events, jobs, results
+from worker.store.database.totals import Total, count
+from worker.store.files.artifacts import interim_prefix, job_prefix
+from worker.store.model.jobs import JobProblem
+from worker.store.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
+from worker.store.repositories.webhooks import queue_delivery
+
+EventKind = Literal["state", "stage", "waiting"]
+
+NO_COPY = {"copy_worker": None, "copy_token": None, "copy_until": None}
+"""Columns of a chunk that only one worker runs."""
+_NO_LEASE = {"lease_token": None, "lease_until": None, **NO_COPY}
+_ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
+
+
+def lock_job(connection: Connection, job_id: str) -> Row[Any] | None:
+    """Lock a job until the transaction ends, and return its row; ``None`` if there is no such job."""
+    return connection.execute(select(jobs).where(jobs.c.id == job_id).with_for_update()).one_or_none()
+
+
+def note(connection: Connection, job_id: str, kind: EventKind, value: str) -> None:
+    """Add an event of a locked job, or of one that no other transaction can see yet."""
+    connection.execute(insert(events).values(job_id=job_id, created_at=now(), kind=kind, value=value))
+
+
+def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -> bool:
+    """Move a job to a state if its state allows it; return whether it was moved."""
+    sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
+    ends = to in FINISHED - {JobState.EXPIRED}
+    if ends:
+        values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s, "waiting_for": None}
+    if to is JobState.SUCCEEDED:
+        values["results_revision"] = jobs.c.revision
+    moved = connection.execute(
+        update(jobs).where(jobs.c.id == job_id, jobs.c.state.in_(sources)).values(state=to, **values)
+    )
+    if moved.rowcount == 1:
+        note(connection, job_id, "state", to)
+        if ends:
+            job = connection.execute(select(jobs).where(jobs.c.id == job_id)).one()
+            remove_later(connection, interim_prefix(job_id, job.attempt))
+            if to is JobState.SUCCEEDED:
+                _drop_earlier_results(connection, job)
+        if to in FINISHED:
+            count(connection, Total.JOBS_ENDED, to)
+            queue_delivery(connection, job_id, to)
+    return moved.rowcount == 1
+
+
+def _drop_earlier_results(connection: Connection, job: Row[Any]) -> None:
+    """Drop the files that those of a job that has succeeded replace: visuals are replaced by visuals alone.
+
+    Blurred videos are of all revisions.
+    """
+    is_visual = results.c.kind.in_(VISUAL_KINDS)
+    of_same_kind = is_visual if job.of_job is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
+    drop_results(connection, job.of_job or job.id, of_same_kind & (results.c.revision < job.revision))
+
+
+def delete_visuals_job(connection: Connection, job_id: str) -> None:
+    """Delete the job that makes visuals of a locked job; a worker that makes them stops when it finds its job gone."""
+    for visuals_id in connection.scalars(select(jobs.c.id).where(jobs.c.of_job == job_id)).all():
+        remove_later(connection, job_prefix(visuals_id))
+        connection.execute(delete(jobs).where(jobs.c.id == visuals_id))
+
+
+def set_waiting(connection: Connection, job: Row[Any], problem: JobProblem | None) -> None:
+    """Set the outage that a locked job waits for; ``None``: it does not wait any more."""
+    before = None if job.waiting_for is None else job.waiting_for["code"]
+    after = None if problem is None else problem.code
+    if before == after:
+        return
+    document = None if problem is None else asdict(problem)
+    connection.execute(update(jobs).where(jobs.c.id == job.id).values(waiting_for=document))
+    note(connection, job.id, "waiting", after or "")
+
+
+def move_chunk(connection: Connection, chunk_id: int, to: ChunkState, **values: Any) -> None:
+    """Move a chunk whose job is locked to a state, and end its lease."""
+    if to in _ENDED:
+        values["finished_at"] = now()
+    connection.execute(update(chunks).where(chunks.c.id == chunk_id).values(state=to, **_NO_LEASE, **values))
+
+
+def cancel_chunks(connection: Connection, job_id: str, states: Collection[ChunkState]) -> None:
+    """Cancel the chunks of a locked job that are in some states."""
+    connection.execute(
+        update(chunks)
+        .where(chunks.c.job_id == job_id, chunks.c.state.in_(states))
+        .values(state=ChunkState.CANCELED, finished_at=now(), **_NO_LEASE)
+    )
+
+
+def advance(connection: Connection, job_id: str, stage_index: int) -> bool:
+    """Begin the next stage after the last chunk of a stage, or end the job; return whether chunks became ready.
+
+    The next stage is the first one that is not done: an earlier one while outputs are computed again.
+    """
+    unfinished = select(chunks.c.id).where(
+        chunks.c.job_id == job_id, chunks.c.stage_index == stage_index, chunks.c.state != ChunkState.DONE
+    )
+    if connection.execute(unfinished.limit(1)).first() is not None:
+        return False
+    not_done = (
+        select(chunks.c.stage_index, chunks.c.stage)
+        .where(chunks.c.job_id == job_id, chunks.c.state != ChunkState.DONE)
+        .order_by(chunks.c.stage_index)
+    )
+    next_stage = connection.execute(not_done.limit(1)).one_or_none()
+    if next_stage is None:
+        move_job(connection, job_id, JobState.SUCCEEDED)
+        return False
+    waiting = (
+        chunks.c.job_id == job_id,
+        chunks.c.stage_index == next_stage.stage_index,
+        chunks.c.state == ChunkState.WAITING,
+    )
+    if connection.execute(update(chunks).where(*waiting).values(state=ChunkState.READY)).rowcount == 0:
+        return False
+    note(connection, job_id, "stage", next_stage.stage)
+    return True
+
+
+def fail_job(connection: Connection, job_id: str, chunk_id: int, problem: JobProblem) -> None:
+    """Fail a locked job by the problem of a chunk; its other chunks are canceled, and workers lose their leases."""
+    move_chunk(connection, chunk_id, ChunkState.FAILED)
+    cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY, ChunkState.RUNNING))
+    move_job(connection, job_id, JobState.FAILED, problem=asdict(problem))
+
+
+def settle_canceling(connection: Connection, job_id: str) -> None:
+    """End a locked job that is being canceled, unless one of its chunks still runs."""
+    running = select(chunks.c.id).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.RUNNING)
+    if connection.execute(running.limit(1)).first() is None:
+        move_job(connection, job_id, JobState.CANCELED)

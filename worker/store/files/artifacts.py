@@ -1,0 +1,336 @@
+"""Files of sessions, jobs and characters: inputs, outputs of chunks, results, interim outputs of unfinished jobs.
+
+::
+
+    sessions/<session>/inputs/<number>-<name>
+    sessions/<session>/record
+    sessions/<session>/thumbnails/<camera number>-<picture number>.jpg
+    sessions/<session>/stages/<output key>
+    jobs/<job>/results/<name>/<name>                 of the reconstruction
+    jobs/<job>/revisions/<revision>/<name>/<name>    after edits of its people
+    jobs/<job>/visuals/<revision>/<name>/<name>      overlay videos, report and recording
+    jobs/<job>/blurred/<name>/<name>                 copies of the videos with blurred heads
+    jobs/<job>/interim/<attempt>/<output key>
+    jobs/<job>/character/file                        copy of the character that the job moves
+    characters/<character>/file
+
+A result file has a folder of its own: it stays as long as a revision lists it, whatever becomes of the files beside it.
+"""
+
+import contextlib
+import hashlib
+import io
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Protocol
+
+from pipeline.core.options.job_choices import BLURRED_KIND, VISUAL_KINDS
+from worker.store.errors import DamagedArtifact, NotFound
+from worker.store.files.checksums import VerifiedFile, found, no_check, require_file
+from worker.store.files.disk import is_disk_full, sync
+
+_KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
+_MAX_NAME = 100
+
+# A temporary file that was not written to for so long belongs to a killed process.
+_ABANDONED_S = 24 * 3600
+
+_ExcInfo = tuple[type[BaseException], BaseException, TracebackType]
+
+_MODE = stat.S_IRUSR | stat.S_IWUSR  # mode of new temporary files
+
+
+def session_prefix(session_id: str) -> str:
+    """Prefix of the keys of a session's files, except for results."""
+    return f"sessions/{session_id}/"
+
+
+def job_prefix(job_id: str) -> str:
+    """Prefix of the keys of a job's results and interim outputs."""
+    return f"jobs/{job_id}/"
+
+
+def character_prefix(character_id: str) -> str:
+    """Prefix of the keys of a character's files."""
+    return f"characters/{character_id}/"
+
+
+def character_key(character_id: str) -> str:
+    """Key of a character's file as it was sent."""
+    return f"{character_prefix(character_id)}file"
+
+
+def job_character_key(job_id: str) -> str:
+    """Key of a job's copy of the character that it moves."""
+    return f"{job_prefix(job_id)}character/file"
+
+
+def input_key(session_id: str, number: int, name: str) -> str:
+    """Key of an input file; it holds the client's name of the file as far as keys allow."""
+    return f"{session_prefix(session_id)}inputs/{number}-{_UNSAFE.sub('_', name)[-_MAX_NAME:]}"
+
+
+def record_key(session_id: str) -> str:
+    """Key of the file that the preflight wrote for the workers."""
+    return f"{session_prefix(session_id)}record"
+
+
+def thumbnails_prefix(session_id: str) -> str:
+    """Prefix of the keys of a session's thumbnails."""
+    return f"{session_prefix(session_id)}thumbnails/"
+
+
+def thumbnail_key(session_id: str, name: str) -> str:
+    """Key of a small copy of a picture of a session's video."""
+    return f"{thumbnails_prefix(session_id)}{name}"
+
+
+def stage_key(session_id: str, output_key: str) -> str:
+    """Key of a chunk's output."""
+    return f"{session_prefix(session_id)}stages/{output_key}"
+
+
+def interim_prefix(job_id: str, attempt: int) -> str:
+    """Prefix of the keys of the interim outputs of an attempt of a job."""
+    return f"{job_prefix(job_id)}interim/{attempt}/"
+
+
+def interim_key(job_id: str, attempt: int, output_key: str) -> str:
+    """Key of a chunk's interim output."""
+    return f"{interim_prefix(job_id, attempt)}{output_key}"
+
+
+def results_prefix(job_id: str, revision: int = 0) -> str:
+    """Prefix of the keys of the result files of a revision of a job."""
+    return f"{job_prefix(job_id)}results/" if revision == 0 else f"{job_prefix(job_id)}revisions/{revision}/"
+
+
+def visuals_prefix(job_id: str, revision: int = 0) -> str:
+    """Prefix of the keys of the visuals of a revision of a job; they may outlast its other files."""
+    return f"{job_prefix(job_id)}visuals/{revision}/"
+
+
+def blurred_prefix(job_id: str) -> str:
+    """Prefix of the keys of a job's blurred videos."""
+    return f"{job_prefix(job_id)}blurred/"
+
+
+def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str:
+    """Key of a result file of a kind."""
+    if kind == BLURRED_KIND:
+        prefix = blurred_prefix(job_id)
+    else:
+        prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
+    return f"{prefix}{name}/{name}"
+
+
+class ArtifactStore(Protocol):
+    """Immutable files under keys.
+
+    A key consists of names of ASCII letters, digits, ``.``, ``_`` and ``-``, with slashes between them; a name begins
+    with a letter, a digit or ``_``. Every method raises ``ValueError`` for another key. A file is stored and replaced
+    as a whole. Methods that need a file raise ``NotFound`` if it is missing.
+
+    A file that is opened with its SHA-256 is compared: ``DamagedArtifact`` is raised if the digest differs, also when
+    the file is damaged while it is read. A process compares each version of a file once (see
+    ``worker.store.files.checksums``).
+    """
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Store a file and remove ``path``."""
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """Store bytes."""
+
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
+        """Open a file for reading, with seeking; without a digest it is not compared."""
+
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> AbstractContextManager[Path]:
+        """Path at which the file can be read, inside the block only.
+
+        The file is compared before the block; ``checksums.require_file`` tells whether it has changed since. ``check``
+        is called while the file is compared.
+        """
+
+    def size(self, key: str) -> int:
+        """Size of a file in bytes."""
+
+    def exists(self, key: str) -> bool:
+        """Whether a file is stored."""
+
+    def signed_url(self, key: str, lifetime_s: float) -> str | None:
+        """Address at which the file can be downloaded for a while without a key; ``None`` if the store has none."""
+
+    def delete(self, key: str) -> None:
+        """Remove a file, and copies of it on this machine; it may be missing."""
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove every file whose key begins with ``prefix``, which ends with a slash."""
+
+    def names(self, prefix: str) -> list[str]:
+        """Names of the folders directly below a prefix, which ends with a slash."""
+
+    def ping(self) -> bool:
+        """Whether files can be stored now."""
+
+    def sweep(self) -> None:
+        """Remove temporary files and copies on this machine that are not in use."""
+
+
+def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> bytes:
+    """Read a file that fits into memory; ``sha256`` is its digest, ``None`` if it is unknown.
+
+    Raises ``NotFound`` or ``DamagedArtifact``.
+    """
+    with artifacts.open(key) as file:
+        content = file.read()
+    if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
+        raise DamagedArtifact(key)
+    return content
+
+
+def is_key(key: str) -> bool:
+    """Whether a text is a key."""
+    return _KEY.fullmatch(key) is not None
+
+
+def require_key(key: str) -> None:
+    """Raise ``ValueError`` unless a text is a key."""
+    if not is_key(key):
+        raise ValueError(f"{key!r} is no key of an artifact")
+
+
+def require_prefix(prefix: str) -> None:
+    """Raise ``ValueError`` unless a text is a key with a slash behind it."""
+    if not prefix.endswith("/"):
+        raise ValueError(f"{prefix!r} does not end with a slash")
+    require_key(prefix.removesuffix("/"))
+
+
+class LocalArtifacts:
+    """Artifacts as files in a folder, on one file system. The folder is made if it is missing."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._incoming = root / ".incoming"  # no key begins with a dot
+        self._incoming.mkdir(parents=True, exist_ok=True)
+        self._remove_abandoned()
+
+    def put_file(self, key: str, path: Path) -> None:
+        """Store a file: renamed where the file system allows, else copied."""
+        target = self._path(key)
+        with self._temporary() as temporary:
+            try:
+                path.replace(temporary)
+            except OSError:
+                shutil.copyfile(path, temporary)
+            temporary.chmod(_MODE)
+            sync(temporary)
+            self._publish(temporary, target)
+        path.unlink(missing_ok=True)
+
+    def put_bytes(self, key: str, data: bytes) -> None:
+        """Store bytes."""
+        target = self._path(key)
+        with self._temporary() as temporary:
+            temporary.write_bytes(data)
+            sync(temporary)
+            self._publish(temporary, target)
+
+    def open(self, key: str, sha256: str | None = None) -> BinaryIO:
+        """Open a file for reading."""
+        path = self._path(key)
+        with found(key):
+            return path.open("rb") if sha256 is None else io.BufferedReader(VerifiedFile(path, key, sha256))
+
+    @contextlib.contextmanager
+    def local_path(self, key: str, sha256: str, check: Callable[[], None] = no_check) -> Iterator[Path]:
+        """Path of the stored file itself."""
+        path = self._path(key)
+        require_file(path, key, sha256, check)
+        yield path
+
+    def size(self, key: str) -> int:
+        """Size of a file in bytes."""
+        path = self._path(key)
+        if not path.is_file():
+            raise NotFound(f"There is no artifact {key}.")
+        return path.stat().st_size
+
+    def exists(self, key: str) -> bool:
+        """Whether a file is stored."""
+        return self._path(key).is_file()
+
+    def delete(self, key: str) -> None:
+        """Remove a file."""
+        self._path(key).unlink(missing_ok=True)
+
+    def delete_prefix(self, prefix: str) -> None:
+        """Remove a folder with its content."""
+        require_prefix(prefix)
+        shutil.rmtree(self._path(prefix.removesuffix("/")), onerror=_unless_gone)
+
+    def names(self, prefix: str) -> list[str]:
+        """Names of folders in a folder."""
+        require_prefix(prefix)
+        folder = self._root / prefix
+        return sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+
+    def ping(self) -> bool:
+        """Whether files can be stored now."""
+        try:
+            with self._temporary() as temporary:
+                temporary.write_bytes(b"ping")
+        except OSError as error:
+            return is_disk_full(error)  # room on the disk is checked elsewhere
+        return True
+
+    def signed_url(self, key: str, lifetime_s: float) -> str | None:
+        """Return ``None``: files of a folder have no address."""
+        return None
+
+    def sweep(self) -> None:
+        """Remove temporary files of killed processes."""
+        self._remove_abandoned()
+
+    def _path(self, key: str) -> Path:
+        require_key(key)
+        return self._root / key
+
+    @contextlib.contextmanager
+    def _temporary(self) -> Iterator[Path]:
+        handle, name = tempfile.mkstemp(dir=self._incoming)
+        os.close(handle)
+        try:
+            yield Path(name)
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    def _remove_abandoned(self) -> None:
+        for path in self._incoming.iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime > _ABANDONED_S:
+                    path.unlink()
+
+    def _publish(self, temporary: Path, target: Path) -> None:
+        """Rename a complete file to its key; it survives a loss of power afterwards."""
+        missing = [folder for folder in target.parents if not folder.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary.replace(target)
+        for folder in [target.parent, *(made.parent for made in missing)]:
+            sync(folder)
+
+
+def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
+    """Ignore files that another process has removed in the meantime."""
+    if not isinstance(error[1], FileNotFoundError | NotADirectoryError):
+        raise error[1]

@@ -1,0 +1,206 @@
+"""Jobs: what they make, their course, their problems and their result files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any, Literal
+
+from pipeline.core.findings import Finding
+from pipeline.core.options.config import ReconstructionConfig, without_recordings
+from pipeline.core.options.edits import PeopleEdit, PersonSpan
+from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.core.problems.model import Code
+from pipeline.run.space import ForeseenSpace
+from worker.store.model.characters import JobCharacter
+from worker.store.model.states import RETRYABLE, ChunkState, JobState
+from worker.store.spec import JobSpec
+
+JobKind = Literal["reconstruction", "calibration", "proxies", "visuals"]
+SIDE_KINDS: frozenset[JobKind] = frozenset({"proxies", "visuals"})
+"""Kinds of jobs beside a reconstruction: in no list unless asked for, and in no quota of unfinished jobs."""
+Making = CalibrationChoices | ProxyChoices | VisualChoices
+"""Choices of a job that makes something else than a reconstruction."""
+
+
+def kind_of(making: Making | None) -> JobKind:
+    """Kind of a job by what it makes."""
+    match making:
+        case None:
+            return "reconstruction"
+        case CalibrationChoices():
+            return "calibration"
+        case ProxyChoices():
+            return "proxies"
+        case VisualChoices():
+            return "visuals"
+
+
+def config_of(
+    spec: JobSpec,
+    making: Making | None = None,
+    edits: tuple[PeopleEdit, ...] = (),
+    revision: int = 0,
+    character: JobCharacter | None = None,
+) -> ReconstructionConfig:
+    """Configuration of a job by its spec, what else it makes, the edits of its people, and their number of changes.
+
+    Visuals of people who were edited are made by a job of their own: edits don't wait for them. Blurred videos are made
+    once, because edits leave them as they are. ``character`` is the one that the job moves.
+    """
+    digest = None if character is None else character.digest
+    blurs_videos = spec.blur_faces and making is None and not revision
+    config = replace(spec.config, making=making, edits=edits, character=digest, blurs_videos=blurs_videos)
+    if making is not None or not revision:
+        return config
+    return replace(config, overlay=False, report=False, exports=without_recordings(config.exports))
+
+
+@dataclass(frozen=True, slots=True)
+class SessionError:
+    """Error that the check of a job's session found."""
+
+    code: Code
+    message: str
+    camera: str | None = None
+    hint: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JobProblem:
+    """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths.
+
+    ``errors`` are those of the session that was refused.
+    """
+
+    code: Code
+    detail: str
+    stage: str | None = None
+    camera: str | None = None
+    hint: str | None = None
+    retryable: bool = False
+    errors: tuple[SessionError, ...] = ()
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> "JobProblem":
+        """Read what ``dataclasses.asdict`` made."""
+        errors = tuple(SessionError(**error) for error in document.get("errors", ()))
+        return cls(**{**document, "errors": errors})
+
+
+def is_worth_a_retry(state: JobState, problem: JobProblem | None) -> bool:
+    """Whether another attempt of a job may succeed: the job was canceled, or its problem is retryable."""
+    return state in RETRYABLE and (problem is None or problem.retryable)
+
+
+@dataclass(frozen=True, slots=True)
+class StageProgress:
+    """Progress of a stage; ``done`` and ``total`` are in the units of its chunks."""
+
+    name: str
+    state: ChunkState
+    done: int
+    total: int
+    started_at: datetime | None
+    finished_at: datetime | None
+    reused: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NewestJob:
+    """Job of a session that was queued last."""
+
+    id: str
+    state: JobState
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
+
+    ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
+    units took as long as the finished ones; ``None`` before any is finished. ``waiting_for`` is the outage that keeps
+    its work waiting. ``warnings`` are sentences, and include those of ``result_warnings``. ``making`` has the choices
+    of what it makes; without it, the job reconstructs. ``edits`` are the edits of its people, ``revision`` the number
+    of times that they were changed, and ``people`` those whom the reconstruction found, before any edit; ``None`` until
+    its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
+    one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
+    an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
+    that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
+    identity of the execution provider of its networks, empty for the CPU. ``space`` is what a reconstruction was
+    foreseen to need; ``None`` of other jobs.
+    """
+
+    id: str
+    session_id: str
+    session_name: str
+    num_frames: int  # output frames of the session; ``duration_s`` likewise
+    duration_s: float
+    state: JobState
+    spec: JobSpec
+    attempt: int
+    stages: tuple[StageProgress, ...]
+    progress: float
+    queue_position: int | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    expires_at: datetime | None
+    eta_s: float | None
+    problem: JobProblem | None
+    waiting_for: JobProblem | None
+    warnings: tuple[str, ...]
+    result_warnings: tuple[Finding, ...]
+    making: Making | None = None
+    edits: tuple[PeopleEdit, ...] = ()
+    revision: int = 0
+    people: tuple[PersonSpan, ...] | None = None
+    results_revision: int | None = None
+    has_old_visuals: bool = False
+    visuals_job: NewestJob | None = None
+    character: JobCharacter | None = None
+    has_videos: bool = True
+    provider: str = ""
+    space: ForeseenSpace | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Failed try of a chunk. ``chunk_try`` counts from 1; the chunk was begun again unless its job ended."""
+
+    stage: str
+    chunk_index: int
+    chunk_try: int
+    problem: JobProblem
+    failed_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """Attempt of a job: the first one, or a retry, with its problem and the failed tries of its chunks."""
+
+    attempt: int
+    state: JobState
+    problem: JobProblem | None
+    queued_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    failures: tuple[Failure, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A result file of a job, in the artifact store under ``key``; ``revision`` is that of the edits it shows.
+
+    ``person`` is the number of a person as in the file's name, ``person_name`` the name that edits gave, or else the
+    same.
+    """
+
+    name: str
+    kind: str  # "bvh", "skeletons", "metrics"
+    person: str | None
+    media_type: str
+    key: str
+    num_bytes: int
+    sha256: str
+    revision: int = 0
+    person_name: str | None = None

@@ -1,0 +1,82 @@
+"""Capture sessions and their files, and uploads, which become files of sessions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Literal
+
+from pipeline.capture.preflight_record import Preflight
+from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
+from worker.store.model.jobs import NewestJob
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file of a session, in the artifact store under ``key``."""
+
+    name: str
+    kind: str  # "video", "keypoints", "calibration" or "timestamps"
+    key: str
+    num_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A file that arrives in pieces.
+
+    ``num_bytes`` is its complete size, ``metadata`` a text of the client, ``spool`` the host and folder that hold the
+    bytes that have arrived; ``None``: upload of an older version.
+    """
+
+    id: str
+    name: str
+    num_bytes: int
+    metadata: str
+    expires_at: datetime
+    spool: str | None
+
+
+Purpose = Literal["capture", "calibration"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A capture session: its files, and what the preflight found in them."""
+
+    id: str
+    name: str
+    created_at: datetime
+    files: tuple[InputFile, ...]
+    preflight: Preflight
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # JSON object of the client
+    # Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions
+    record_sha256: str | None = None
+    # Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures
+    purpose: Purpose = "capture"
+    # Time at which its videos and their pictures were deleted; ``None``: they are there, or it has keypoints
+    videos_deleted_at: datetime | None = None
+    chunk_frames: int = DEFAULT_CHUNK_FRAMES  # Frames of a camera in a chunk of each of its jobs
+
+    @property
+    def stored_files(self) -> tuple[InputFile, ...]:
+        """Files that are in the artifact store."""
+        return tuple(file for file in self.files if self.videos_deleted_at is None or file.kind != "video")
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A session with its reconstructions and its proxies."""
+
+    session: Session
+    # Number of reconstructions, and the newest one; ``None`` without any
+    num_jobs: int = 0
+    newest_job: NewestJob | None = None
+    proxies: frozenset[str] = (
+        frozenset()
+    )  # Names of the proxies that are made; see ``pipeline.core.options.job_choices.proxy_name``
+    proxies_job: NewestJob | None = None  # Job that makes proxies; ``None``: no job had to
+    # A reconstruction blurs faces, so that no picture of the session is shown as it was sent
+    is_blurred: bool = False
+    # Names of the blurred videos that are made; see ``pipeline.core.options.job_choices.blurred_name``
+    blurred: frozenset[str] = frozenset()

@@ -1,0 +1,152 @@
+"""Characters of the user's own."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Column, Connection, Row, delete, insert, select, update
+from uuid_utils import uuid7
+
+from worker.store.database.access import Access
+from worker.store.database.connection import now
+from worker.store.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
+from worker.store.database.rows import character_of, character_summary_of
+from worker.store.database.tables import characters
+from worker.store.errors import Conflict, NotFound
+from worker.store.files.artifacts import character_prefix
+from worker.store.model.characters import Character, CharacterSummary, StoredCharacterFile
+from worker.store.repositories.audit import AuditAction, record_event
+
+_LISTED: tuple[Column[Any], ...] = (
+    characters.c.id,
+    characters.c.name,
+    characters.c.created_at,
+    characters.c.file,
+    characters.c.facts,
+)
+
+
+class Characters:
+    """Characters of a tenant, or of all tenants."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def reserve_id(self) -> str:
+        """Make the id of a character whose file is about to be stored.
+
+        The file is removed after a day unless ``add`` is called with the id.
+        """
+        character_id = str(uuid7())
+        with self._access.writing() as connection:
+            remove_unless_kept(connection, character_prefix(character_id))
+        return character_id
+
+    def add(
+        self,
+        character_id: str,
+        name: str,
+        file: StoredCharacterFile,
+        facts: Mapping[str, Any],
+        bones: Mapping[str, Any],
+        corrections: Mapping[str, str | None],
+    ) -> Character:
+        """Add a character whose file is in the artifact store.
+
+        Parameters
+        ----------
+        character_id
+            Made by ``reserve_id``.
+        facts, bones, corrections
+            See ``worker.store.model.characters.Character``.
+
+        Raises
+        ------
+        Conflict
+            The file took more than a day to arrive, and was removed.
+        QuotaExceeded
+        """
+        access, num_bytes = self._access, file.num_bytes + _json_bytes(bones)
+        with access.writing() as connection:
+            access.require_room(connection, stored_bytes=num_bytes)
+            if not keep(connection, character_prefix(character_id)):
+                raise Conflict("The character's file took too long to arrive; send it again.")
+            connection.execute(
+                insert(characters).values(
+                    id=character_id,
+                    tenant=access.owner,
+                    name=name,
+                    created_at=now(),
+                    file=asdict(file),
+                    facts=dict(facts),
+                    bones=dict(bones),
+                    corrections=dict(corrections),
+                    num_bytes=num_bytes,
+                )
+            )
+            record_event(connection, access.actor, access.owner, AuditAction.CHARACTER_CREATED, character_id)
+            return character_of(self._row(connection, character_id))
+
+    def get(self, character_id: str) -> Character:
+        """Character with an id; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return character_of(self._row(connection, character_id))
+
+    def page(self, limit: int = 50, after: str | None = None) -> list[CharacterSummary]:
+        """Characters, the newest first; ``after`` is the last id of the page before."""
+        query = select(*_LISTED).where(self._access.may_reach(characters)).order_by(characters.c.id.desc()).limit(limit)
+        if after is not None:
+            query = query.where(characters.c.id < after)
+        with self._access.reading() as connection:
+            return [character_summary_of(row) for row in connection.execute(query)]
+
+    def rename(self, character_id: str, name: str) -> Character:
+        """Give a character another name; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            row = self._row(connection, character_id)
+            if row.name != name:
+                connection.execute(update(characters).where(characters.c.id == row.id).values(name=name))
+                record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_RENAMED, row.id)
+            return character_of(self._row(connection, character_id))
+
+    def correct(
+        self,
+        character_id: str,
+        facts: Mapping[str, Any],
+        bones: Mapping[str, Any],
+        corrections: Mapping[str, str | None],
+    ) -> Character:
+        """Replace a user's corrections of a character's bones, and what was recognised with them.
+
+        Raises ``NotFound`` or ``QuotaExceeded``.
+        """
+        with self._access.writing() as connection:
+            row = self._row(connection, character_id)
+            num_bytes = row.file["num_bytes"] + _json_bytes(bones)
+            self._access.require_room(connection, stored_bytes=max(0, num_bytes - row.num_bytes))
+            values = {"facts": dict(facts), "bones": dict(bones), "corrections": dict(corrections)}
+            chosen = update(characters).where(characters.c.id == row.id)
+            connection.execute(chosen.values(**values, num_bytes=num_bytes))
+            record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_CORRECTED, row.id)
+            return character_of(self._row(connection, character_id))
+
+    def delete(self, character_id: str) -> None:
+        """Delete a character, and note its file for removal; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            row = self._row(connection, character_id)
+            remove_later(connection, character_prefix(row.id))
+            forget_answers(connection, row.tenant, row.id)
+            record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_DELETED, row.id)
+            connection.execute(delete(characters).where(characters.c.id == row.id))
+
+    def _row(self, connection: Connection, character_id: str) -> Row[Any]:
+        query = select(characters).where(characters.c.id == character_id, self._access.may_reach(characters))
+        row = connection.execute(query).one_or_none()
+        if row is None:
+            raise NotFound("There is no such character.")
+        return row
+
+
+def _json_bytes(document: Mapping[str, Any]) -> int:
+    return len(json.dumps(document))

@@ -1,0 +1,440 @@
+"""Recordings by phones, with their phones, takes and clips.
+
+Each change counts the recording's revision up in its transaction: processes of the API poll the revisions of the
+recordings that are open there.
+"""
+
+import secrets
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from sqlalchemy import Connection, Row, Table, delete, func, insert, select, update
+from uuid_utils import uuid7
+
+from worker.store.database.access import Access
+from worker.store.database.connection import now
+from worker.store.database.removal_notes import forget_answers
+from worker.store.database.tables import clips, phones, recordings, takes, uploads
+from worker.store.errors import Conflict, NotFound, PhoneRemoved
+from worker.store.model.recordings import (
+    ClipFile,
+    JoinedPhone,
+    RecordingLimits,
+    RecordingPhone,
+    RecordingSession,
+    RecordingTake,
+    TakeClip,
+    TakeState,
+)
+from worker.store.repositories.audit import AuditAction, record_event
+from worker.store.repositories.rights.keys import digest
+from worker.store.repositories.rights.links import LINK_PREFIX, LINK_SECRET_BYTES
+
+MAX_RECORDINGS = 100
+"""Largest number of a tenant's recordings that have not ended."""
+MAX_PARTS = 100
+"""Largest number of parts of a clip."""
+
+# Phones that were removed keep their numbers, so that they can't come back; so many times the phones of a recording.
+_MAX_REMOVED = 4
+_NO_RECORDING = "There is no such recording, or it has ended."
+
+
+class Recordings:
+    """Recordings of a tenant, or of all tenants. A recording that has ended is treated as unknown."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def add(self, name: str, lifetime_s: float) -> tuple[RecordingSession, str]:
+        """Open a recording; returns it with the secret of its link, which can't be read again.
+
+        Raises ``Conflict`` if the tenant has ``MAX_RECORDINGS`` already.
+        """
+        recording_id, access = str(uuid7()), self._access
+        with access.writing() as connection:
+            is_open = access.may_reach(recordings) & (recordings.c.expires_at > now())
+            num_open = connection.scalar(select(func.count()).select_from(recordings).where(is_open)) or 0
+            if num_open >= MAX_RECORDINGS:
+                raise Conflict(f"There are {MAX_RECORDINGS} recordings already; delete some, or wait until they end.")
+            secret, link = self._new_link()
+            connection.execute(
+                insert(recordings).values(
+                    id=recording_id,
+                    tenant=access.owner,
+                    name=name,
+                    created_at=now(),
+                    expires_at=now() + lifetime_s,
+                    **link,
+                )
+            )
+            record_event(connection, access.actor, access.owner, AuditAction.RECORDING_CREATED, recording_id)
+            return self._read(connection, recording_id), secret
+
+    def get(self, recording_id: str) -> RecordingSession:
+        """Recording with an id; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return self._read(connection, recording_id)
+
+    def page(self, limit: int = 50, after: str | None = None) -> list[RecordingSession]:
+        """Recordings, the newest first; ``after`` is the last id of the page before."""
+        query = select(recordings).where(self._access.may_reach(recordings), recordings.c.expires_at > now())
+        if after is not None:
+            query = query.where(recordings.c.id < after)
+        with self._access.reading() as connection:
+            return _sessions_of(connection, connection.execute(query.order_by(recordings.c.id.desc()).limit(limit)))
+
+    def delete(self, recording_id: str) -> None:
+        """Delete a recording with the uploads of its phones that no session took; ``NotFound`` if there is none."""
+        with self._access.writing() as connection:
+            row = self._lock(connection, recording_id)
+            forget_answers(connection, row.tenant, recording_id)
+            record_event(connection, self._access.actor, row.tenant, AuditAction.RECORDING_DELETED, recording_id)
+            _delete(connection, [recording_id])
+
+    def expire(self) -> list[str]:
+        """Delete recordings that have ended, with the uploads that no session took; return their ids."""
+        with self._access.writing() as connection:
+            query = select(recordings.c.id).where(self._access.may_reach(recordings), recordings.c.expires_at <= now())
+            ended = list(connection.scalars(query.with_for_update()))
+            _delete(connection, ended)
+            return ended
+
+    def renew_link(self, recording_id: str) -> tuple[RecordingSession, str]:
+        """Make another link and end the one before; returns the recording and the secret, as ``add`` does."""
+        with self._access.writing() as connection:
+            row = self._lock(connection, recording_id)
+            secret, link = self._new_link()
+            connection.execute(update(recordings).where(recordings.c.id == recording_id).values(**link))
+            record_event(connection, self._access.actor, row.tenant, AuditAction.LINK_CREATED, link["join_id"])
+            return self._changed(connection, recording_id), secret
+
+    def revisions(self, recording_ids: Collection[str]) -> Mapping[str, int]:
+        """Revisions of recordings among some that are there and have not ended."""
+        query = select(recordings.c.id, recordings.c.revision).where(
+            self._access.may_reach(recordings), recordings.c.id.in_(recording_ids), recordings.c.expires_at > now()
+        )
+        with self._access.reading() as connection:
+            return {row.id: row.revision for row in connection.execute(query)}
+
+    # Changes by the host.
+
+    def start_take(
+        self, recording_id: str, name: str | None, settings: Mapping[str, Any], start_s: float, limits: RecordingLimits
+    ) -> RecordingSession:
+        """Begin a take that starts at a time by the service's clock.
+
+        Raises ``Conflict`` if another take is being recorded, or there are as many as may be.
+        """
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            earlier = self._read(connection, recording_id).takes
+            if any(take.state(start_s) is TakeState.RECORDING for take in earlier):
+                raise Conflict("A take is being recorded; stop it first.")
+            if len(earlier) >= limits.takes:
+                raise Conflict(f"A recording has {limits.takes} takes at most; open another one.")
+            number = len(earlier) + 1
+            connection.execute(
+                insert(takes).values(
+                    recording_id=recording_id,
+                    number=number,
+                    name=name or f"Take {number}",
+                    start_s=start_s,
+                    stop_s=start_s + limits.take_s,
+                    is_stopped=False,
+                    settings=dict(settings),
+                    is_upload_wanted=False,
+                    is_discarded=False,
+                )
+            )
+            return self._changed(connection, recording_id)
+
+    def stop_take(self, recording_id: str, stop_s: float) -> RecordingSession:
+        """Stop the take that is being recorded at a time; ``Conflict`` if there is none."""
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            running = [
+                take for take in self._read(connection, recording_id).takes if take.state(stop_s) is TakeState.RECORDING
+            ]
+            if not running:
+                raise Conflict("No take is being recorded.")
+            values = {"stop_s": max(stop_s, running[0].start_s), "is_stopped": True}
+            return self._change_take(connection, recording_id, running[0].number, values)
+
+    def want_upload(self, recording_id: str, take: int) -> RecordingSession:
+        """Ask the phones for their clips of a take; ``Conflict`` if it was discarded."""
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            self._require_take(connection, recording_id, take)
+            return self._change_take(connection, recording_id, take, {"is_upload_wanted": True})
+
+    def discard_take(self, recording_id: str, take: int) -> RecordingSession:
+        """Throw a take away with its uploads; a session that was made from it stays."""
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            found = self._require_take(connection, recording_id, take)
+            uploaded = [file.upload_id for clip in found.clips for file in clip.files]
+            connection.execute(delete(uploads).where(uploads.c.id.in_(uploaded)))
+            values = {"is_discarded": True, "is_stopped": True}
+            return self._change_take(connection, recording_id, take, values)
+
+    def use_take(
+        self,
+        recording_id: str,
+        take: int,
+        session_id: str | None = None,
+        job_id: str | None = None,
+        calibration_id: str | None = None,
+    ) -> RecordingSession:
+        """Record the session or the calibration that was made from a take, in the transaction that takes its uploads.
+
+        A session may follow a calibration. Raises ``Conflict`` if the take was discarded, or made the same before.
+        """
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            found = self._require_take(connection, recording_id, take)
+            if found.session_id is not None:
+                raise Conflict("A session was made from this take already.")
+            if calibration_id is not None and found.calibration_id is not None:
+                raise Conflict("A calibration was made from this take already.")
+            made = {"session_id": session_id, "job_id": job_id, "calibration_id": calibration_id}
+            values = {"is_stopped": True, **{name: value for name, value in made.items() if value is not None}}
+            return self._change_take(connection, recording_id, take, values)
+
+    def rename_phone(self, recording_id: str, phone: int, name: str) -> RecordingSession:
+        """Give a phone another name; ``Conflict`` if another phone has it."""
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            present = self._read(connection, recording_id)
+            if present.phone(phone) is None:
+                raise NotFound("The recording has no such phone.")
+            if any(other.name == name and other.number != phone for other in present.phones):
+                raise Conflict("Another phone has this name.")
+            return self._change_phone(connection, recording_id, phone, {"name": name})
+
+    def remove_phone(self, recording_id: str, phone: int) -> RecordingSession:
+        """Remove a phone for good; its clips stay."""
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            if self._read(connection, recording_id).phone(phone) is None:
+                raise NotFound("The recording has no such phone.")
+            return self._change_phone(connection, recording_id, phone, {"removed_at": now()})
+
+    # Changes by phones.
+
+    def join(
+        self, recording_id: str, phone_id: str, name: str | None, device: str, limits: RecordingLimits
+    ) -> JoinedPhone:
+        """Join a recording as a phone, or come back.
+
+        Parameters
+        ----------
+        phone_id
+            Secret that the phone's browser made, and keeps.
+        name
+            Name that the phone proposes; if another phone has it, a number is added.
+
+        Raises
+        ------
+        PhoneRemoved
+        Conflict
+            There are as many phones as may be.
+        """
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            known = select(phones).where(phones.c.recording_id == recording_id, phones.c.sha256 == digest(phone_id))
+            if (row := connection.execute(known).one_or_none()) is not None:
+                if row.removed_at is not None:
+                    raise PhoneRemoved
+                return _joined(connection, self._read(connection, recording_id), row.number)
+            present = self._read(connection, recording_id).phones
+            num_there = sum(not phone.is_removed for phone in present)
+            if num_there >= limits.phones or len(present) >= limits.phones * (1 + _MAX_REMOVED):
+                raise Conflict(f"A recording has {limits.phones} phones at most; the host may remove one.")
+            number = len(present) + 1
+            connection.execute(
+                insert(phones).values(
+                    recording_id=recording_id,
+                    number=number,
+                    sha256=digest(phone_id),
+                    name=_free_name(name or f"Phone {number}", {phone.name for phone in present}),
+                    device=device,
+                    joined_at=now(),
+                )
+            )
+            return _joined(connection, self._changed(connection, recording_id), number)
+
+    def phone_number(self, recording_id: str, phone_id: str) -> int:
+        """Number of the phone with a secret; ``NotFound`` if there is none, or the host has removed it."""
+        query = select(phones.c.number).where(
+            phones.c.recording_id == recording_id, phones.c.sha256 == digest(phone_id), phones.c.removed_at.is_(None)
+        )
+        with self._access.reading() as connection:
+            number: int | None = connection.scalar(query)
+        if number is None:
+            raise NotFound("The recording has no such phone.")
+        return number
+
+    def clip_started(self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]) -> RecordingSession:
+        """Record what a phone says when it has begun to record a take."""
+        return self._change_clip(recording_id, take, phone, {"started": dict(facts)})
+
+    def clip_stopped(self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]) -> RecordingSession:
+        """Record what a phone says when it has ended a take."""
+        return self._change_clip(recording_id, take, phone, {"stopped": dict(facts)})
+
+    def add_file(self, recording_id: str, take: int, phone: int, file: ClipFile) -> RecordingSession:
+        """Record a part of a clip whose upload is complete, in place of an earlier upload of the part.
+
+        Raises ``NotFound`` if the upload is not the phone's, ``Conflict`` if the clip has ``MAX_PARTS`` already.
+        """
+        is_own = (uploads.c.id == file.upload_id, uploads.c.recording_id == recording_id, uploads.c.phone == phone)
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            found = self._require_take(connection, recording_id, take, unused=True)
+            if connection.execute(select(uploads.c.id).where(*is_own)).one_or_none() is None:
+                raise NotFound("The phone has no such upload.")
+            clip = found.clip(phone)
+            files = {earlier.part: earlier for earlier in (clip.files if clip else ())} | {file.part: file}
+            if len(files) > MAX_PARTS:
+                raise Conflict(f"A clip has {MAX_PARTS} parts at most.")
+            ordered = [asdict(files[part]) for part in sorted(files)]
+            return self._write_clip(connection, recording_id, take, phone, {"files": ordered})
+
+    def _new_link(self) -> tuple[str, dict[str, Any]]:
+        secret = LINK_PREFIX + secrets.token_urlsafe(LINK_SECRET_BYTES)
+        values = {"join_id": str(uuid7()), "join_sha256": digest(secret), "join_key_id": self._access.actor.key_id}
+        return secret, values
+
+    def _lock(self, connection: Connection, recording_id: str) -> Row[Any]:
+        mine = self._access.may_reach(recordings)
+        query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
+        row = connection.execute(query.with_for_update()).one_or_none()
+        if row is None:
+            raise NotFound(_NO_RECORDING)
+        return row
+
+    def _read(self, connection: Connection, recording_id: str) -> RecordingSession:
+        mine = self._access.may_reach(recordings)
+        query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
+        found = _sessions_of(connection, connection.execute(query))
+        if not found:
+            raise NotFound(_NO_RECORDING)
+        return found[0]
+
+    def _changed(self, connection: Connection, recording_id: str) -> RecordingSession:
+        chosen = update(recordings).where(recordings.c.id == recording_id)
+        connection.execute(chosen.values(revision=recordings.c.revision + 1))
+        return self._read(connection, recording_id)
+
+    def _require_take(
+        self, connection: Connection, recording_id: str, number: int, *, unused: bool = False
+    ) -> RecordingTake:
+        take = self._read(connection, recording_id).take(number)
+        if take is None:
+            raise NotFound("The recording has no such take.")
+        if take.is_discarded:
+            raise Conflict("The take was discarded.")
+        if unused and take.is_used:
+            raise Conflict("The clips of this take are in a session already.")
+        return take
+
+    def _change_take(
+        self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
+    ) -> RecordingSession:
+        chosen = update(takes).where(takes.c.recording_id == recording_id, takes.c.number == number)
+        connection.execute(chosen.values(**values))
+        return self._changed(connection, recording_id)
+
+    def _change_phone(
+        self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
+    ) -> RecordingSession:
+        chosen = update(phones).where(phones.c.recording_id == recording_id, phones.c.number == number)
+        connection.execute(chosen.values(**values))
+        return self._changed(connection, recording_id)
+
+    def _change_clip(self, recording_id: str, take: int, phone: int, values: Mapping[str, Any]) -> RecordingSession:
+        with self._access.writing() as connection:
+            self._lock(connection, recording_id)
+            self._require_take(connection, recording_id, take)
+            return self._write_clip(connection, recording_id, take, phone, values)
+
+    def _write_clip(
+        self, connection: Connection, recording_id: str, take: int, phone: int, values: Mapping[str, Any]
+    ) -> RecordingSession:
+        is_clip = (clips.c.recording_id == recording_id, clips.c.take == take, clips.c.phone == phone)
+        if connection.execute(update(clips).where(*is_clip).values(**values)).rowcount == 0:
+            names = {"recording_id": recording_id, "take": take, "phone": phone}
+            connection.execute(insert(clips).values(**{**names, "files": [], **values}))
+        return self._changed(connection, recording_id)
+
+
+def _joined(connection: Connection, recording: RecordingSession, number: int) -> JoinedPhone:
+    return JoinedPhone(recording, number, connection.execute(select(now())).scalar_one())
+
+
+def _free_name(name: str, taken: Collection[str]) -> str:
+    """Name that no other phone has: with a number behind it if need be."""
+    return next(
+        other for other in (name, *(f"{name[:58]} {number}" for number in range(2, 10_000))) if other not in taken
+    )
+
+
+def _delete(connection: Connection, recording_ids: Collection[str]) -> None:
+    """Delete recordings with unused uploads; the API removes their bytes when it finds no row."""
+    connection.execute(delete(uploads).where(uploads.c.recording_id.in_(recording_ids)))
+    connection.execute(delete(recordings).where(recordings.c.id.in_(recording_ids)))
+
+
+def _sessions_of(connection: Connection, rows: Iterable[Row[Any]]) -> list[RecordingSession]:
+    """Recordings with all that belongs to them, in the order of their rows."""
+    found = list(rows)
+    ids = [row.id for row in found]
+    phones_of, takes_of = _of_recordings(connection, phones, ids), _of_recordings(connection, takes, ids)
+    clips_of: defaultdict[tuple[str, int], list[TakeClip]] = defaultdict(list)
+    for row in connection.execute(select(clips).where(clips.c.recording_id.in_(ids)).order_by(clips.c.phone)):
+        files = tuple(ClipFile(**file) for file in row.files)
+        clips_of[row.recording_id, row.take].append(TakeClip(row.phone, row.started, row.stopped, files))
+    return [
+        RecordingSession(
+            row.id,
+            row.name,
+            row.created_at,
+            row.expires_at,
+            row.revision,
+            tuple(map(_phone_of, phones_of[row.id])),
+            tuple(_take_of(take, clips_of[row.id, take.number]) for take in takes_of[row.id]),
+        )
+        for row in found
+    ]
+
+
+def _of_recordings(connection: Connection, table: Table, ids: Collection[str]) -> Mapping[str, list[Row[Any]]]:
+    """Rows of a table by recording, in the order of their numbers."""
+    rows = defaultdict[str, list[Row[Any]]](list)
+    for row in connection.execute(select(table).where(table.c.recording_id.in_(ids)).order_by(table.c.number)):
+        rows[row.recording_id].append(row)
+    return rows
+
+
+def _phone_of(row: Row[Any]) -> RecordingPhone:
+    return RecordingPhone(row.number, row.name, row.device, row.joined_at, row.removed_at is not None)
+
+
+def _take_of(row: Row[Any], of_take: Iterable[TakeClip]) -> RecordingTake:
+    return RecordingTake(
+        number=row.number,
+        name=row.name,
+        start_s=row.start_s,
+        stop_s=row.stop_s,
+        is_stopped=row.is_stopped,
+        settings=row.settings,
+        is_upload_wanted=row.is_upload_wanted,
+        is_discarded=row.is_discarded,
+        session_id=row.session_id,
+        job_id=row.job_id,
+        calibration_id=row.calibration_id,
+        clips=tuple(of_take),
+    )

@@ -1,0 +1,131 @@
+"""Webhooks: messages of jobs' ends that are to be delivered.
+
+A message is queued in the transaction that ends its job, and stays until it is delivered or a day has passed. It may
+arrive twice, under one id: the sender may be killed before it has recorded the delivery.
+"""
+
+import json
+import secrets
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Connection, Row, case, delete, func, insert, literal, select, type_coerce, update
+from uuid_utils import uuid7
+
+from worker.store.database.connection import now
+from worker.store.database.rows import jobs_of, select_jobs
+from worker.store.database.tables import UtcTimestamp, deliveries, jobs
+from worker.store.database.transactions import Transactions
+from worker.store.model.states import JobState
+from worker.store.model.webhooks import Delivery
+
+# Time from each failed try to the next one: about a day in all.
+_WAITS_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 2 * 3600.0, 4 * 3600.0, 6 * 3600.0, 8 * 3600.0)
+MAX_TRIES = len(_WAITS_S) + 1
+
+_NONE_BUSY: Mapping[str, int] = {}
+
+
+def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None:
+    """Queue the message of a locked job's end, if its spec names an address."""
+    ended_at = type_coerce(now(), UtcTimestamp).label("ended_at")
+    row = connection.execute(select(jobs.c.spec, jobs.c.tenant, ended_at).where(jobs.c.id == job_id)).one()
+    url = row.spec.get("callback_url")
+    if url is None:
+        return
+    (job,) = jobs_of(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
+    message = {
+        "type": f"job.{state}",
+        "timestamp": row.ended_at.isoformat().replace("+00:00", "Z"),
+        "data": {
+            "id": job_id,
+            "session_id": job.session_id,
+            "state": state,
+            "attempt": job.attempt,
+            "warnings": list(job.warnings),
+        },
+    }
+    connection.execute(
+        insert(deliveries).values(
+            message_id=f"msg_{uuid7().hex}",
+            job_id=job_id,
+            tenant=row.tenant,
+            url=url,
+            body=json.dumps(message, separators=(",", ":")),
+            created_at=now(),
+            due_at=now(),
+            tries=0,
+        )
+    )
+
+
+class Webhooks:
+    """Messages to be delivered, of all tenants."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def claim(
+        self, limit: int, lease_s: float, limit_a_tenant: int | None = None, busy: Mapping[str, int] = _NONE_BUSY
+    ) -> list[Delivery]:
+        """Take messages that are due; they are due again after ``lease_s`` unless their outcome is recorded.
+
+        ``limit_a_tenant`` messages of a tenant may be on their way at once; ``None``: no limit. Tenants with few
+        ``busy`` ones, those on their way already, come first.
+        """
+        under_way = case(busy, value=deliveries.c.tenant, else_=0) if busy else literal(0)
+        order = (deliveries.c.due_at, deliveries.c.id)
+        turn = under_way + func.row_number().over(partition_by=deliveries.c.tenant, order_by=order)
+        is_due = deliveries.c.due_at <= now()
+        turns = select(deliveries.c.id, deliveries.c.due_at, turn.label("turn")).where(is_due).subquery()
+        chosen = select(turns.c.id).order_by(turns.c.turn, turns.c.due_at).limit(limit)
+        if limit_a_tenant is not None:
+            chosen = chosen.where(turns.c.turn <= limit_a_tenant)
+        # Checked once more: another sender may have taken them in between.
+        due = select(deliveries).where(deliveries.c.id.in_(chosen), is_due).order_by(*order)
+        with self._transactions.writing() as connection:
+            rows = connection.execute(due.with_for_update(skip_locked=True)).all()
+            connection.execute(
+                update(deliveries)
+                .where(deliveries.c.id.in_([row.id for row in rows]))
+                .values(due_at=now() + lease_s, tries=deliveries.c.tries + 1)
+            )
+            return [_delivery_of(row, row.tries + 1) for row in rows]
+
+    def pending(self) -> list[Delivery]:
+        """Messages that were not delivered, the oldest first."""
+        with self._transactions.reading() as connection:
+            rows = connection.execute(select(deliveries).order_by(deliveries.c.id))
+            return [_delivery_of(row, row.tries) for row in rows]
+
+    def delivered(self, delivery: Delivery) -> None:
+        """Delete a message that arrived, or that its receiver refuses for good."""
+        with self._transactions.writing() as connection:
+            connection.execute(delete(deliveries).where(deliveries.c.id == delivery.id))
+
+    def failed(self, delivery: Delivery, problem: str) -> bool:
+        """Record a failed try; return whether there will be another one."""
+        if delivery.tries >= MAX_TRIES:
+            self.delivered(delivery)
+            return False
+        # Messages that failed at one time should not all be sent again at one time.
+        wait_s = _WAITS_S[delivery.tries - 1] * (0.9 + 0.2 * secrets.randbelow(1000) / 1000)
+        with self._transactions.writing() as connection:
+            connection.execute(
+                update(deliveries).where(deliveries.c.id == delivery.id).values(due_at=now() + wait_s, problem=problem)
+            )
+        return True
+
+
+def _delivery_of(row: Row[Any], tries: int) -> Delivery:
+    return Delivery(
+        id=row.id,
+        message_id=row.message_id,
+        job_id=row.job_id,
+        tenant=row.tenant,
+        url=row.url,
+        body=row.body,
+        due_at=row.due_at,
+        tries=tries,
+        problem=row.problem,
+    )

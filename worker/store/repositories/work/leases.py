@@ -1,0 +1,436 @@
+"""Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, give back, reap."""
+
+import contextlib
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, or_, select, update
+from uuid_utils import uuid7
+
+from pipeline.core.findings import Finding
+from pipeline.core.options.edits import PersonSpan
+from pipeline.core.problems.jobs import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from worker.store.database.connection import now, upsert
+from worker.store.database.listed_results import list_results
+from worker.store.database.rows import edits_of, job_character_of, making_of, spec_of
+from worker.store.database.tables import artifacts, chunks, jobs
+from worker.store.database.totals import Total, count
+from worker.store.database.transactions import Transactions
+from worker.store.database.transitions import (
+    NO_COPY,
+    advance,
+    fail_job,
+    lock_job,
+    move_chunk,
+    move_job,
+    set_waiting,
+    settle_canceling,
+)
+from worker.store.model.calibrations import MadeCalibration
+from worker.store.model.jobs import JobProblem, Result
+from worker.store.model.states import AT_WORK, ChunkState, JobState
+from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
+from worker.store.repositories.attempts import note_failure
+from worker.store.repositories.calibrations import complete
+from worker.store.repositories.work.abilities import MachineFull, has_others, require_machine, turns
+from worker.store.repositories.work.affinity import first_chunk
+from worker.store.repositories.work.fair_share import has_share, next_job, take_turn
+from worker.store.repositories.work.lost_tries import MAX_RUNNING, lost_again, num_running
+from worker.store.repositories.work.stragglers import find_straggler
+
+# Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
+MAX_ATTEMPTS = 5
+# Maximum number of tries of a chunk that took too long: each has kept a worker for many times its foreseen time.
+_MAX_LONG_TRIES = 2
+
+
+class Leases:
+    """Leases of chunks, of all tenants.
+
+    A claim has a token. A report with another token, or after the lease was taken back, changes nothing and returns
+    ``False``. Times come from the clock of the database.
+    """
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
+        """Take the next ready chunk; without one, begin a straggler a second time; ``None`` if there is neither.
+
+        Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
+        ``worker.store.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their
+        creation, but those of a higher ``Precedence`` first. The chunks of ``ability`` are taken, see ``abilities``; if
+        the next one does not fit into the memory of the worker's machine beside those that run there, none is taken:
+        otherwise small chunks could delay a large one without end.
+        """
+        with self._transactions.reading() as connection:
+            conditions = turns(connection, ability)
+        with contextlib.suppress(MachineFull):
+            if (claim := self._next(worker, lease_s, conditions, ability.machine_bytes)) is not None:
+                return claim
+            return self._copy(worker, lease_s, conditions[-1], ability.machine_bytes)
+        return None
+
+    def waits_for_others(self, ability: Ability) -> bool:
+        """Return whether a chunk is ready, after a worker found none, and some ready worker has another ability."""
+        with self._transactions.reading() as connection:
+            return has_others(connection, ability) and next_job(connection) is not None
+
+    def _next(
+        self, worker: str, lease_s: float, conditions: Sequence[ColumnElement[bool]], machine_bytes: int | None
+    ) -> Claim | None:
+        while True:
+            with self._transactions.reading() as connection:
+                work = next_job(connection, conditions)
+            if work is None:
+                return None
+            job_id, takes = work
+            if (claim := self._claim_of(job_id, worker, lease_s, takes, machine_bytes)) is not None:
+                return claim
+
+    def _claim_of(
+        self, job_id: str, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None
+    ) -> Claim | None:
+        """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
+        with self._transactions.writing() as connection:
+            job = lock_job(connection, job_id)
+            if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
+                return None
+            chunk = first_chunk(connection, job_id, takes, worker)
+            if chunk is None or (chunk.lost_tries and num_running(connection, job.tenant) >= MAX_RUNNING):
+                return None
+            require_machine(connection, chunk, worker, machine_bytes)
+            token = str(uuid7())
+            taken = {
+                "state": ChunkState.RUNNING,
+                "worker": worker,
+                "lease_token": token,
+                "lease_until": now() + lease_s,
+                "started_at": func.coalesce(chunks.c.started_at, now()),
+                "claimed_at": now(),
+                "moved_at": now(),
+            }
+            connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(taken))
+            move_job(connection, job_id, JobState.RUNNING, started_at=now())
+            take_turn(connection, job.tenant)
+        return _claim(job, chunk, token)
+
+    def _copy(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
+        """Begin a chunk a second time that takes much longer than others of its stage, unless it has ended."""
+        with self._transactions.reading() as connection:
+            found = find_straggler(connection, worker, takes)
+        if found is None:
+            return None
+        with self._transactions.writing() as connection:
+            job = lock_job(connection, found.job_id)
+            held = select(chunks).where(
+                chunks.c.id == found.id, _is_held(found.lease_token), chunks.c.copy_token.is_(None)
+            )
+            chunk = connection.execute(held.with_for_update()).one_or_none()
+            if job is None or chunk is None or job.state != JobState.RUNNING or not has_share(connection, job.tenant):
+                return None
+            require_machine(connection, chunk, worker, machine_bytes)
+            token = str(uuid7())
+            values = {"copy_worker": worker, "copy_token": token, "copy_until": now() + lease_s}
+            connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
+            count(connection, Total.CHUNKS_COPIED, chunk.stage)
+        return _claim(job, chunk, token)
+
+    def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
+        """Renew a lease and record the progress of its chunk. ``False``: the work is no longer wanted, stop now.
+
+        The progress is the maximum over all tries of the chunk, and at most ``unit_count``.
+        """
+        at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
+        further = case((chunks.c.unit_count < done_units, chunks.c.unit_count), else_=done_units)
+        moved = case((chunks.c.done_units < further, now()), else_=chunks.c.moved_at)
+        until = {
+            f"{lease}_until": case(
+                (chunks.c[f"{lease}_token"] == lease_token, now() + lease_s), else_=chunks.c[f"{lease}_until"]
+            )
+            for lease in ("lease", "copy")
+        }
+        with self._transactions.writing() as connection:
+            renewed = connection.execute(
+                update(chunks)
+                .where(chunks.c.id == chunk_id, _is_held(lease_token), at_work)
+                .values(
+                    done_units=case((chunks.c.done_units < further, further), else_=chunks.c.done_units),
+                    moved_at=moved,
+                    **until,
+                )
+            )
+        return renewed.rowcount == 1
+
+    def finish(
+        self,
+        chunk_id: int,
+        lease_token: str,
+        sha256: str,
+        num_bytes: int,
+        reused: bool = False,
+        results: Sequence[Result] = (),
+        warnings: Sequence[Finding] = (),
+        calibration: MadeCalibration | None = None,
+        people: Sequence[PersonSpan] | None = None,
+        pieces: Sequence[KeptPiece] = (),
+    ) -> bool:
+        """Record the output of a chunk with its pieces, and what it has of its job: files, warnings, people, ...
+
+        Returns whether the next stage became ready.
+        """
+        with self._transactions.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            for stored in (KeptPiece(chunk.output_key, sha256, num_bytes), *pieces):
+                row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
+                upsert(connection, artifacts, {"session_id": job.session_id, **row})
+            list_results(connection, job.of_job or job.id, results)
+            _record_findings(connection, job.id, warnings, people)
+            if calibration is not None:
+                complete(connection, job.id, calibration)
+            finished: dict[str, Any] = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
+            if chunk.copy_token == lease_token:
+                finished["worker"] = chunk.copy_worker
+                count(connection, Total.COPIES_FIRST, chunk.stage)
+            move_chunk(connection, chunk_id, ChunkState.DONE, **finished)
+            _count_done(connection, chunk, reused)
+            set_waiting(connection, job, None)
+            if job.state == JobState.CANCELING:
+                settle_canceling(connection, job.id)
+                return False
+            return advance(connection, job.id, chunk.stage_index)
+
+    def fail(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
+        """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
+        with self._transactions.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None or _pass_on(connection, held[1], lease_token):
+                return False
+            return _try_again(connection, *held, problem)
+
+    def release(self, chunk_id: int, lease_token: str) -> bool:
+        """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
+        return self._give_back(chunk_id, lease_token, None)
+
+    def give_back(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
+        """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
+
+        Returns whether the chunk became ready.
+        """
+        return self._give_back(chunk_id, lease_token, problem)
+
+    def _give_back(self, chunk_id: int, lease_token: str, outage: JobProblem | None) -> bool:
+        with self._transactions.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, chunk = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, chunk)
+                return False
+            if _pass_on(connection, chunk, lease_token):
+                return False
+            move_chunk(connection, chunk.id, ChunkState.READY)
+            if outage is not None:
+                count(connection, Total.CHUNKS_GIVEN_BACK, chunk.stage)
+                set_waiting(connection, job, outage)
+            return True
+
+    def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
+        """Give a chunk back until chunks of an earlier stage, whose outputs are damaged, have run again.
+
+        A chunk of the earlier stage that has had ``MAX_ATTEMPTS`` tries ends the job. ``damaged`` are the indices of
+        the chunks of the earlier ``stage``. Returns whether a chunk became ready.
+        """
+        with self._transactions.writing() as connection:
+            held = _lock_held(connection, chunk_id, lease_token)
+            if held is None:
+                return False
+            job, waiting = held
+            if job.state == JobState.CANCELING:
+                _cancel(connection, job, waiting)
+                return False
+            move_chunk(connection, waiting.id, ChunkState.WAITING)
+            # Other chunks may have reported the same: a chunk that is not done is being computed already.
+            done = select(chunks).where(
+                chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
+            )
+            again = [chunk for chunk in connection.execute(done).all() if chunk.chunk_index in damaged]
+            # The first chunk without another try ends the job.
+            return bool(again) and all(
+                _try_again(connection, job, chunk, _output_damaged(chunk), started_at=None, finished_at=None)
+                for chunk in again
+            )
+
+    def reap(self, lease_s: float, takes: bool = True) -> bool:
+        """Take chunks back whose leases have ended; return whether any chunk is ready now, or a straggler.
+
+        A chunk that is taken back is ready for another try, which may have to wait, see ``lost_tries``; after
+        ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled ends when its last running chunk is taken
+        back. A chunk that a second worker runs too stays with that worker. Leases longer than ``lease_s`` are
+        shortened: they were made before the clock was put back. Unless ``takes``, chunks are not taken back: their
+        workers may still renew the leases.
+        """
+        with self._transactions.writing() as connection:
+            for until in (chunks.c.lease_until, chunks.c.copy_until):
+                connection.execute(
+                    update(chunks)
+                    .where(chunks.c.state == ChunkState.RUNNING, until > now() + lease_s)
+                    .values({until: now() + lease_s})
+                )
+            if takes:
+                _drop_lost_copies(connection)
+        expired = select(chunks.c.id, chunks.c.lease_token).where(
+            chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
+        )
+        with self._transactions.reading() as connection:
+            found = connection.execute(expired).all() if takes else []
+        for chunk_id, lease_token in found:
+            with self._transactions.writing() as connection:
+                held = _lock_held(connection, chunk_id, lease_token, expired=True)
+                if held is not None:
+                    count(connection, Total.LEASES_LOST, held[1].stage)
+                    if not _pass_on(connection, held[1], lease_token):
+                        _try_again(connection, *held, _worker_lost(held[1].stage))
+        with self._transactions.reading() as connection:
+            return next_job(connection) is not None or find_straggler(connection) is not None
+
+
+def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
+    return Claim(
+        chunk_id=chunk.id,
+        job_id=job.id,
+        session_id=job.session_id,
+        stage=chunk.stage,
+        index=chunk.chunk_index,
+        payload=chunk.payload,
+        unit_count=chunk.unit_count,
+        output_key=chunk.output_key,
+        spec=spec_of(job.spec),
+        lease_token=token,
+        attempt=chunk.attempt,
+        job_attempt=job.attempt,
+        trace=job.trace,
+        making=making_of(job.kind, job.making),
+        edits=edits_of(job.edits),
+        revision=job.revision,
+        of_job=job.of_job,
+        provider=job.provider,
+        character=job_character_of(job.character),
+    )
+
+
+def _is_held(lease_token: str) -> ColumnElement[bool]:
+    has_token = or_(chunks.c.lease_token == lease_token, chunks.c.copy_token == lease_token)
+    return and_(has_token, chunks.c.state == ChunkState.RUNNING)
+
+
+def _pass_on(connection: Connection, chunk: Row[Any], lease_token: str) -> bool:
+    """Leave a chunk to its other worker; return whether there is one. Its job is locked."""
+    if chunk.copy_token is None:
+        return False
+    values: dict[str, Any] = dict(NO_COPY)
+    if chunk.copy_token != lease_token:
+        copied = {"worker": "copy_worker", "lease_token": "copy_token", "lease_until": "copy_until"}
+        values |= {name: chunks.c[copy] for name, copy in copied.items()}
+    connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
+    return True
+
+
+def _drop_lost_copies(connection: Connection) -> None:
+    """Forget the second workers whose leases have ended."""
+    lost = update(chunks).where(chunks.c.state == ChunkState.RUNNING, chunks.c.copy_until < now()).values(NO_COPY)
+    stages = Counter(connection.scalars(lost.returning(chunks.c.stage)))
+    for stage, number in sorted(stages.items()):
+        count(connection, Total.LEASES_LOST, stage, number)
+
+
+def _lock_held(
+    connection: Connection, chunk_id: int, lease_token: str, expired: bool = False
+) -> tuple[Row[Any], Row[Any]] | None:
+    """Lock the job of a chunk that a token holds, and return both; ``None`` if it is not held (or not expired)."""
+    held = select(chunks).where(chunks.c.id == chunk_id, _is_held(lease_token))
+    if expired:
+        held = held.where(chunks.c.lease_until < now())
+    seen = connection.execute(held).one_or_none()
+    if seen is None:
+        return None
+    reconstruction = connection.scalar(select(jobs.c.of_job).where(jobs.c.id == seen.job_id))
+    if reconstruction is not None:
+        lock_job(connection, reconstruction)  # whose visuals the job makes: an edit locks it, and deletes this job
+    job = lock_job(connection, seen.job_id)
+    # Again: the chunk may have been taken back before the job was locked. From here on a heartbeat waits.
+    chunk = connection.execute(held.with_for_update()).one_or_none()
+    return None if job is None or chunk is None else (job, chunk)
+
+
+def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: JobProblem, **values: Any) -> bool:
+    """Make a chunk ready for its next try, or end its job; return whether it became ready. ``values`` are columns."""
+    if job.state == JobState.CANCELING:
+        _cancel(connection, job, chunk)
+        return False
+    note_failure(connection, job, chunk, problem)
+    max_tries = _MAX_LONG_TRIES if problem.code == TIME_LIMIT else MAX_ATTEMPTS
+    if problem.retryable and chunk.attempt < max_tries:
+        if problem.code in {WORKER_LOST, TIME_LIMIT}:
+            values |= lost_again(chunk.lost_tries)
+        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
+        count(connection, Total.CHUNKS_RETRIED, chunk.stage)
+        return True
+    if problem.retryable:
+        problem = replace(problem, detail=f"{problem.detail} It was the last of {max_tries} tries.")
+    fail_job(connection, job.id, chunk.id, problem)
+    return False
+
+
+def _cancel(connection: Connection, job: Row[Any], chunk: Row[Any]) -> None:
+    move_chunk(connection, chunk.id, ChunkState.CANCELED)
+    settle_canceling(connection, job.id)
+
+
+def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:
+    if reused:
+        count(connection, Total.CHUNKS_REUSED, chunk.stage)
+        return
+    seconds = connection.scalar(select(now() - chunks.c.started_at).where(chunks.c.id == chunk.id)) or 0.0
+    count(connection, Total.CHUNKS_DONE, chunk.stage)
+    count(connection, Total.CHUNK_SECONDS, chunk.stage, max(0.0, seconds))
+    count(connection, Total.CHUNK_UNITS, chunk.stage, chunk.unit_count)
+
+
+def _worker_lost(stage: str) -> JobProblem:
+    return JobProblem(
+        WORKER_LOST,
+        f"A worker of the stage {stage} fell silent.",
+        stage=stage,
+        hint="It may lack memory. Retry the job; if it fails again, the workers' logs and the system's say more.",
+        retryable=True,
+    )
+
+
+def _output_damaged(chunk: Row[Any]) -> JobProblem:
+    return JobProblem(
+        OUTPUT_DAMAGED,
+        f"The stored output of chunk {chunk.chunk_index} of the stage {chunk.stage} was damaged.",
+        stage=chunk.stage,
+        hint="Check the disk that holds the service's artifacts, then retry the job: whole outputs are used again.",
+        retryable=True,
+    )
+
+
+def _record_findings(
+    connection: Connection, job_id: str, warnings: Sequence[Finding], people: Sequence[PersonSpan] | None
+) -> None:
+    values: dict[str, Any] = {}
+    if people is not None:
+        values["people"] = [asdict(person) for person in people]
+    # Results of a new revision replace the warnings of the last one, also by none.
+    if warnings or people is not None:
+        values["warnings"] = [asdict(warning) for warning in warnings]
+    if values:
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(values))

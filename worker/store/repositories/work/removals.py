@@ -1,0 +1,72 @@
+"""Removals: files of the artifact store that are not needed any more, by a prefix of their keys or one key.
+
+A removal is noted in the transaction that makes the files superfluous, and carried out after it. A process that is
+killed in between loses nothing: the reaper looks for removals that are due.
+"""
+
+from collections.abc import Collection, Sequence
+
+from sqlalchemy import delete, select, union_all
+
+from worker.store.database.connection import now
+from worker.store.database.removal_notes import remove_later
+from worker.store.database.tables import characters, jobs, removals, sessions
+from worker.store.database.transactions import Transactions
+from worker.store.database.transitions import delete_visuals_job, lock_job, move_job
+from worker.store.files.artifacts import job_prefix
+from worker.store.model.states import JobState
+from worker.store.model.work import Removal
+
+# Ids that one query asks for.
+_MAX_IDS = 500
+
+
+class Removals:
+    """Removals of all tenants."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def expire_jobs(self) -> list[str]:
+        """Expire the jobs whose retention time is over, and note their results for removal; returns the jobs' ids."""
+        due = select(jobs.c.id).where(jobs.c.expires_at < now(), jobs.c.state != JobState.EXPIRED)
+        with self._transactions.reading() as connection:
+            found = connection.scalars(due.order_by(jobs.c.id)).all()
+        expired = []
+        for job_id in found:
+            with self._transactions.writing() as connection:
+                lock_job(connection, job_id)
+                # Again: the job may have been deleted or retried before it was locked.
+                if connection.scalar(due.where(jobs.c.id == job_id)) is not None:
+                    move_job(connection, job_id, JobState.EXPIRED)
+                    delete_visuals_job(connection, job_id)
+                    remove_later(connection, job_prefix(job_id))
+                    expired.append(job_id)
+        return expired
+
+    def due(self) -> list[Removal]:
+        """Removals that are due, the oldest first."""
+        query = select(removals.c.id, removals.c.prefix).where(removals.c.due_at <= now()).order_by(removals.c.id)
+        with self._transactions.reading() as connection:
+            return [Removal(row.id, row.prefix) for row in connection.execute(query)]
+
+    def known_ids(self, ids: Sequence[str]) -> set[str]:
+        """Those of some ids that a session, a job or a character has."""
+        known: set[str] = set()
+        with self._transactions.reading() as connection:
+            for start in range(0, len(ids), _MAX_IDS):
+                some = ids[start : start + _MAX_IDS]
+                queries = [select(table.c.id).where(table.c.id.in_(some)) for table in (sessions, jobs, characters)]
+                known |= set(connection.scalars(union_all(*queries)))
+        return known
+
+    def add(self, prefixes: Collection[str]) -> None:
+        """Note files for removal."""
+        with self._transactions.writing() as connection:
+            for prefix in prefixes:
+                remove_later(connection, prefix)
+
+    def done(self, removal_id: int) -> None:
+        """Delete a removal that was carried out."""
+        with self._transactions.writing() as connection:
+            connection.execute(delete(removals).where(removals.c.id == removal_id))
