@@ -2,7 +2,7 @@
 
 A job of 30 s is scaled: its stages are those of ``tests.worker.conftest``, and its detection waits for a second in all
 instead of computing. ``MULTICAP_LOAD_JOBS`` are their number. The report is one JSON object; with ``MULTICAP_LOAD_OUT``
-it is written there too, for ``multicap benchmark plan --measured``.
+it is written there too.
 """
 
 import contextlib

@@ -22,7 +22,6 @@ from api.cli.benchmark.identity import identity
 from api.cli.benchmark.length import length
 from api.cli.benchmark.live import live
 from api.cli.benchmark.load import load
-from api.cli.benchmark.plan.command import plan
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
 from api.cli.benchmark.queue import queue
@@ -53,7 +52,6 @@ app.command()(identity)
 app.command()(length)
 app.command()(live)
 app.command()(load)
-app.command()(plan)
 app.command()(profiles)
 app.command()(providers)
 app.command()(queue)
