@@ -131,7 +131,7 @@ def _open_uploads(settings: Settings, disk: DiskSpace) -> UploadSpool:
 
 
 def _start(settings: Settings) -> Services:
-    stage_codes()  # after an upgrade it takes seconds, which the first request would have to wait for
+    stage_codes()  # it takes tenths of a second, which the first request would have to wait for
     # Files that an earlier process was receiving when it was killed. No other process uses the folder.
     shutil.rmtree(settings.spool_dir, ignore_errors=True)
     make_private(settings.data_dir)

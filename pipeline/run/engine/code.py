@@ -1,22 +1,20 @@
 """Digest of the code behind each stage, with the versions of the numeric libraries; standard library only.
 
-The digest is part of the keys of a stage's outputs: other code never finds the outputs of this one, and equal code
-finds them whatever else has changed. It also says which workers can run a chunk.
+The digest is part of the keys of a stage's outputs: different code never finds outputs of an earlier version, and equal
+code finds them again. It also says which workers can run a chunk. The digest of a stage covers the files of all modules
+that its module imports, directly or indirectly, also inside functions. A checkout and an installed wheel have equal
+digests.
 """
 
-import contextlib
 import functools
 import hashlib
 import json
 import re
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
-from pipeline.core.runtime.code_digest import BY_MEMBER, PACKAGE, forget_sources, function_digest
-from pipeline.core.runtime.packages.storage import home
 from pipeline.run.engine.plan import STAGES
 
 LIBRARIES = (
@@ -34,11 +32,14 @@ LIBRARIES = (
 )
 """Distributions whose versions results may depend on."""
 
-_SHA256 = re.compile("[0-9a-f]{64}")
 _ROOT = Path(__file__).parents[3]
-# Code of all stages: what tasks ask, and the record of the session's check. Not imported here: it loads the science.
-_RECORD = "pipeline.capture.preflight_npz"
-_OF_ALL = (BY_MEMBER, "Context"), (_RECORD, "decode_session"), (_RECORD, "decode_keypoints")
+_PACKAGE = "pipeline"
+# Modules behind every stage, which executors use: access of tasks to their job, and the record of an opened session.
+_OF_ALL = "pipeline.run.engine.context", "pipeline.capture.preflight_npz"
+# The wheel's build puts this prefix before names of the packages. See `hatch_build.py`.
+_WHEEL_PREFIX = re.compile(rb"\bmulticap\.(?=(?:api|pipeline|worker)\b)")
+_FOR_TYPE_CHECKERS = re.compile(rb"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)*", re.MULTILINE)
+_IMPORT = re.compile(r"^[ \t]*from (pipeline(?:\.\w+)*) import (\([\s\S]*?^[ \t]*\)|.*)", re.MULTILINE)
 
 
 def stage_codes(provider: str = "") -> Mapping[str, str]:
@@ -59,63 +60,60 @@ def stage_codes(provider: str = "") -> Mapping[str, str]:
 
 @functools.cache
 def _codes_on_cpu() -> Mapping[str, str]:
-    """Digests for networks on the CPU.
-
-    They take seconds, and every process needs them: the first one keeps them in the folder of the installation.
-    """
-    file = home() / "stage-codes" / f"{sources_sha256()}.json"
-    codes = _kept(file)
-    if codes is None:
-        codes = digests_of_stages()
-        _keep(file, codes)
-    return MappingProxyType(codes)
+    return MappingProxyType(digests_of_stages())
 
 
 def digests_of_stages(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
     """Digest of the code of each stage in a folder of sources, and of the versions of libraries, in hexadecimal."""
     versions = [[name, _version(name)] for name in libraries]
+    sources = SourceFolder(root)
     digests = {}
     for stage in STAGES:
         _, _, module = stage.function.__module__.rpartition(".")
-        digests[stage.name] = function_digest(
-            root, [(f"{PACKAGE}.run.steps.{module}", stage.function.__name__), *_OF_ALL]
-        )
-    forget_sources()
-    return {stage: _hash([digest, versions]) for stage, digest in digests.items()}
+        reached = sources.reachable_modules([f"{_PACKAGE}.run.steps.{module}", *_OF_ALL])
+        digests[stage.name] = _hash([[[name, sources.sha256(name)] for name in reached], versions])
+    return digests
+
+
+class SourceFolder:
+    """Modules of the pipeline in a folder of sources, each read once."""
+
+    def __init__(self, root: Path) -> None:
+        self._files: dict[str, Path] = {}
+        for path in (root / _PACKAGE).rglob("*.py"):
+            parts = path.relative_to(root).with_suffix("").parts
+            self._files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+        self._modules: dict[str, tuple[str, frozenset[str]]] = {}
+
+    def reachable_modules(self, modules: Iterable[str]) -> list[str]:
+        """List modules and those that they import, directly or indirectly, with their packages, sorted by name."""
+        reached: set[str] = set()
+        waiting = set(modules)
+        while waiting:
+            name = waiting.pop()
+            reached.add(name)
+            waiting |= self._module(name)[1] - reached
+        return sorted(reached)
+
+    def sha256(self, module: str) -> str:
+        """SHA-256 of a module's text as in a checkout, in hexadecimal digits."""
+        return self._module(module)[0]
+
+    def _module(self, name: str) -> tuple[str, frozenset[str]]:
+        """SHA-256 of a module, and the modules that it imports."""
+        if name not in self._modules:
+            source = _WHEEL_PREFIX.sub(b"", self._files[name].read_bytes())
+            origins = set()
+            for module, names in _IMPORT.findall(_FOR_TYPE_CHECKERS.sub(b"", source).decode()):
+                origins |= {module, *(f"{module}.{word}" for word in re.findall(r"\w+", names))}
+            split = [origin.split(".") for origin in (name, *origins)]
+            prefixes = {".".join(parts[:length]) for parts in split for length in range(1, len(parts) + 1)}
+            self._modules[name] = hashlib.sha256(source).hexdigest(), frozenset(prefixes & self._files.keys())
+        return self._modules[name]
 
 
 def _hash(value: object) -> str:
     return hashlib.sha256(json.dumps(value).encode()).hexdigest()
-
-
-def _kept(file: Path) -> dict[str, str] | None:
-    """Digests that a process has kept; ``None`` if there are none or the file is damaged."""
-    try:
-        codes = json.loads(file.read_bytes())
-    except (OSError, ValueError):
-        return None
-    is_whole = isinstance(codes, dict) and codes.keys() == {stage.name for stage in STAGES}
-    return codes if is_whole and all(_SHA256.fullmatch(str(code)) for code in codes.values()) else None
-
-
-def _keep(file: Path, codes: Mapping[str, str]) -> None:
-    """Keep digests, whole or not at all; where the folder can't be written, each process computes them."""
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=file.parent, prefix="new-", delete=False) as new:
-            json.dump(codes, new)
-        Path(new.name).replace(file)
-
-
-def sources_sha256(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) -> str:
-    """SHA-256 of all sources of the pipeline and of the libraries' versions: equal for equal digests.
-
-    It takes milliseconds.
-    """
-    sources = hashlib.sha256(repr([_version(name) for name in libraries]).encode())
-    for path in sorted((root / PACKAGE).rglob("*.py")):
-        sources.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())
-    return sources.hexdigest()
 
 
 def _version(distribution: str) -> str:
