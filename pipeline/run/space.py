@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from pipeline.capture.preflight_record import Preflight
-from pipeline.core.options.config import Export, ReconstructionConfig, detected_joints
+from pipeline.core.options.config import Export, ReconstructionConfig
 from pipeline.run.engine.stage import Cut, FrameCut
 
 _ASSUMED_PEOPLE = 3
@@ -146,7 +146,7 @@ def foreseen_memory(preflight: Preflight, config: ReconstructionConfig) -> Fores
         num_people = float(max(camera.num_bodies or 0 for camera in counted))
     else:
         wanted = len(config.frames or range(preflight.timebase.num_frames)) / max(1, preflight.timebase.num_frames)
-        of_body = _NUM_JOINTS[detected_joints(config)] if config.detector == "auto" else _OF_ONE_NETWORK
+        of_body = _NUM_JOINTS[config.detected_joints] if config.detector == "auto" else _OF_ONE_NETWORK
         num_frames = wanted * sum(camera.num_frames for camera in preflight.cameras)
         num_joints = _ASSUMED_PEOPLE * _SEEING * num_frames * of_body
         num_people = _ASSUMED_PEOPLE * wanted * preflight.timebase.num_frames
@@ -240,7 +240,7 @@ def _of_people(
         bodies = [(camera.num_bodies or 0) / max(1, min(camera.num_frames, num_frames)) for camera in counted]
         num_people, num_views = max(1, round(max(bodies))), sum(bodies)
     else:
-        num_joints = _NUM_JOINTS[detected_joints(config)] if config.detector == "auto" else _OF_ONE_NETWORK
+        num_joints = _NUM_JOINTS[config.detected_joints] if config.detector == "auto" else _OF_ONE_NETWORK
         num_people, num_views = _ASSUMED_PEOPLE, _ASSUMED_PEOPLE * _SEEING * len(cameras)
     views = min(len(cameras), num_views / num_people)
     return num_joints, min(num_people, config.num_people or num_people), views

@@ -25,7 +25,7 @@ import pytest
 from api.cli.served import READY
 from hatch_build import install_page_libraries
 from pipeline.core.errors import ModelError
-from pipeline.core.options.config import JobChoices, networks_of
+from pipeline.core.options.config import JobChoices
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.detection import models
@@ -137,7 +137,7 @@ class FirstStart:
 def starting(programs: Path, cwd: Path, folder: Path) -> Iterator[tuple[httpx2.Client, subprocess.Popen[str]]]:
     """Service that starts, with the installed networks and no kernels in its home folder."""
     try:
-        networks = [models.path_of(name) for name in networks_of(JobChoices()).names]
+        networks = [models.path_of(name) for name in JobChoices().networks.names]
     except ModelError as error:
         pytest.skip(str(error))
     (folder / "home" / "models").mkdir(parents=True)

@@ -16,7 +16,7 @@ import uuid_utils
 from pipeline.capture.preflight_npz import decode_keypoints, decode_session
 from pipeline.capture.session import Session as OpenedSession
 from pipeline.core.errors import InputError, ModelError, PipelineError, Problem
-from pipeline.core.options.config import ReconstructionConfig, detected_joints, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.jobs import INPUT_DAMAGED
 from pipeline.core.problems.requests import VIDEOS_DELETED
@@ -49,7 +49,7 @@ def warm_up() -> None:
     folder for compiled kernels all are compiled.
     """
     with contextlib.suppress(ModelError):
-        open_detection(networks_of(JobSpec()), detected_joints(JobSpec()))
+        open_detection(JobSpec().config.networks, JobSpec().config.detected_joints)
     compile_kernels([detection_joints(JobSpec())] if is_complete() else JOINT_SETS)
 
 

@@ -71,4 +71,5 @@ class JobSpec(_Choices, frozen=True):
     @property
     def config(self) -> ReconstructionConfig:
         """Configuration of the reconstruction."""
-        return ReconstructionConfig(**{name: getattr(self, name) for name in CHOICES})
+        choices = {name: getattr(self, name) for name in CHOICES}
+        return ReconstructionConfig(**choices, blurs_videos=self.blur_faces)

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import ProviderOption, take_provider
-from pipeline.core.options.config import PROFILES, Networks, ReconstructionConfig, detected_joints, networks_of
+from pipeline.core.options.config import PROFILES, Networks, ReconstructionConfig
 from pipeline.core.options.providers import ProviderName, choose_provider
 from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.core.runtime.packages import samples
@@ -44,7 +44,7 @@ def providers(provider: ProviderOption = None, as_json: JsonOption = False) -> N
         for profile in PROFILES:
             config = ReconstructionConfig(profile=profile)
             models.install_networks(config)
-            networks = networks_of(config)
+            networks = config.networks
             twin = entry_of(networks.body).single_precision
             if found.is_gpu and twin is not None:
                 networks = replace(networks, body=twin)
@@ -65,7 +65,7 @@ def _detect(provider: ProviderName, networks: Networks, config: ReconstructionCo
 
 
 def _detect_here(networks: Networks, config: ReconstructionConfig, videos: list[Path]) -> _Detected:
-    detector = open_detection(networks, detected_joints(config))
+    detector = open_detection(networks, config.detected_joints)
     pictures = [picture for video in videos for picture in sample_pictures(video)]
     detector.detect(pictures[0])
     started_s = time.perf_counter()

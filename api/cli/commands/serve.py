@@ -18,7 +18,6 @@ from api.cli.served import READY
 from api.cli.store import opened_store
 from api.web.settings import Settings
 from api.web.startup import ExposedError, require_keys_if_exposed
-from pipeline.core.options.config import networks_of
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.priorities import raise_descriptor_limit
 from pipeline.detection import models
@@ -137,7 +136,7 @@ def command(
     raise_descriptor_limit()
     with reporting(as_json=False):
         take_provider(provider)
-        for name in networks_of(JobSpec().config).names:
+        for name in JobSpec().config.networks.names:
             models.verify(name)
     try:
         with embedded.lock(settings.data_dir) as directory:

@@ -7,11 +7,11 @@ from fastapi import Request
 
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
 from api.web.dependencies import Services
-from api.web.errors import ErrorItem, pointer_to, unprocessable
+from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS
-from api.web.jobs.spec_checks import limit_errors, network_errors
-from api.web.sessions.intake import CheckedSession, arguments_of, located, record_path_in
+from api.web.jobs.queueing import installed_on_workers
+from api.web.sessions.intake import CheckedSession, arguments_of, limit_problems, located, record_path_in
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, form_of
 from api.web.sessions.schemas import Manifest
@@ -19,6 +19,7 @@ from pipeline.calibration.known_points.checks import point_problems
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import listed
 from pipeline.core.options.job_choices import CalibrationChoices
+from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
 from worker.run.planning import has_videos
 from worker.store.model.sessions import Session
@@ -128,7 +129,7 @@ def _of_session(
         raise unprocessable([error])
     errors = _point_errors(spec, session.preflight, part)
     if has_videos(session):
-        errors += network_errors(JobSpec(), services, None)
+        errors += _missing_networks(services)
     if errors:
         raise unprocessable(errors)
     return CheckedCalibration(spec, spec.name or f"people, {session.name}", session, has_intrinsics=True)
@@ -173,16 +174,13 @@ def _point_errors(spec: CalibrationSpec, preflight: Preflight, part: str) -> lis
         return []
     points = tuple(point.point() for point in spec.known_points)
     problems = point_problems(points, {camera.name: camera.size_px for camera in preflight.cameras})
-    return [
-        ErrorItem(
-            code=problem.code,
-            message=problem.message,
-            pointer=_pointer(part, _POINTS),
-            camera=problem.camera,
-            hint=problem.hint,
-        )
-        for problem in listed(problems)
-    ]
+    steps = (part,) if part else ()
+    return [error_item(replace(problem, field=_POINTS, file=None), steps) for problem in listed(problems)]
+
+
+def _missing_networks(services: Services) -> list[ErrorItem]:
+    installed = installed_on_workers(services, has_videos=True)
+    return [error_item(problem, None) for problem in installation_problems(JobSpec().config, installed)]
 
 
 def _pointer(part: str, field: str) -> str:
@@ -244,9 +242,10 @@ async def _checked_footage(
         )
     except InvalidFilesError as invalid:
         raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
-    errors = [*limit_errors(services, preflight), *_point_errors(spec, preflight, part)]
+    errors = [error_item(problem) for problem in limit_problems(preflight, services.settings)]
+    errors += _point_errors(spec, preflight, part)
     if spec.method == "people":
-        errors += network_errors(JobSpec(), services, None)
+        errors += _missing_networks(services)
     if errors:
         raise unprocessable(errors)
     return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, upload_ids)

@@ -16,7 +16,7 @@ from api.web.errors import ErrorItem, database_damaged, problem_response, servic
 from api.web.health import examples
 from api.web.health.metrics import RequestMetrics
 from api.web.health.schemas import Health, ProviderOut, Readiness
-from pipeline.core.options.config import install_command, networks_of
+from pipeline.core.options.rules import install_command
 from pipeline.core.problems.jobs import (
     BROKER_UNAVAILABLE,
     DISK_UNAVAILABLE,
@@ -148,7 +148,7 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     installed = installed_detectors(workers)
     if installed is None:
         return {"worker": _no_worker_ready(workers)}
-    missing = [name for name in networks_of(JobSpec().config).names if name not in installed]
+    missing = [name for name in JobSpec().config.networks.names if name not in installed]
     if not missing:
         return {"worker": None, "model": None}
     item = ErrorItem(

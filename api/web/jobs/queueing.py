@@ -1,62 +1,224 @@
-"""Queueing of new reconstructions: their plans, the jobs of proxies beside them, sessions that are sent with a job."""
+"""New jobs: check of a spec, copy of its character, space on the disk, plan, and the queue."""
 
 import contextlib
-from collections.abc import Iterator
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import urlsplit
+from uuid import UUID
 
 import structlog
 
-from api.web.characters.copies import copied_character
+from api.web.characters.intake import download_of
 from api.web.dependencies import Services
-from api.web.jobs.space import require_space
-from api.web.sessions.intake import CheckedSession, NewSession, stored
+from api.web.downloads import opened
+from api.web.errors import ApiError
+from pipeline.capture.preflight_record import Preflight
+from pipeline.core.errors import Problem
+from pipeline.core.findings import CERTAIN
 from pipeline.core.options.job_choices import ProxyChoices
-from worker.run.planning import has_videos, plan_job
+from pipeline.core.options.rules import Installed, installation_problems, session_problems
+from pipeline.core.problems.requests import SPACE_MISSING
+from pipeline.core.problems.specs import (
+    CALLBACK_INVALID,
+    CALLBACK_NOT_HTTPS,
+    CALLBACK_NOT_PUBLIC,
+    CHARACTER_UNKNOWN,
+    WEBHOOK_SECRET_MISSING,
+)
+from pipeline.run.space import foreseen_space, shown_bytes
+from worker.run.planning import PlannableSession, has_videos, plan_job
 from worker.run.telemetry import tracing
+from worker.run.webhooks.addresses import may_be_public, url_fault
+from worker.store.errors import Conflict, NotFound
+from worker.store.files.artifacts import job_character_key, job_prefix
 from worker.store.model.characters import JobCharacter
 from worker.store.model.jobs import JobRecord
-from worker.store.model.sessions import Session
-from worker.store.model.work import StagePlan
+from worker.store.outages import is_perhaps_recorded
+from worker.store.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
 _log = structlog.get_logger(__name__)
 
 
-def planned(
-    services: Services, session: Session | NewSession, spec: JobSpec, moved: tuple[str, JobCharacter] | None
-) -> tuple[StagePlan, ...]:
-    """Plan of a new reconstruction; ``moved`` is the copy of its character with the id of the job."""
-    return plan_job(
-        session,
-        spec,
-        character=None if moved is None else moved[1],
-        provider=services.store.workers.provider(),
-    )
+@dataclass(frozen=True, slots=True)
+class SpecLimits:
+    """Limits of the service for the specs of a tenant's jobs."""
+
+    installed: Installed  # On every worker
+    allows_private_webhooks: bool
+    records: TenantRecords  # With the tenant's characters and the secret of its webhooks
+
+
+class QueuedSession(PlannableSession, Protocol):
+    """A session with an id."""
+
+    @property
+    def id(self) -> str:
+        """Its id."""
+
+
+def installed_on_workers(services: Services, *, has_videos: bool) -> Installed:
+    """What every worker has installed; without workers nothing is known, and jobs wait for one.
+
+    Only sessions of videos need networks.
+    """
+    workers = services.store.workers.all()
+    networks = installed_detectors(workers) if has_videos else None
+    return Installed(networks, installed_bodies(workers), writable_formats(workers))
+
+
+def spec_limits(services: Services, records: TenantRecords, *, has_videos: bool) -> SpecLimits:
+    """Limits of the service for the jobs of a session."""
+    installed = installed_on_workers(services, has_videos=has_videos)
+    return SpecLimits(installed, services.settings.webhook_private, records)
+
+
+def with_session_choices(spec: JobSpec, preflight: Preflight) -> JobSpec:
+    """Spec with the session's synchronisation and frames of the files, unless the client stated them."""
+    session_choices = {"sync": preflight.sync, "timeline": preflight.timeline}
+    stated = spec.model_fields_set
+    return spec.model_copy(update={name: value for name, value in session_choices.items() if name not in stated})
+
+
+def check_spec(spec: JobSpec, session: Preflight | None, limits: SpecLimits) -> list[Problem]:
+    """Find everything that is wrong with the spec of a job.
+
+    Problems of choices have their field. A job without ``force`` is also refused for errors of the session with which
+    nobody could be located; the other errors are judged with the people, in the job.
+
+    Parameters
+    ----------
+    session
+        Session of the job; ``None`` if its files are wrong.
+    """
+    problems = []
+    if session is not None:
+        problems += [
+            Problem(finding.code, finding.message, camera=finding.camera, hint=finding.hint)
+            for finding in (() if spec.force else session.findings)
+            if finding.severity == "error" and finding.code in CERTAIN
+        ]
+        problems += session_problems(spec.config, session.timebase.num_frames, session.timebase.frame_rate_hz)
+    problems += installation_problems(spec.config, limits.installed)
+    if spec.callback_url is not None:
+        if fault := url_fault(spec.callback_url):
+            problems.append(Problem(CALLBACK_INVALID, fault, field="callback_url"))
+        elif not limits.allows_private_webhooks:
+            address = urlsplit(spec.callback_url)
+            if address.scheme != "https":
+                message = "Webhooks go to https addresses only."
+                problems.append(Problem(CALLBACK_NOT_HTTPS, message, field="callback_url"))
+            if not may_be_public(address.hostname or ""):
+                message = "Webhooks go to public addresses only."
+                problems.append(Problem(CALLBACK_NOT_PUBLIC, message, field="callback_url"))
+        if not limits.records.has_webhook_secret():
+            message = "There is no secret to sign webhooks with."
+            hint = "Have the operator make one with `multicap webhooks rotate`."
+            problems.append(Problem(WEBHOOK_SECRET_MISSING, message, field="callback_url", hint=hint))
+    if spec.character is not None:
+        try:
+            limits.records.characters.get(str(spec.character))
+        except NotFound:
+            message, hint = "There is no such character.", "GET /v1/characters lists them."
+            problems.append(Problem(CHARACTER_UNKNOWN, message, field="character", hint=hint))
+    return problems
 
 
 @contextlib.contextmanager
-def session_and_job(
-    services: Services, records: TenantRecords, checked: CheckedSession
+def queued_job(
+    services: Services,
+    records: TenantRecords,
+    session: QueuedSession,
+    spec: JobSpec,
+    files: AbstractContextManager[object] | None = None,
+    record_session: Callable[[TenantRecords], object] | None = None,
 ) -> Iterator[tuple[TenantRecords, JobRecord]]:
-    """Store the files of a session and record it with its job; both or neither.
+    """Plan a reconstruction and queue it, beside the job of the session's proxies.
 
     The block gets the open transaction and the job. A worker is woken after it.
+
+    Parameters
+    ----------
+    files, record_session
+        Store the files of a new session, and record it in the same transaction as its job.
+
+    Raises
+    ------
+    Conflict
+        If the character was deleted meanwhile.
+    ApiError
+        If its file is missing or damaged, or the disk has too little space.
     """
-    spec = checked.spec
-    with copied_character(services, records, spec) as moved:
-        require_space(services, checked.preflight, spec, None if moved is None else moved[1])
-        with stored(services, checked) as new:
-            stages = planned(services, new, spec, moved)
-            with records.transaction() as work:
-                new.add_to(work)
-                retention_s = services.settings.retention_s
-                job = work.jobs.add(new.id, spec, stages, retention_s, tracing.current(), moved=moved)
-                queue_proxies(work, services, new)
-                yield work, job
-    announce(services, job)
+    with _copied_character(services, records, spec.character) as moved:
+        character = None if moved is None else moved[1]
+        stages = plan_job(session, spec, character=character, provider=services.store.workers.provider())
+        character_bytes = 0 if character is None else character.file.num_bytes
+        needed_bytes = foreseen_space(session.preflight, spec.config, character_bytes).store_bytes
+        # Of a bucket nothing is known; the space that workers need meanwhile is on their own disks.
+        if not services.settings.artifacts_url and not services.disk.has_room(needed_bytes):
+            free = shown_bytes(max(0, services.disk.free_bytes - services.disk.headroom_bytes))
+            raise ApiError(
+                SPACE_MISSING,
+                f"The job needs about {shown_bytes(needed_bytes)}, and the service's disk has {free}.",
+                hint="Delete sessions that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
+                "time by frame_range.",
+                retryable=True,
+            )
+        with files or contextlib.nullcontext(), records.transaction() as work:
+            if record_session is not None:
+                record_session(work)
+            retention_s = services.settings.retention_s
+            job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
+            _queue_proxies(work, session)
+            yield work, job
+    _log.info("job_created", job=job.id, session=job.session_id)
+    # When the broker is away, the reaper publishes later.
+    services.queue.publish()
 
 
-def queue_proxies(work: TenantRecords, services: Services, session: Session | NewSession) -> None:
+@contextlib.contextmanager
+def _copied_character(
+    services: Services, records: TenantRecords, character_id: UUID | None
+) -> Iterator[tuple[str, JobCharacter] | None]:
+    """Copy the character of a new job: its files stay what they are when the character is changed or deleted.
+
+    The block records the job under the id. If it fails, the copy is removed; the reaper removes the copy of a process
+    that is killed in between.
+    """
+    if character_id is None:
+        yield None
+        return
+    try:
+        character = records.characters.get(str(character_id))
+    except NotFound:
+        raise Conflict("The character was deleted meanwhile.") from None
+    services.disk.require_room(character.file.num_bytes)
+    job_id = services.store.jobs.reserve_id()
+    file = replace(character.file, key=job_character_key(job_id))
+    with contextlib.ExitStack() as undo:
+        undo.callback(services.artifacts.delete_prefix, job_prefix(job_id))
+        services.settings.spool_dir.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=services.settings.spool_dir) as folder:
+            path = Path(folder) / "file"
+            with opened(services, download_of(character)) as source, path.open("xb") as copy:
+                shutil.copyfileobj(source, copy)
+            services.artifacts.put_file(file.key, path)
+        try:
+            yield job_id, JobCharacter(character.id, file, character.corrections)
+        except Exception as error:
+            if is_perhaps_recorded(error):
+                undo.pop_all()
+            raise
+        undo.pop_all()
+
+
+def _queue_proxies(work: TenantRecords, session: QueuedSession) -> None:
     """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed.
 
     Of a session with a job that blurs faces, only blurred videos are shown, and of deleted videos there are no copies.
@@ -68,12 +230,4 @@ def queue_proxies(work: TenantRecords, services: Services, session: Session | Ne
     if capture.is_blurred or capture.session.videos_deleted_at is not None:
         return
     making = ProxyChoices(cameras)
-    stages = plan_job(session, JobSpec(), making=making)
-    work.jobs.add(session.id, JobSpec(), stages, None, tracing.current(), making)
-
-
-def announce(services: Services, job: JobRecord) -> None:
-    """Wake a worker for a new job."""
-    _log.info("job_created", job=job.id, session=job.session_id)
-    # When the broker is away, the reaper publishes later.
-    services.queue.publish()
+    work.jobs.add(session.id, JobSpec(), plan_job(session, JobSpec(), making=making), None, tracing.current(), making)

@@ -6,33 +6,28 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Query, Response, status
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.characters.copies import copied_character
 from api.web.contract.description import RETRY_AFTER, Responses, answer, location, problems
 from api.web.contract.examples import JOB_ID
 from api.web.contract.resource import Resource
 from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
-from api.web.errors import ApiError, unprocessable
+from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.jobs import examples
-from api.web.jobs.queueing import announce, planned, queue_proxies, session_and_job
-from api.web.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
-from api.web.jobs.space import require_space
-from api.web.jobs.spec_checks import (
-    body_errors,
-    callback_errors,
-    character_errors,
-    for_session,
-    format_errors,
-    network_errors,
-    session_errors,
-    spec_errors,
+from api.web.jobs.queueing import (
+    check_spec,
+    installed_on_workers,
+    queued_job,
+    spec_limits,
+    with_session_choices,
 )
+from api.web.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
 from api.web.jobs.webhooks import job_ended_callbacks
 from api.web.sessions.creation import Creation, Texts, add_creation
 from api.web.sessions.form import CAPTURE_FORM
-from api.web.sessions.intake import CheckedSession, check
+from api.web.sessions.intake import CheckedSession, check, session_and_job
+from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import CONFLICT
 from worker.run.planning import has_videos, plan_again, plan_visuals
 from worker.run.telemetry import tracing
@@ -76,29 +71,13 @@ def create_job(
         if session.purpose == "calibration":
             message = "The session was sent for a calibration, and its cameras are not calibrated."
             raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
-        spec = for_session(spec, session.preflight.sync, session.preflight.timeline)
-        errors = [
-            *session_errors(spec, session.preflight),
-            *spec_errors(spec, session.preflight),
-            *callback_errors(spec, services, idempotent.records),
-            *character_errors(spec, idempotent.records),
-            *body_errors(spec, services, ()),
-            *format_errors(spec, services, ()),
-        ]
-        if has_videos(session):
-            errors += network_errors(spec, services, ())
-        if errors:
-            raise unprocessable(errors)
+        spec = with_session_choices(spec, session.preflight)
+        limits = spec_limits(services, idempotent.records, has_videos=has_videos(session))
+        if found := check_spec(spec, session.preflight, limits):
+            raise unprocessable([error_item(problem) for problem in found])
         services.disk.require_room()
-        with copied_character(services, idempotent.records, spec) as moved:
-            require_space(services, session.preflight, spec, None if moved is None else moved[1])
-            stages = planned(services, session, spec, moved)
-            with idempotent.records.transaction() as work:
-                retention_s = services.settings.retention_s
-                job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
-                queue_proxies(work, services, session)
-                answer = idempotent.store(work, _accepted(job))
-    announce(services, job)
+        with queued_job(services, idempotent.records, session, spec) as (work, job):
+            answer = idempotent.store(work, _accepted(job))
     return answer.response()
 
 
@@ -237,12 +216,10 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
     with idempotent.working():
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
-        may_retry = job.state in RETRYABLE  # else the store says why not
-        errors = [*body_errors(job.spec, services, None), *format_errors(job.spec, services, None)] if may_retry else []
-        if may_retry and has_videos(session):
-            errors += network_errors(job.spec, services, None)
-        if errors:
-            raise unprocessable(errors)
+        if job.state in RETRYABLE:  # else the store says why not
+            installed = installed_on_workers(services, has_videos=has_videos(session))
+            if missing := [*installation_problems(job.spec.config, installed)]:
+                raise unprocessable([error_item(problem, None) for problem in missing])
         services.disk.require_room()
         provider = services.store.workers.provider(job.provider)
         stages = plan_again(session, job, provider)

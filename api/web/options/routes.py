@@ -35,11 +35,9 @@ from pipeline.core.options.config import (
     JobChoices,
     JointsOfBody,
     Profile,
-    detected_joints,
-    install_command,
-    networks_of,
 )
 from pipeline.core.options.purposes import PURPOSES
+from pipeline.core.options.rules import install_command
 from pipeline.core.problems.requests import NOT_FOUND
 from pipeline.core.runtime.packages import samples
 from worker.store.repositories.work.workers import installed_detectors, writable_formats
@@ -151,13 +149,13 @@ def _media_type(path: FilePath) -> str:
 def _profile(name: Profile, installed: frozenset[str] | None) -> ProfileOut:
     return ProfileOut(
         name=name,
-        default_joints=detected_joints(JobChoices(profile=name)),
+        default_joints=JobChoices(profile=name).detected_joints,
         joints=tuple(_profile_networks(name, joints, installed) for joints in JOINTS),
     )
 
 
 def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozenset[str] | None) -> ProfileNetworksOut:
-    networks = networks_of(JobChoices(profile=profile, joints=joints)).names
+    networks = JobChoices(profile=profile, joints=joints).networks.names
     missing = [name for name in networks if name not in (installed or ())]
     return ProfileNetworksOut(
         joints=joints,

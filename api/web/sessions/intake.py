@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
 from api.web.dependencies import Services
-from api.web.errors import ErrorItem, pointer_to, unprocessable
+from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import (
     CALIBRATION,
@@ -26,21 +26,13 @@ from api.web.http.bodies.form_kinds import (
     TIMESTAMPS,
     VIDEOS,
 )
-from api.web.jobs.spec_checks import (
-    body_errors,
-    callback_errors,
-    character_errors,
-    for_session,
-    format_errors,
-    limit_errors,
-    network_errors,
-    session_errors,
-    spec_errors,
-)
+from api.web.jobs.queueing import check_spec, queued_job, spec_limits, with_session_choices
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, form_of
 from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
+from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.core.errors import Problem
 from pipeline.core.problems.fields import WRONG_FORMAT
 from pipeline.core.problems.findings import PAIRED_IN_SORTED_ORDER
 from pipeline.core.problems.requests import (
@@ -48,11 +40,13 @@ from pipeline.core.problems.requests import (
     CALIBRATION_UNMADE,
     CALIBRATION_UNPOSED,
     CAMERAS_OF_KEYPOINTS,
+    FRAMES_TOO_LARGE,
 )
-from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT
+from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.run.planning import chunk_length
 from worker.store.errors import NotFound
 from worker.store.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
+from worker.store.model.jobs import JobRecord
 from worker.store.model.sessions import InputFile, Purpose, Session
 from worker.store.outages import is_perhaps_recorded
 from worker.store.spec import JobSpec
@@ -178,65 +172,85 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
         except InvalidFilesError as invalid:
             errors.extend(located(item, form, arrival.manifest or Manifest()) for item in invalid.errors)
     if preflight:
-        errors.extend(limit_errors(services, preflight))
-    if preflight and arrival.spec:
-        errors.extend(spec_errors(arrival.spec, preflight, SPEC))
-        if sent.kind.has_job:
-            errors.extend(session_errors(arrival.spec, preflight))
-    if arrival.spec:
-        errors.extend(await run_in_threadpool(callback_errors, arrival.spec, services, records, SPEC))
-        errors.extend(await run_in_threadpool(character_errors, arrival.spec, records, SPEC))
+        errors.extend(error_item(problem) for problem in limit_problems(preflight, services.settings))
     if arrival.spec and sent.kind.has_job:
-        errors.extend(await run_in_threadpool(body_errors, arrival.spec, services, (SPEC,)))
-        errors.extend(await run_in_threadpool(format_errors, arrival.spec, services, (SPEC,)))
-    if arrival.spec and sent.kind.has_job and not form.keypoints:
-        errors.extend(await run_in_threadpool(network_errors, arrival.spec, services, (SPEC,)))
+        limits = await run_in_threadpool(spec_limits, services, records, has_videos=not form.keypoints)
+        problems = await run_in_threadpool(check_spec, arrival.spec, preflight, limits)
+        errors.extend(error_item(problem, (SPEC,)) for problem in problems)
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
-    sync, timeline = arrival.manifest.sync, arrival.manifest.timeline
+    preflight = replace(preflight, sync=arrival.manifest.sync, timeline=arrival.manifest.timeline)
     return CheckedSession(
         form,
         arrival.manifest,
-        for_session(arrival.spec, sync, timeline),
-        replace(preflight, sync=sync, timeline=timeline),
+        with_session_choices(arrival.spec, preflight),
+        preflight,
         record_path,
         arrival.upload_ids,
         thumbnails,
     )
 
 
+def limit_problems(preflight: Preflight, settings: Settings) -> Iterator[Problem]:
+    """Find properties of a session that exceed the limits of the operator."""
+    if settings.max_duration_s is not None and preflight.duration_s > settings.max_duration_s:
+        message = f"The session lasts {preflight.duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
+        yield Problem(SESSION_TOO_LONG, message, hint="Cut it into several sessions.")
+    if settings.max_pixels is not None:
+        for camera in preflight.cameras:
+            width, height = camera.size_px
+            if width * height > settings.max_pixels:
+                message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
+                yield Problem(FRAMES_TOO_LARGE, message, file=camera.file, camera=camera.name)
+
+
+def new_session(services: Services, checked: CheckedSession) -> NewSession:
+    """Name the files of a session in the artifact store, before they are there."""
+    session_id = services.store.sessions.reserve_id()
+    sources = [(part, file) for part, files in checked.form.files.items() for file in files]
+    with checked.record_path.open("rb") as content:
+        record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+    return NewSession(
+        id=session_id,
+        name=checked.manifest.name,
+        files=tuple(
+            InputFile(
+                name=file.name,
+                kind=_KINDS.get(part, part),
+                key=input_key(session_id, index, file.name),
+                num_bytes=file.num_bytes,
+                sha256=file.sha256,
+            )
+            for index, (part, file) in enumerate(sources)
+        ),
+        preflight=checked.preflight,
+        upload_ids=checked.upload_ids,
+        metadata=checked.manifest.metadata,
+        record_sha256=record_sha256,
+        chunk_frames=_chunk_frames(services, checked),
+    )
+
+
 @contextlib.contextmanager
-def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
+def stored(services: Services, checked: CheckedSession, new: NewSession | None = None) -> Iterator[NewSession]:
     """Put the files of a session into the artifact store; the block records the session in the database.
 
     If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
     process that is killed in between, and those of a transaction whose answer was lost, if it was not committed.
     """
-    session_id = services.store.sessions.reserve_id()
-    sources = [(_KINDS.get(part, part), file) for part, files in checked.form.files.items() for file in files]
-    files = tuple(_input_file(session_id, index, kind, file) for index, (kind, file) in enumerate(sources))
+    new = new or new_session(services, checked)
+    sources = [file for files in checked.form.files.values() for file in files]
     with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, session_prefix(session_id))
-        for file, (_, source) in zip(files, sources, strict=True):
+        undo.callback(services.artifacts.delete_prefix, session_prefix(new.id))
+        for file, source in zip(new.files, sources, strict=True):
             services.artifacts.put_file(file.key, source.path)
-        with checked.record_path.open("rb") as content:
-            record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
-        services.artifacts.put_file(record_key(session_id), checked.record_path)
+        services.artifacts.put_file(record_key(new.id), checked.record_path)
         if checked.thumbnails is not None:
             for camera, number, _ in checked.preflight.thumbnails():
                 name = thumbnail_name(camera, number)
-                services.artifacts.put_file(thumbnail_key(session_id, name), checked.thumbnails / name)
+                services.artifacts.put_file(thumbnail_key(new.id, name), checked.thumbnails / name)
         try:
-            yield NewSession(
-                id=session_id,
-                name=checked.manifest.name,
-                files=files,
-                preflight=checked.preflight,
-                upload_ids=checked.upload_ids,
-                metadata=checked.manifest.metadata,
-                record_sha256=record_sha256,
-                chunk_frames=_chunk_frames(services, checked),
-            )
+            yield new
         except Exception as error:
             if is_perhaps_recorded(error):
                 undo.pop_all()
@@ -244,6 +258,20 @@ def stored(services: Services, checked: CheckedSession) -> Iterator[NewSession]:
         undo.pop_all()
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
+
+
+@contextlib.contextmanager
+def session_and_job(
+    services: Services, records: TenantRecords, checked: CheckedSession
+) -> Iterator[tuple[TenantRecords, JobRecord]]:
+    """Store the files of a session and record it with its job; both or neither.
+
+    The block gets the open transaction and the job. A worker is woken after it.
+    """
+    new = new_session(services, checked)
+    files = stored(services, checked, new)
+    with queued_job(services, records, new, checked.spec, files, new.add_to) as (work, job):
+        yield work, job
 
 
 def _chunk_frames(services: Services, checked: CheckedSession) -> int:
@@ -413,8 +441,3 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
     file = item.file or ""
     pointer = pointers.get(file) or of_archive.get(file.split("/")[0])
     return item.model_copy(update={"pointer": pointer})
-
-
-def _input_file(session_id: str, index: int, kind: str, file: ReceivedFile) -> InputFile:
-    key = input_key(session_id, index, file.name)
-    return InputFile(name=file.name, kind=kind, key=key, num_bytes=file.num_bytes, sha256=file.sha256)

@@ -20,7 +20,7 @@ from pipeline.core.options.choices import (
     choices_of,
     values_of,
 )
-from pipeline.core.options.edits import PeopleEdit
+from pipeline.core.options.edits import PeopleEdit, without_names
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.runtime.packages.storage import home
@@ -186,6 +186,27 @@ class MotionChoices:
         "declared"
     )
 
+    @property
+    def networks(self) -> "Networks":
+        """Networks for ``profile``, ``joints`` and ``detector``."""
+        if self.detector != "auto":
+            return Networks(self.detector)
+        profile = _PROFILES[self.profile]
+        has_feet = self.detected_joints != "body"
+        return Networks(
+            profile.body,
+            near=profile.near if profile.refines_body or has_feet else None,
+            hand=_HAND if self.detected_joints == "whole" else None,
+            refines_body=profile.refines_body,
+            again=profile.near,
+            is_sized=True,
+        )
+
+    @property
+    def detected_joints(self) -> "JointsOfBody":
+        """Joints that the networks of the profile detect; a single ``detector`` has joints of its own."""
+        return _PROFILES[self.profile].joints if self.joints == "auto" else self.joints
+
 
 @dataclass(frozen=True, slots=True)
 class JobChoices(MotionChoices):
@@ -329,6 +350,11 @@ class ReconstructionConfig(JobChoices):
         return None if self.frame_range is None else range(*self.frame_range)
 
     @property
+    def people_edits(self) -> tuple[PeopleEdit, ...]:
+        """Edits that say who is where, without the names of people."""
+        return without_names(self.edits)
+
+    @property
     def num_people(self) -> int | None:
         """Largest number of people; ``None``: everybody."""
         return None if self.people == "auto" else self.people
@@ -341,7 +367,7 @@ class ReconstructionConfig(JobChoices):
     @property
     def uses_fields(self) -> bool:
         """Whether people are found from part affinity fields, where there are videos."""
-        network = NETWORKS.get(networks_of(self).body)
+        network = NETWORKS.get(self.networks.body)
         return self.method == "clustering" and network is not None and network.leaves_fields
 
     @property
@@ -409,27 +435,6 @@ _PROFILES: Mapping[Profile, _ProfileNetworks] = {
 _HAND = "mediapipe-hand"
 
 
-def networks_of(choices: MotionChoices) -> Networks:
-    """Networks for the choices ``profile``, ``joints`` and ``detector``."""
-    if choices.detector != "auto":
-        return Networks(choices.detector)
-    profile, joints = _PROFILES[choices.profile], detected_joints(choices)
-    has_feet = joints != "body"
-    return Networks(
-        profile.body,
-        near=profile.near if profile.refines_body or has_feet else None,
-        hand=_HAND if joints == "whole" else None,
-        refines_body=profile.refines_body,
-        again=profile.near,
-        is_sized=True,
-    )
-
-
-def detected_joints(choices: MotionChoices) -> JointsOfBody:
-    """Joints that the networks of the profile detect; a single ``detector`` has joints of its own."""
-    return _PROFILES[choices.profile].joints if choices.joints == "auto" else choices.joints
-
-
 FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
 """Formats of people's files by name."""
 
@@ -442,11 +447,6 @@ def ending_of(export: Export) -> str:
 def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
     """Formats of people's files that ``pipeline.export`` writes; stages of their own make the others."""
     return tuple(export for export in exports if FILE_FORMATS[export].holds not in {"recording", "model"})
-
-
-def without_recordings(exports: Iterable[Export]) -> tuple[Export, ...]:
-    """Formats of files of which each person has one; recordings are of the whole take."""
-    return tuple(export for export in exports if FILE_FORMATS[export].holds != "recording")
 
 
 def is_installed(export: Export) -> bool:
@@ -463,22 +463,8 @@ def installed_formats() -> tuple[Export, ...]:
 
 def _networks_of_profiles() -> tuple[str, ...]:
     choices = (JobChoices(profile=profile, joints=joints) for profile in PROFILES for joints in JOINTS)
-    return tuple(dict.fromkeys(name for choice in choices for name in networks_of(choice).names))
+    return tuple(dict.fromkeys(name for choice in choices for name in choice.networks.names))
 
 
 NETWORKS_OF_PROFILES = _networks_of_profiles()
 """Names of the networks of all profiles."""
-
-INSTALL_BODY = "Run: multicap bodies install"
-"""Sentence that tells how to install the human body."""
-
-
-def install_command(*names: str) -> str:
-    """Sentence that tells how to install networks."""
-    publishers = {name: network.publisher for name in names if (network := NETWORKS.get(name))}
-    if own := next((name for name in names if name.startswith("own-")), None):
-        return f"Add the file of {own}: multicap models add FILE --head HEAD --joints LAYOUT"
-    for name, publisher in publishers.items():
-        if publisher is not None:
-            return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
-    return f"Run: multicap models install {' '.join(names)}"

@@ -7,6 +7,7 @@ are found at once. Values and limits are those that ``pipeline.core.options.conf
 import contextlib
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
@@ -15,6 +16,7 @@ from pipeline.core.options.choices import Choice, choices_of
 from pipeline.core.options.config import (
     FILE_FORMATS,
     MAX_OUTPUT_FRAMES,
+    NETWORKS,
     Export,
     JobChoices,
     ReconstructionConfig,
@@ -25,12 +27,20 @@ from pipeline.core.options.requirements import Steps, faults, path_text, require
 from pipeline.core.problems.commands import UNKNOWN_PARAMETER
 from pipeline.core.problems.fields import EXPORT_REPEATED
 from pipeline.core.problems.sessions import TOO_MANY_FRAMES
-from pipeline.core.problems.specs import CUTOFF_RANGE, FORMAT_NOT_INSTALLED, FRAME_RANGE
+from pipeline.core.problems.specs import (
+    BODY_NOT_INSTALLED,
+    CUTOFF_RANGE,
+    DETECTOR_NOT_INSTALLED,
+    FORMAT_NOT_INSTALLED,
+    FRAME_RANGE,
+)
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
 """Choices of a reconstruction on this machine by name: those of jobs, and others."""
 SAME_INSTANT = 1e-9
 """Part of a frame by which two instants differ that are the same but for rounding."""
+INSTALL_BODY = "Run: multicap bodies install"
+"""Sentence that tells how to install the human body."""
 
 
 def require(problems: Iterable[Problem]) -> None:
@@ -55,6 +65,15 @@ def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
     require(problems)
 
 
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """What is installed where a reconstruction runs, by name; ``None`` where it is unknown, or not needed."""
+
+    networks: Collection[str] | None = None
+    bodies: Collection[str] | None = None
+    formats: Collection[str] | None = None
+
+
 def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz: float) -> Iterator[Problem]:
     """Find everything that is wrong with a configuration for a session of so many output frames.
 
@@ -64,7 +83,7 @@ def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz
     yield from wrong
     if not wrong:
         yield from session_problems(config, num_frames, frame_rate_hz)
-        yield from format_problems(config.exports, installed_formats())
+        yield from installation_problems(config, Installed(formats=installed_formats()))
         yield from _foreign_parameters(config)
 
 
@@ -163,6 +182,38 @@ def format_problems(exports: Collection[Export], installed: Collection[str]) -> 
             message = f"{export.upper()} files need {needed}, of which one or both are not installed."
             hint = f"Install them: {command}, then {form.file.install}. Or use another format."
         yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
+
+
+def installation_problems(choices: JobChoices, installed: Installed) -> Iterator[Problem]:
+    """Find choices that need a body, formats or networks that are not installed."""
+    has_body = any(FILE_FORMATS[export].has_body for export in choices.exports)
+    if (
+        has_body
+        and choices.body != "capsules"
+        and installed.bodies is not None
+        and choices.body not in installed.bodies
+    ):
+        message = f"The body {choices.body} is not installed for files of this job."
+        yield Problem(BODY_NOT_INSTALLED, message, field="body", hint=INSTALL_BODY)
+    if installed.formats is not None:
+        yield from format_problems(choices.exports, installed.formats)
+    if installed.networks is not None:
+        missing = [name for name in choices.networks.names if name not in installed.networks]
+        if missing:
+            message = f"Networks of this job are not installed: {', '.join(missing)}."
+            field = "profile" if choices.detector == "auto" else "detector"
+            yield Problem(DETECTOR_NOT_INSTALLED, message, field=field, hint=install_command(*missing))
+
+
+def install_command(*names: str) -> str:
+    """Sentence that tells how to install networks."""
+    publishers = {name: network.publisher for name in names if (network := NETWORKS.get(name))}
+    if own := next((name for name in names if name.startswith("own-")), None):
+        return f"Add the file of {own}: multicap models add FILE --head HEAD --joints LAYOUT"
+    for name, publisher in publishers.items():
+        if publisher is not None:
+            return f"Get it from {publisher}, then run: multicap models add {name} --from FOLDER or URL"
+    return f"Run: multicap models install {' '.join(names)}"
 
 
 def num_resampled(num_frames: int, frame_rate_hz: float, new_rate_hz: float) -> int:

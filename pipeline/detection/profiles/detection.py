@@ -6,7 +6,7 @@ from typing import Literal
 
 from pipeline.core.errors import ModelError
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointOffsets, JointSet
-from pipeline.core.options.config import MotionChoices, Networks, detected_joints, networks_of
+from pipeline.core.options.config import MotionChoices, Networks
 from pipeline.core.runtime.once import once_a_process
 from pipeline.detection.bodies import BodyDetector
 from pipeline.detection.detector import Detector, open_detector
@@ -75,7 +75,7 @@ def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:
 def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
     """Joints of the detections of a reconstruction.
 
-    ``joints`` are those asked for, see ``pipeline.core.options.config.detected_joints``; networks without crops have
+    ``joints`` are the requested joints, see ``MotionChoices.detected_joints``; networks without crops have
     their own.
     """
     return entry_of(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
@@ -83,12 +83,12 @@ def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> J
 
 def detection_joints(choices: MotionChoices) -> JointSet:
     """Joints that the networks of a reconstruction detect in videos."""
-    return joints_of(networks_of(choices), detected_joints(choices))
+    return joints_of(choices.networks, choices.detected_joints)
 
 
 def mark_offsets(choices: MotionChoices) -> JointOffsets:
     """Offsets of the marks of these networks from the joints' centres."""
-    networks = networks_of(choices)
+    networks = choices.networks
     is_refined = networks.near is not None and networks.refines_body
     return entry_of(networks.near if is_refined and networks.near else networks.body).offsets
 
@@ -106,7 +106,7 @@ def open_detection(
     networks
         Networks by name; each is loaded once a process.
     joints
-        Joints to detect; see ``pipeline.core.options.config.detected_joints``.
+        Joints to detect; see ``MotionChoices.detected_joints``.
     sizes
         Image sizes of the camera; ``None``: the usual size of the network.
     turn_deg

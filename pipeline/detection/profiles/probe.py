@@ -12,8 +12,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper
 
-from pipeline.core.options.config import install_command
 from pipeline.core.options.providers import Provider, ProviderName
+from pipeline.core.options.rules import install_command
 from pipeline.detection.entries import REGISTRY
 from pipeline.detection.models import status
 from pipeline.detection.providers.open import device_name, open_session

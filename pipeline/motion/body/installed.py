@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.core.errors import ModelError
-from pipeline.core.options.config import INSTALL_BODY
+from pipeline.core.options.rules import INSTALL_BODY
 from pipeline.core.runtime.npz import decode_arrays
 from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent

@@ -41,7 +41,7 @@ from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.core.data.people import Leftovers, People, Poses3D
 from pipeline.core.joints import JointSet
-from pipeline.core.options.config import ReconstructionConfig, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.parameters import change_parameters
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.chunk import concatenate
@@ -76,7 +76,7 @@ def clustering_parameters(
 
     Raises ``InputError`` if a changed parameter does not exist, or can't have that value.
     """
-    fields = entry_of(networks_of(config).body).fields if finds_fields else None
+    fields = entry_of(config.networks.body).fields if finds_fields else None
     own = {} if fields is None else {"tau2": fields.tau2}
     return change_parameters(derive_clustering(cameras, **own), config.clustering)
 

@@ -21,7 +21,7 @@ from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsBy
 from pipeline.core.data.heads import HeadRegions
 from pipeline.core.errors import PipelineError
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet, without_hands
-from pipeline.core.options.config import ReconstructionConfig, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.progress import OnShare, in_units
 from pipeline.core.runtime.npz import decode_arrays
@@ -292,7 +292,7 @@ class _VideoDetections(DetectionSource):
 
     @property
     def networks(self) -> tuple[str, ...]:
-        return networks_of(self._context.config).names
+        return self._context.config.networks.names
 
     @property
     def finds_fields(self) -> bool:

@@ -23,10 +23,8 @@ from pipeline.core.options.config import (
     DEFAULT_CHUNK_FRAMES,
     FILE_FORMATS,
     ReconstructionConfig,
-    detected_joints,
-    networks_of,
 )
-from pipeline.core.options.edits import document_of, without_names
+from pipeline.core.options.edits import document_of
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.run.engine.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
 
@@ -166,7 +164,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     is_clustering = config.method == "clustering"
     has_no_effect = {
         "profile": config.detector != "auto",
-        "follow_s": not networks_of(config).refines_body,
+        "follow_s": not config.networks.refines_body,
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",
@@ -175,10 +173,10 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "body": not any(FILE_FORMATS[export].has_body for export in config.exports),
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
-    edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, without_names(config.edits)))
+    edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, config.people_edits))
     return {
         **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
-        "joints": None if config.detector != "auto" else detected_joints(config),
+        "joints": None if config.detector != "auto" else config.detected_joints,
         "exports": sorted(config.exports),
         "making": None if config.making is None else asdict(config.making),
         "edits": of_people,

@@ -10,7 +10,6 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import SessionCheck
-from pipeline.core.options.edits import without_names
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, footage_of
 from pipeline.motion.body.installed import find as find_body
@@ -31,7 +30,7 @@ def assemble(context: Context) -> Reconstruction:
     if context.config.edits:
         take = edited_take(identified.spans, context.config, session.timebase)
         changed, refitted = People((), ()), Animation((), (), animation.floor)
-        if without_names(context.config.edits):
+        if context.config.people_edits:
             changed, refitted = context.people(EDIT).people, united(list(context.records(REFIT, Animation)))
         people, animation = put_together(people, animation, identified.spans, changed, refitted, take)
     refined = context.refined()

@@ -9,7 +9,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.detections import Detections
 from pipeline.core.findings import SessionCheck
-from pipeline.core.options.config import ReconstructionConfig, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.detection.bodies import BodyDetector
 from pipeline.detection.chunk import camera_images, stack_bodies
 from pipeline.detection.profiles.detection import open_finder, shows_lean
@@ -32,7 +32,7 @@ def check_at_instants(
     The detector or profile of ``config`` finds the bodies. Raises ``InputError`` or ``ChildError`` if a video can't be
     decoded, ``ModelError`` if the detector is not installed.
     """
-    networks = networks_of(config)
+    networks = config.networks
     open_turned = partial(open_finder, networks)
     frames = frames_at_instants(session.times, session.timebase, session.stretches)
     detections, turns_deg = detect_at(session, frames, open_turned, shows_lean(networks), on_frame)

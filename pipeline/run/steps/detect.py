@@ -5,7 +5,6 @@ The output is a ``Detections`` without colours, or a ``PafFields``; the interim 
 
 from dataclasses import replace
 
-from pipeline.core.options.config import detected_joints, networks_of
 from pipeline.run.engine.stage import DETECT, LOOK, Context, Output, Stage, Task
 from pipeline.run.steps.look import is_detecting
 
@@ -23,7 +22,7 @@ def detect(task: Task, context: Context) -> Output:
 
     session, config, camera, stored = context.videos(), context.config, task.one_camera, context.stored_output()
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
-    networks = networks_of(config)
+    networks = config.networks
     number = list(context.facts.camera_rates_hz).index(camera)
     (look,) = context.records(LOOK, CameraLook, slice(number, number + 1))
     with context.video(camera):
@@ -34,7 +33,7 @@ def detect(task: Task, context: Context) -> Output:
             finder = turned(load_detector(networks.body), look.turn_deg)
             return Output(encode(detect_fields_chunk(session, camera, span, finder, context.on_unit)))
         else:
-            detector = open_detection(networks, detected_joints(config), look.sizes, look.turn_deg)
+            detector = open_detection(networks, config.detected_joints, look.sizes, look.turn_deg)
             detections = detect_chunk(
                 session, camera, span, detector, context.on_unit, config.uses_colours, config.follow_s
             )

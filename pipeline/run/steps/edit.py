@@ -1,7 +1,6 @@
 """Edit people: those whom edits change, put together from those who were found. The output is stored people."""
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edits import without_names
 from pipeline.run.engine.stage import EDIT, IDENTIFY, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 
@@ -20,7 +19,7 @@ def edit(task: Task, context: Context) -> Output:
 
 def is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
     """Whether a job has edits that say who is where; names change nobody's frames."""
-    return config.is_of_people and bool(without_names(config.edits))
+    return config.is_of_people and bool(config.people_edits)
 
 
 STAGE = Stage(

@@ -5,7 +5,7 @@ The output is a ``CameraLook``. It belongs to the whole video, whatever part of 
 
 from functools import partial
 
-from pipeline.core.options.config import ReconstructionConfig, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.run.engine.stage import LOOK, Context, Output, SessionFacts, Stage, Task
 
@@ -24,7 +24,7 @@ def look(task: Task, context: Context) -> Output:
     from pipeline.run.engine.codec import encode
 
     session, config, name = context.videos(), context.config, task.one_camera
-    networks = networks_of(config)
+    networks = config.networks
     rule = RULES[config.profile] if networks.is_sized else None
     camera = next(camera for camera in session.cameras if camera.name == name)
     # A camera that is to be calibrated has no pose.

@@ -5,7 +5,7 @@ The output is a ``Detections``.
 
 from functools import partial
 
-from pipeline.core.options.config import ReconstructionConfig, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.stage import EXPECT, LOOK, REDETECT, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 
@@ -23,7 +23,7 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
     from pipeline.run.engine.codec import decode, encode
     from pipeline.video.timeline import frames_in, span_s
 
-    session, camera, networks = context.videos(), task.one_camera, networks_of(context.config)
+    session, camera, networks = context.videos(), task.one_camera, context.config.networks
     if networks.again is None:
         raise ValueError("These networks look for nobody again: the stage is not planned.")
     (expected,) = context.outputs(stage)
@@ -47,7 +47,7 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
 
 def is_redetecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
     """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
-    return facts.has_videos and config.is_of_people and networks_of(config).again is not None
+    return facts.has_videos and config.is_of_people and config.networks.again is not None
 
 
 STAGE = Stage(

@@ -1,6 +1,5 @@
 """Write files of edited people: pieces that the stage ``export`` finds again. The output is empty."""
 
-from pipeline.core.options.edits import without_names
 from pipeline.run.engine.stage import EXPORT, TAKE, WRITE, Context, Output, Stage, Task
 
 
@@ -24,7 +23,7 @@ STAGE = Stage(
     cut="people",
     follows=TAKE,
     choices=("exports", "bvh", "output_rate_hz", "timeline", "body"),
-    is_planned=lambda facts, config: config.making is None and bool(without_names(config.edits)),
+    is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
     is_of_edits=True,
     pieces_of=EXPORT,
 )

@@ -23,7 +23,7 @@ from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import COCO_17
-from pipeline.core.options.config import ReconstructionConfig, Smoothing, detected_joints, networks_of
+from pipeline.core.options.config import ReconstructionConfig, Smoothing
 from pipeline.detection import models
 from pipeline.detection.profiles.detection import detection_joints, open_detection
 from pipeline.geometry.camera import project
@@ -216,7 +216,7 @@ def located(session: CaptureSession, detections: Mapping[str, Detections], truth
 
 def detection_ms(videos: Path, cameras: list[str]) -> float:
     """Milliseconds of a core for a picture in the networks of `balanced`, from picture to joints of everybody."""
-    detector = open_detection(networks_of(CONFIG), detected_joints(CONFIG))
+    detector = open_detection(CONFIG.networks, CONFIG.detected_joints)
     total_s, num_pictures = 0.0, 0
     for camera in cameras:
         with av.open(str(videos / f"{camera}.mp4")) as container:

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any, Literal
 
 from pipeline.core.findings import Finding
-from pipeline.core.options.config import ReconstructionConfig, without_recordings
+from pipeline.core.options.config import FILE_FORMATS, ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, PersonSpan
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.problems.model import Code
@@ -52,7 +52,8 @@ def config_of(
     config = replace(spec.config, making=making, edits=edits, character=digest, blurs_videos=blurs_videos)
     if making is not None or not revision:
         return config
-    return replace(config, overlay=False, report=False, exports=without_recordings(config.exports))
+    exports = tuple(export for export in config.exports if FILE_FORMATS[export].holds != "recording")
+    return replace(config, overlay=False, report=False, exports=exports)
 
 
 @dataclass(frozen=True, slots=True)

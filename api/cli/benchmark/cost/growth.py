@@ -13,7 +13,7 @@ from api.cli.benchmark.cost.job import measure_job
 from api.cli.benchmark.providers import sample_pictures
 from api.cli.benchmark.tracking import crowd
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.core.options.config import ReconstructionConfig, detected_joints, networks_of
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.detection.profiles.detection import open_detection
 from pipeline.validation.simulation.scenes import Simulation
 
@@ -31,7 +31,7 @@ def measure_pictures(config: ReconstructionConfig, videos: Sequence[Path]) -> li
     Returns a record for each number of bodies: ``profile``, ``bodies``, the number of ``pictures``, and ``core_ms``,
     the median of their times.
     """
-    detector = open_detection(networks_of(config), detected_joints(config))
+    detector = open_detection(config.networks, config.detected_joints)
     times_ms: defaultdict[int, list[float]] = defaultdict(list)
     for video in videos:
         pictures = sample_pictures(video)

@@ -12,7 +12,6 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting,
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.config import networks_of
 from pipeline.core.problems.commands import DATASET_INCOMPLETE
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.evaluation.datasets.rendered import load_rendered
@@ -45,7 +44,7 @@ def command(
         held_out = cross_validate(people)
         offsets = {kind: asdict(offset) for kind, offset in learn_offsets(people).items()}
         report = {
-            "networks": networks_of(config).names,
+            "networks": config.networks.names,
             "unit": "metres for each metre of the trunk",
             "offsets": offsets,
             "learnt_on": learnt_on,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.core.options.config import MotionChoices, detected_joints, networks_of
+from pipeline.core.options.config import MotionChoices
 from pipeline.detection.appearance import colour_histograms
 from pipeline.detection.profiles.detection import open_detection
 from pipeline.detection.profiles.sizes import RULES, USUAL_PX, CameraSizes, SizeRule, body_spans_px, choose_sizes
@@ -55,7 +55,7 @@ def num_processes(num_cameras: int) -> int:
 def start_detecting(choices: MotionChoices) -> None:
     """Open the networks in this process, which yields to others."""
     os.nice(_NICE)
-    open_detection(networks_of(choices), detected_joints(choices))
+    open_detection(choices.networks, choices.detected_joints)
 
 
 def detect_bodies(job: DetectionJob) -> DetectedBodies:
@@ -64,7 +64,7 @@ def detect_bodies(job: DetectionJob) -> DetectedBodies:
     started_s = clock()
     pictures = np.memmap(job.path, np.uint8, "r", shape=job.shape)
     image_rgb = Rotator()(pictures[job.slot], job.rotation_deg // 90, job.is_mirrored)
-    detector = open_detection(networks_of(job.choices), detected_joints(job.choices), job.sizes, job.turn_deg)
+    detector = open_detection(job.choices.networks, job.choices.detected_joints, job.sizes, job.turn_deg)
     bodies = detector.detect(image_rgb)
     colour = None
     if job.measures_colours:
@@ -87,7 +87,7 @@ class PictureSize:
 
     def __init__(self, choices: MotionChoices, size_px: tuple[int, int]) -> None:
         rule = RULES[choices.profile]
-        self._rule = SizeRule(rule.span_px, min(rule.max_px, USUAL_PX)) if networks_of(choices).is_sized else None
+        self._rule = SizeRule(rule.span_px, min(rule.max_px, USUAL_PX)) if choices.networks.is_sized else None
         self._size_px = size_px
         self._spans_px: deque[Float[np.ndarray, " bodies"]] = deque(maxlen=_NUM_LATEST)
         self._num_until_choice = 1

@@ -16,7 +16,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.turns import upright_size_px
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.options.config import MotionChoices, networks_of
+from pipeline.core.options.config import MotionChoices
 from pipeline.core.problems.sessions import SIZE_MISMATCH
 from pipeline.detection.models import verify
 from pipeline.detection.profiles.detection import detection_joints, mark_offsets
@@ -120,7 +120,7 @@ class CameraRun:
         listener: LiveListener,
         sync_s: float | None = None,
     ) -> None:
-        for name in networks_of(choices).names:
+        for name in choices.networks.names:
             verify(name)
         self._cameras, self._sources, self._choices = list(cameras), sources, choices
         self._sync_s, self._listener, self.joints = sync_s, listener, detection_joints(choices)

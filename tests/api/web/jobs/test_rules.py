@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import assume, given, settings
@@ -15,14 +16,14 @@ from typer.testing import CliRunner
 
 from api.cli import sources
 from api.cli.main import app
-from api.web.jobs.spec_checks import spec_errors
+from api.web.jobs.queueing import SpecLimits, check_spec
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.errors import InputError
 from pipeline.core.options.choices import Choice
 from pipeline.core.options.config import CHOICES, ReconstructionConfig, installed_formats
-from pipeline.core.options.rules import config_problems
+from pipeline.core.options.rules import Installed, config_problems
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
@@ -135,10 +136,11 @@ def test_choices_that_do_not_suit_a_session(
 ) -> None:
     assume(list(config_problems(ReconstructionConfig(**chosen), num_frames, rate_hz)))
     long = replace(session, timebase=Timebase(0.0, rate_hz, num_frames))
+    limits = SpecLimits(Installed(), allows_private_webhooks=True, records=Mock())
     preflight = Preflight((), PreflightTimebase(0.0, rate_hz, num_frames), (range(num_frames),))
     said = [
-        (str(item.pointer).removeprefix("/spec/"), item.message, item.hint)
-        for item in spec_errors(JobSpec(**chosen), preflight, "spec")
+        (str(problem.field), problem.message, problem.hint)
+        for problem in check_spec(JobSpec(**chosen), preflight, limits)
     ]
     assert of_python(long, chosen) == said
     with pytest.MonkeyPatch.context() as patch:

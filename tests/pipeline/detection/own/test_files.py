@@ -13,7 +13,7 @@ from onnx import TensorProto
 
 from pipeline.core.errors import ModelError
 from pipeline.core.joints import BODY_FEET, COCO_17
-from pipeline.core.options.config import MotionChoices, networks_of
+from pipeline.core.options.config import MotionChoices
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.detection import models
 from pipeline.detection.detector import open_detector
@@ -209,7 +209,7 @@ def test_descriptions_are_read_back(field: str, value: object) -> None:
 def test_an_added_network_is_opened_as_a_detector(tmp_path: Path) -> None:
     boxes, keypoints = np.array([[0, 0, 1, 1, 0.9]]), np.tile([64.0, 32.0, 0.9], (1, 26, 1))
     path = write(rtmo(boxes, keypoints), tmp_path / "net.onnx")
-    networks = networks_of(MotionChoices(detector=add_own(path, usual_network("rtmo", "halpe-26"))))
+    networks = MotionChoices(detector=add_own(path, usual_network("rtmo", "halpe-26"))).networks
     detector = open_detection(networks, "body")
     assert detector.joints == joints_of(networks, "body") == BODY_FEET
     bodies = detector.detect(np.zeros((320, 640, 3), np.uint8))
@@ -217,6 +217,6 @@ def test_an_added_network_is_opened_as_a_detector(tmp_path: Path) -> None:
 
 
 def test_a_network_of_crops_needs_multipose(tmp_path: Path) -> None:
-    networks = networks_of(MotionChoices(detector=add_own(write(simcc(), tmp_path / "net.onnx"), SIMCC)))
+    networks = MotionChoices(detector=add_own(write(simcc(), tmp_path / "net.onnx"), SIMCC)).networks
     with pytest.raises(ModelError, match="movenet-multipose is not installed"):
         open_detection(networks, "body")

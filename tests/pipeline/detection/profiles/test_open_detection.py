@@ -4,7 +4,7 @@ import pytest
 
 from pipeline.core.errors import ModelError
 from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointSet, finger_joints
-from pipeline.core.options.config import Networks, ReconstructionConfig, networks_of
+from pipeline.core.options.config import Networks, ReconstructionConfig
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
 from pipeline.detection.profiles.detection import joints_of, open_detection, open_landmarks
@@ -73,7 +73,7 @@ def test_feet_and_fingers_of_people_in_the_sample(image_rgb: np.ndarray) -> None
 
 
 def test_the_same_image_gives_the_same_bytes(image_rgb: np.ndarray) -> None:
-    networks = networks_of(ReconstructionConfig(joints="feet"))
+    networks = ReconstructionConfig(joints="feet").networks
     needs(networks)
     first, second = (open_detection(networks, "feet").detect(image_rgb) for _ in range(2))
     assert first.keypoints_px.tobytes() == second.keypoints_px.tobytes()
