@@ -16,7 +16,7 @@ UFBX := .venv-ufbx
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-accuracy verify-containers soak load hostile check benchmark format lock clean blender-extension
+.PHONY: help setup demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-accuracy verify-containers soak load hostile check benchmark format lock clean blender-extension wheel
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -126,6 +126,9 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
 		tests/pipeline/export tests/api/blender tests/pipeline/calibration/test_programs.py
 	@echo "Blender's pictures are in build/exports/."
+
+wheel: $(VENV)/.installed  ## Build the wheel into dist/
+	$(BIN)/python -P -m hatchling build -t wheel -d dist
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
 	$(BIN)/python -P -m api.blender.build build

@@ -18,10 +18,12 @@ or send it to a service:
 package.
 """
 
+import importlib.metadata
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from api.cli.client import Client, Job, ServiceError
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
@@ -118,6 +120,8 @@ _REFERENCES = {
 
 def __getattr__(name: str) -> Any:
     """Load a name at its first use (PEP 562)."""
+    if name == "__version__":
+        return importlib.metadata.version("multicap")
     if name not in _REFERENCES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = resolve_name(_REFERENCES[name])

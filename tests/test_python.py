@@ -1,8 +1,10 @@
 """The package `multicap`: names load lazily and are the same for type checkers and the interpreter."""
 
 import ast
+import importlib.metadata
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -76,3 +78,10 @@ def test_modules_of_the_wheel_import_each_other_inside_of_multicap(source: bytes
 def test_imports_that_would_bind_a_plain_name_are_refused() -> None:
     with pytest.raises(ValueError, match="line 2: write `from"):
         hatch_build.nest(b"import json\nimport pipeline.data\n")
+
+
+def test_versions_agree() -> None:
+    version = importlib.metadata.version("multicap")
+    assert multicap.__version__ == version
+    manifest = tomllib.loads((SOURCE.parents[1] / "api/blender/extension/blender_manifest.toml").read_text("utf-8"))
+    assert version.partition("rc")[0] == manifest["version"]  # Blender takes no release candidates

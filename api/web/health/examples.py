@@ -3,7 +3,7 @@
 from typing import Any
 
 ANSWERS: dict[str, Any] = {
-    "Health": {"status": "ok"},
+    "Health": {"status": "ok", "version": "1.0.0"},
     "Readiness": {
         "status": "ready",
         "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),

@@ -1,5 +1,6 @@
 """Routes of health: liveness, readiness, and metrics for Prometheus."""
 
+import importlib.metadata
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -49,7 +50,7 @@ _UNAVAILABLE = {
 )
 def get_health() -> Health:
     """Answer while the API process is alive."""
-    return Health()
+    return Health(version=importlib.metadata.version("multicap"))
 
 
 @router.get(

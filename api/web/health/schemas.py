@@ -10,6 +10,7 @@ class Health(ResponseModel):
     """Liveness of the API process."""
 
     status: str = "ok"
+    version: str = Field(description="Version of Multicap, as `multicap --version` prints it.")
 
 
 class ProviderOut(ResponseModel):
