@@ -23,7 +23,6 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    __version__: str
     from api.cli.client import Client, Job, ServiceError
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
@@ -80,6 +79,8 @@ __all__ = [
     "recorded_frames",
     "write_results",
 ]
+
+__version__: str
 
 # References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
