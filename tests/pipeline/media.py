@@ -1,12 +1,16 @@
 """Small test videos, encoded by PyAV."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import os
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import Callable
+import Iterable
 import numpy as np
+import Sequence
 
 
 def picture(number: int, size_px: tuple[int, int]) -> np.ndarray:
@@ -18,6 +22,18 @@ def picture(number: int, size_px: tuple[int, int]) -> np.ndarray:
     return image
 
 
+@contextmanager
+def keep_scheduling_policy() -> Iterator[None]:
+    """Restore the policy of this thread: SVT-AV1, run as root, makes it and its child processes real-time."""
+    policy = os.sched_getscheduler(0)
+    try:
+        yield
+    finally:
+        if os.sched_getscheduler(0) != policy:
+            os.sched_setscheduler(0, policy, os.sched_param(0))
+
+
+@keep_scheduling_policy()
 def write_video(
     path: Path,
     num_frames: int = 30,

@@ -13,6 +13,8 @@ import av
 import numpy as np
 from av.video.reformatter import ColorRange
 
+from tests.pipeline.media import keep_scheduling_policy
+
 NUM_FRAMES = 40
 _X264_LONG = {"g": "250", "bf": "3", "sc_threshold": "0"}
 
@@ -152,6 +154,7 @@ def level(number: int) -> int:
     return 24 + 5 * number
 
 
+@keep_scheduling_policy()
 def write_clip(folder: Path, name: str) -> Path:
     """Encode a clip."""
     clip, path = CLIPS[name], folder / name
