@@ -1,16 +1,14 @@
 """Small test videos, encoded by PyAV."""
 
-from collections.abc import os
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
-import Callable
-import Iterable
 import numpy as np
-import Sequence
 
 
 def picture(number: int, size_px: tuple[int, int]) -> np.ndarray:
