@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pipeline.capture.session import CaptureSession, open_session
     from pipeline.core.data.reconstruction import Reconstruction
     from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
+    from pipeline.core.options.choices import FileFormat
     from pipeline.core.options.config import ReconstructionConfig
     from pipeline.core.progress import Progress
     from pipeline.core.runtime.packages.samples import install as install_sample
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from pipeline.export.character.source import CharacterSource
     from pipeline.export.opensim.installed import install as install_opensim_model
     from pipeline.export.results import WrittenResults, write_results
+    from pipeline.export.writers.registry import PersonContent, Writer
     from pipeline.motion.body.installed import install as install_body
     from pipeline.run.engine.local import reconstruct, reconstruct_to_files
     from pipeline.run.live.bodies import read_bodies
@@ -50,12 +52,14 @@ __all__ = [
     "CharacterSource",
     "ChildError",
     "Client",
+    "FileFormat",
     "InputError",
     "Job",
     "KeypointSession",
     "LiveCapture",
     "LiveSettings",
     "ModelError",
+    "PersonContent",
     "PipelineError",
     "Problem",
     "Progress",
@@ -65,6 +69,7 @@ __all__ = [
     "ServiceError",
     "SessionRefused",
     "VmcSender",
+    "Writer",
     "WrittenResults",
     "install_body",
     "install_network",
@@ -88,12 +93,14 @@ _REFERENCES = {
     "CharacterSource": "pipeline.export.character.source:CharacterSource",
     "ChildError": "pipeline.core.errors:ChildError",
     "Client": "api.cli.client:Client",
+    "FileFormat": "pipeline.core.options.choices:FileFormat",
     "InputError": "pipeline.core.errors:InputError",
     "Job": "api.cli.client:Job",
     "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
     "LiveCapture": "pipeline.run.live.capture:LiveCapture",
     "LiveSettings": "pipeline.run.live.settings:LiveSettings",
     "ModelError": "pipeline.core.errors:ModelError",
+    "PersonContent": "pipeline.export.writers.registry:PersonContent",
     "PipelineError": "pipeline.core.errors:PipelineError",
     "Problem": "pipeline.core.errors:Problem",
     "Progress": "pipeline.core.progress:Progress",
@@ -103,6 +110,7 @@ _REFERENCES = {
     "ServiceError": "api.cli.client:ServiceError",
     "SessionRefused": "pipeline.core.errors:SessionRefused",
     "VmcSender": "pipeline.run.live.vmc:VmcSender",
+    "Writer": "pipeline.export.writers.registry:Writer",
     "WrittenResults": "pipeline.export.results:WrittenResults",
     "install_body": "pipeline.motion.body.installed:install",
     "install_network": "pipeline.detection.models:install",

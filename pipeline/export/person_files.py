@@ -18,12 +18,11 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset, Timeline
 from pipeline.core.progress import OnShare, part_of, split
-from pipeline.export.formats import FORMATS, PersonContent
 from pipeline.export.origin import file_origin_m
-from pipeline.export.timelines import held, presence, unknown_outside
+from pipeline.export.timelines import presence, unknown_outside
 from pipeline.export.writers import skeletons_json
-from pipeline.export.writers.angle_tables import filled_angles, with_sigmas
 from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
+from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles, joint_angles
 from pipeline.motion.skeleton.model import forward_kinematics
@@ -131,21 +130,12 @@ def _written(
     track = person.track
     if name == SKELETONS:
         with replacing(path, skeletons_json.encode_track(track)) as part:
-            expected = partial(unknown_outside, track.xyz_m, track.frames)
-            return KeptFile(furthest_mm(path, track.frames, expected, [skeletons_json.read_track_m(part)], on_read))
+            positions_m = partial(unknown_outside, track.xyz_m, track.frames)
+            return KeptFile(furthest_mm(path, track.frames, positions_m, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
     holds = FILE_FORMATS[export].holds
     if holds == "joints":
         track = without_resting_fingers(track, person.joints)
-        expected = partial(unknown_outside, track.xyz_m, track.frames)
-    elif holds == "angles":
-        of_person = angles()
-        if export == "mot":
-            expected = partial(held, filled_angles(of_person).angle_deg[..., None], of_person.frames)
-        else:
-            expected = partial(unknown_outside, with_sigmas(of_person)[..., None], of_person.frames)
-    else:
-        expected = partial(held, skeleton_m(), person.motion.frames)
     content = PersonContent(
         track,
         person.motion,
@@ -157,14 +147,17 @@ def _written(
         person.origin_m,
         preset,
         person.body,
+        skeleton_m,
         angles,
     )
-    with replacing(path, FORMATS[export].encode(content)) as part:
-        read = FORMATS[export].read(part, preset)
+    writer = find_writer(export)
+    expected = writer.expected(content)
+    with replacing(path, writer.encode(content)) as part:
+        read = writer.read(part, preset)
         if holds == "angles":
             return KeptFile(None, difference_deg=furthest(path, person.frames, expected, read, on_read))
         distance_mm = furthest_mm(path, person.frames, expected, read, on_read)
-    return KeptFile(distance_mm, FORMATS[export].between_frames(content))
+    return KeptFile(distance_mm, writer.between_frames(content))
 
 
 def without_resting_fingers(track: Track3D, joints: JointSet) -> Track3D:

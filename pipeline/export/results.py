@@ -31,7 +31,6 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems.fields import VALUE_NOT_ALLOWED
 from pipeline.core.problems.warnings import TAKE_TOO_LARGE
 from pipeline.core.progress import OnShare, ignore, part_of, split
-from pipeline.export.formats import FORMATS
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
     SKELETONS,
@@ -51,6 +50,7 @@ from pipeline.export.scene import scene_of
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.gait_tables import gait_tables
+from pipeline.export.writers.registry import find_writer
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics
 
@@ -231,7 +231,7 @@ def write_files(
     }
     origin_m = file_origin_m(shown.cameras)
     for export in exports:
-        if FORMATS[export].has_origin and origin_m.any():
+        if origin_m.any() and find_writer(export).has_origin:
             check[export]["origin_m"] = origin_m.tolist()
     if "csv" in exports:
         for track in shown.tracks:
@@ -311,7 +311,7 @@ class _TakeFiles:
 
     def write(self, export: Export, on_share: OnShare) -> bool:
         """Write the file of a format and read it back; return whether there is one."""
-        form, scene, preset, path = FORMATS[export].of_take, self._scene, self._preset, self.path(export)
+        form, scene, preset, path = find_writer(export).take, self._scene, self._preset, self.path(export)
         if form is None or not scene.people:
             return False
         if not form.fits(scene):
@@ -325,7 +325,7 @@ class _TakeFiles:
                 zip(scene.people, split(on_share, [1] * len(scene.people)), strict=True)
             ):
                 expected_m = partial(_skeleton_m, person.motion)
-                read_m = form.read_xyz_m(part, preset, number)
+                read_m = form.read(part, preset, number)
                 distance_mm = furthest_mm(path, scene.frames, expected_m, read_m, on_person)
                 if distance_mm is not None:
                     self.distances_mm[export] = max(self.distances_mm.get(export, 0.0), distance_mm)

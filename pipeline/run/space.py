@@ -7,10 +7,9 @@ detection only: three are assumed.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from pipeline.capture.preflight_record import Preflight
-from pipeline.core.options.config import Export, ReconstructionConfig
+from pipeline.core.options.config import FILE_FORMATS, Export, ReconstructionConfig
 from pipeline.run.engine.stage import Cut, FrameCut
 
 _ASSUMED_PEOPLE = 3
@@ -46,30 +45,6 @@ _OF_CHARACTERS, _CHARACTER_OF_FRAME = frozenset({"bvh", "glb", "fbx"}), 1_000
 # Memory of a worker process at work on a full HD video; of each detected joint, and of each person in a frame, that a
 # task on the whole session holds. ``tests/worker/run/test_stage_memory.py`` holds all stages to the latter.
 _PROCESS_BYTES, _MEMORY_OF_JOINT, _MEMORY_OF_PERSON = 300 * 2**20, 65, 5_000
-
-
-class _FileBytes(NamedTuple):
-    """Bytes of a person's file of a format."""
-
-    of_file: int = 0  # Mesh, names and the like
-    of_frame: int = 0  # Rotations of the skeleton in a frame; twice as many with fingers
-    of_joint: int = 0  # A joint's position in a frame
-    in_take: bool = False  # Whether a file of the take holds everybody once more
-
-
-_FILES: Mapping[Export, _FileBytes] = {
-    "bvh": _FileBytes(2_000, 475),
-    "glb": _FileBytes(108_000, 320, in_take=True),
-    "fbx": _FileBytes(138_000, 505, in_take=True),
-    "usd": _FileBytes(100_000, 350, in_take=True),
-    "vrma": _FileBytes(4_000, 390),
-    "trc": _FileBytes(of_joint=24),
-    "c3d": _FileBytes(2_000, 1_350),
-    "csv": _FileBytes(1_000, of_joint=22),
-    "angles": _FileBytes(1_000, 480),
-    "mot": _FileBytes(1_000, 260),
-    "osim": _FileBytes(40_000, 480),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +189,7 @@ def space_of(
     of_people = _export_bytes(config.exports, num_people, in_files, num_joints, turns)
     kept_bytes = _METRICS_OF_TAKE + _METRICS_OF_PERSON * num_people + rate * rows * num_joints * _SKELETON_OF_JOINT
     kept_bytes += sum(of_people.values())
-    result_bytes = kept_bytes + sum(of_people[export] for export in of_people if _FILES[export].in_take)
+    result_bytes = kept_bytes + sum(of_people[export] for export in of_people if FILE_FORMATS[export].in_take)
     if not counted:
         result_bytes += _pictures(cameras, config, share, frame_rate_hz, rows, num_joints)
     if character_bytes:
@@ -257,10 +232,10 @@ def _export_bytes(
     exports: Iterable[Export], num_people: int, num_rows: float, num_joints: int, turns: float
 ) -> dict[Export, float]:
     """Bytes of all people's files of each format."""
+    sizes = {export: FILE_FORMATS[export].size for export in exports}
     return {
         export: num_people * size.of_file + num_rows * (turns * size.of_frame + num_joints * size.of_joint)
-        for export in exports
-        if (size := _FILES.get(export)) is not None
+        for export, size in sizes.items()
     }
 
 

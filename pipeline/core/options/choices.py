@@ -46,14 +46,29 @@ class OptionalFile:
 
 
 @dataclass(frozen=True, slots=True)
+class FileSize:
+    """Bytes of a person's file of a format, by which space on disks is foreseen."""
+
+    of_file: int = 0  # Mesh, names and the like
+    of_frame: int = 0  # Rotations of the skeleton in a frame; twice as many with fingers
+    of_joint: int = 0  # A joint's position in a frame
+
+
+@dataclass(frozen=True, slots=True)
 class FileFormat(Value):
-    """A format of files: of each person, which ``pipeline.export.formats`` writes and reads, or of the whole take."""
+    """A format of files: of each person, or of the whole take.
+
+    Another package adds a format by an entry point of the group ``multicap.writers``: its name is the format's name,
+    its object the ``FileFormat``. The web API loads the object too, so its module imports no science.
+    """
 
     media_type: str  # RFC 6838, as the service sends it
     # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
-    # ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body. The last two
-    # are made by stages of their own.
+    # ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body
     holds: Literal["motion", "joints", "angles", "recording", "model"]
+    # Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``; ``None`` for formats that
+    # stages of their own make
+    writer: str | None = None
     has_body: bool = False  # Whether it holds a body that follows the skeleton
     has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
@@ -61,6 +76,8 @@ class FileFormat(Value):
         None  # Package that writes and reads the files, beside those that all formats need
     )
     file: OptionalFile | None = None  # File that is needed too
+    size: FileSize = FileSize()
+    in_take: bool = False  # Whether a file of the whole take holds everybody once more
 
 
 @dataclass(frozen=True, slots=True)

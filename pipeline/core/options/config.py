@@ -445,8 +445,8 @@ def ending_of(export: Export) -> str:
 
 
 def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
-    """Formats of people's files that ``pipeline.export`` writes; stages of their own make the others."""
-    return tuple(export for export in exports if FILE_FORMATS[export].holds not in {"recording", "model"})
+    """Formats of people's files that have a writer; stages of their own make the others."""
+    return tuple(export for export in exports if FILE_FORMATS[export].writer is not None)
 
 
 def is_installed(export: Export) -> bool:

@@ -1,8 +1,16 @@
-"""Formats of result files, each declared once: name, label, media type and content. The web API imports this module."""
+"""Formats of result files, each declared once: name, label, media type, content and size.
 
-from typing import Annotated, Literal
+The web API imports this module. A format of people's files has a writer in ``pipeline.export.writers``. Formats of
+other packages are added by entry points.
+"""
 
-from pipeline.core.options.choices import FileFormat, OptionalFile, OptionalPackage
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pipeline.core.options.choices import FileFormat, FileSize, OptionalFile, OptionalPackage
+from pipeline.core.runtime.plugins import load_plugins
+
+WRITERS = "multicap.writers"
+"""Group of the entry points of formats."""
 
 OPENSIM_MODEL = OptionalFile(
     "the generic model of OpenSim", path="opensim/generic.osim", install="multicap opensim install"
@@ -14,10 +22,41 @@ _CSV = "text/csv; charset=utf-8; header=present"
 _BYTES = "application/octet-stream"
 
 Export = (
-    Annotated[Literal["bvh"], FileFormat("BVH, animation", _TEXT, "motion", has_presets=True)]
-    | Annotated[Literal["glb"], FileFormat("GLB, body and animation", "model/gltf-binary", "motion", has_body=True)]
+    Annotated[
+        Literal["bvh"],
+        FileFormat(
+            "BVH, animation",
+            _TEXT,
+            "motion",
+            "pipeline.export.writers.bvh:WRITER",
+            has_presets=True,
+            size=FileSize(2_000, 475),
+        ),
+    ]
     | Annotated[
-        Literal["fbx"], FileFormat("FBX, body and animation", _BYTES, "motion", has_body=True, has_presets=True)
+        Literal["glb"],
+        FileFormat(
+            "GLB, body and animation",
+            "model/gltf-binary",
+            "motion",
+            "pipeline.export.writers.glb:WRITER",
+            has_body=True,
+            size=FileSize(108_000, 320),
+            in_take=True,
+        ),
+    ]
+    | Annotated[
+        Literal["fbx"],
+        FileFormat(
+            "FBX, body and animation",
+            _BYTES,
+            "motion",
+            "pipeline.export.writers.fbx:WRITER",
+            has_body=True,
+            has_presets=True,
+            size=FileSize(138_000, 505),
+            in_take=True,
+        ),
     ]
     | Annotated[
         Literal["usd"],
@@ -25,18 +64,72 @@ Export = (
             "USD, body and animation",
             _BYTES,
             "motion",
+            "pipeline.export.writers.usd:WRITER",
             has_body=True,
             ending="usdc",
             package=OptionalPackage("usd-core", module="pxr", extra="usd"),
+            size=FileSize(100_000, 350),
+            in_take=True,
         ),
     ]
-    | Annotated[Literal["vrma"], FileFormat("VRMA, animation for VRM characters", "model/gltf-binary", "motion")]
-    | Annotated[Literal["trc"], FileFormat("TRC, joints for OpenSim", _TEXT, "joints")]
+    | Annotated[
+        Literal["vrma"],
+        FileFormat(
+            "VRMA, animation for VRM characters",
+            "model/gltf-binary",
+            "motion",
+            "pipeline.export.writers.vrma:WRITER",
+            size=FileSize(4_000, 390),
+        ),
+    ]
+    | Annotated[
+        Literal["trc"],
+        FileFormat(
+            "TRC, joints for OpenSim", _TEXT, "joints", "pipeline.export.writers.trc:WRITER", size=FileSize(of_joint=24)
+        ),
+    ]
     # The header counts frames in 16 bits, and readers take no longer files.
-    | Annotated[Literal["c3d"], FileFormat("C3D, joints and segments", _BYTES, "joints")]
-    | Annotated[Literal["csv"], FileFormat("CSV, joints in a table", _CSV, "joints")]
-    | Annotated[Literal["angles"], FileFormat("CSV, joint angles in a table", _CSV, "angles", ending="angles.csv")]
-    | Annotated[Literal["mot"], FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles")]
+    | Annotated[
+        Literal["c3d"],
+        FileFormat(
+            "C3D, joints and segments",
+            _BYTES,
+            "joints",
+            "pipeline.export.writers.c3d_file:WRITER",
+            size=FileSize(2_000, 1_350),
+        ),
+    ]
+    | Annotated[
+        Literal["csv"],
+        FileFormat(
+            "CSV, joints in a table",
+            _CSV,
+            "joints",
+            "pipeline.export.writers.csv_table:WRITER",
+            size=FileSize(1_000, of_joint=22),
+        ),
+    ]
+    | Annotated[
+        Literal["angles"],
+        FileFormat(
+            "CSV, joint angles in a table",
+            _CSV,
+            "angles",
+            "pipeline.export.writers.angle_tables:CSV",
+            ending="angles.csv",
+            size=FileSize(1_000, 480),
+        ),
+    ]
+    | Annotated[
+        Literal["mot"],
+        FileFormat(
+            "MOT, joint angles for OpenSim",
+            _TEXT,
+            "angles",
+            "pipeline.export.writers.angle_tables:MOT",
+            size=FileSize(1_000, 260),
+        ),
+    ]
     | Annotated[
         Literal["osim"],
         FileFormat(
@@ -46,6 +139,7 @@ Export = (
             ending="osim.zip",
             package=OptionalPackage("opensim", module="opensim", extra="opensim"),
             file=OPENSIM_MODEL,
+            size=FileSize(40_000, 480),
         ),
     ]
     | Annotated[
@@ -60,3 +154,10 @@ Export = (
     ]
 )
 """Names of the formats."""
+
+PLUGINS = load_plugins(WRITERS, FileFormat)
+"""Formats of other packages by name."""
+
+if not TYPE_CHECKING:
+    for _name, _format in PLUGINS.items():
+        Export |= Annotated[Literal[_name], _format]

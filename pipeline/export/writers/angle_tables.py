@@ -8,6 +8,7 @@ are filled in, since OpenSim stops reading at a number that is unknown. Numbers 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from pipeline.core.data.cameras import Timebase
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.export.writers.registry import Expected, PersonContent, Writer
 from pipeline.motion.angles.compute import JointAngles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 
@@ -107,3 +109,19 @@ def _blocks(
     """Rows of the frames of a file, and their numbers as text, block by block."""
     for rows in frame_blocks(len(frames)):
         yield rows, fixed(unknown_outside(values, of_frames, frames[rows]), _DECIMALS, separator)
+
+
+def _filled(person: PersonContent) -> Expected:
+    return partial(held, filled_angles(person.angles()).angle_deg[..., None], person.angles().frames)
+
+
+CSV = Writer(
+    lambda person: encode_csv(person.angles(), person.timebase, person.frames),
+    lambda path, _: read_csv(path),
+    lambda person: partial(unknown_outside, with_sigmas(person.angles())[..., None], person.angles().frames),
+)
+MOT = Writer(
+    lambda person: encode_mot(person.angles(), person.timebase, person.file_name, person.frames),
+    lambda path, _: read_mot(path),
+    _filled,
+)

@@ -13,9 +13,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
-from pipeline.export.presets import Convention
+from pipeline.export.presets import PRESETS, Convention
 from pipeline.export.writers.blocks import fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
+from pipeline.export.writers.registry import Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of
 
@@ -134,3 +135,10 @@ def _positions(
         angles_deg = values[:, 3 + 3 * place : 6 + 3 * place]
         turns[:, index] = Rotation.from_euler(order_of_axes, angles_deg, degrees=True).as_matrix()
     return chained(values[:, :3], offsets, turns)
+
+
+WRITER = Writer(
+    lambda person: encode(person.motion, PRESETS[person.preset], person.frames),
+    lambda path, preset: read_xyz_m(path, PRESETS[preset]),
+    between_frames=lambda person: rotation_orders(person.motion, PRESETS[person.preset], "Blender").between,
+)

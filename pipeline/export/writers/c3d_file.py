@@ -41,7 +41,8 @@ from pipeline.export.writers.c3d_parameters import (
     read_numbers,
 )
 from pipeline.export.writers.c3d_segments import SEGMENT_LABELS, segment_poses, segment_reliability
-from pipeline.motion.gait.analysis import MarkedEvent
+from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
+from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
 
 _MM_PER_M = 1000.0
 _SECONDS_PER_MINUTE = 60.0
@@ -216,3 +217,13 @@ def _padded(pieces: Iterator[bytes], filling: bytes) -> Iterator[bytes]:
 
 def _num_blocks(num_bytes: int) -> int:
     return -(-num_bytes // BLOCK_BYTES)
+
+
+def _encode_person(person: PersonContent) -> Iterator[bytes]:
+    """Write a person's file, with the events of gait and jumps."""
+    events = marked_events(analyse_gait(person.track, person.joints, person.timebase.frame_rate_hz))
+    content = person.track, person.joints, person.timebase, person.origin_m, person.frames, events, person.motion
+    return encode(*content)
+
+
+WRITER = Writer(_encode_person, lambda path, _: read_xyz_m(path), joint_positions, has_origin=True)

@@ -16,6 +16,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.export.writers.registry import Writer, joint_positions
 
 
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:
@@ -42,3 +43,10 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
         file.readline()
         for values in read_rows(file, ","):
             yield values[:, 2:].reshape(len(values), -1, 3)
+
+
+WRITER = Writer(
+    lambda person: encode(person.track, person.joints, person.timebase, person.frames),
+    lambda path, _: read_xyz_m(path),
+    joint_positions,
+)

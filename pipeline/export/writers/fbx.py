@@ -53,6 +53,7 @@ from pipeline.export.writers.fbx_scene import (
     vector,
 )
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
+from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.motion.body.joints import TWIST_JOINTS
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
@@ -420,3 +421,13 @@ def _curves(
         if not np.array_equal(curve, ticks(len(values[0]), rate_hz)):
             raise FbxError("a curve has keys at other times than the frames")
     return values
+
+
+WRITER = Writer(
+    lambda person: encode(person.motion, person.preset, person.origin_m, person.frames, person.is_present, person.body),
+    read_xyz_m,
+    between_frames=lambda person: rotation_orders(person.motion, convention_of_fbx(person.preset), "ufbx").between,
+    holds_name=True,
+    has_origin=True,
+    take=TakeWriter(encode_take, read_xyz_m),
+)

@@ -34,6 +34,7 @@ from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, BodyMesh, body_at_rest
+from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
 from pipeline.motion.skeleton.model import INDEX, children_of, skeleton_of
 
@@ -437,3 +438,14 @@ def positions_m(reader: GlbReader, joints: Sequence[int]) -> Iterator[Float[np.n
                 turn = of_parent @ turn
             places_m[number], file_from_node[number] = offsets_m, turn
         yield GLTF.xyz_m_from_file(np.stack(list(places_m.values()), axis=1)) + origin_m
+
+
+WRITER = Writer(
+    lambda person: encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
+    lambda path, _: read_xyz_m(path),
+    holds_name=True,
+    has_origin=True,
+    take=TakeWriter(
+        lambda scene, _, body: encode_take(scene, body), lambda path, _, person: read_xyz_m(path, person), fits
+    ),
+)

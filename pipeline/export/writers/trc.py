@@ -17,6 +17,7 @@ from pipeline.core.joints import JointSet
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import unknown_outside
 from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.export.writers.registry import Writer, joint_positions
 
 _HEAD_LINES = 6
 
@@ -62,3 +63,10 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
             file.readline()
         for values in read_rows(file, "\t"):
             yield values[:, 2:].reshape(len(values), -1, 3) @ Y_UP_FROM_WORLD
+
+
+WRITER = Writer(
+    lambda person: encode(person.track, person.joints, person.timebase, person.file_name, person.frames),
+    lambda path, _: read_xyz_m(path),
+    joint_positions,
+)

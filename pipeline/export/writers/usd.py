@@ -36,6 +36,7 @@ from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
 from pipeline.export.timelines import held
 from pipeline.export.writers.blocks import frame_blocks
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
+from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, parents_of, skeleton_of
 
@@ -382,3 +383,12 @@ class _StoredMotion:
             places_m[:, joint] = places_m[:, parent] + (turns[:, parent] @ offsets_m[:, joint, :, None])[..., 0]
             turns[:, joint] = turns[:, parent] @ turns[:, joint]
         return places_m
+
+
+WRITER = Writer(
+    lambda person: encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
+    lambda path, _: read_xyz_m(path),
+    holds_name=True,
+    has_origin=True,
+    take=TakeWriter(lambda scene, _, body: encode_take(scene, body), lambda path, _, person: read_xyz_m(path, person)),
+)

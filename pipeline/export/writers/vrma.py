@@ -18,6 +18,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
+from pipeline.export.writers.registry import Writer
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
 
@@ -74,3 +75,11 @@ def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
         num_joints = len(WHOLE_SKELETON if HUMAN_BONES["LeftHandThumb1"] in bones else SKELETON)
         hips = bones[HUMAN_BONES["Hips"]]["node"]
         yield from positions_m(reader, range(hips, hips + num_joints))
+
+
+WRITER = Writer(
+    lambda person: encode(person.motion, person.origin_m, person.frames),
+    lambda path, _: read_xyz_m(path),
+    holds_name=True,
+    has_origin=True,
+)

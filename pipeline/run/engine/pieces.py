@@ -15,20 +15,21 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import FILE_FORMATS, of_people
 from pipeline.core.options.edits import PeopleEdit, document_of, without_names
-from pipeline.export.formats import FORMATS
+from pipeline.core.options.file_formats import PLUGINS
 from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt
 from pipeline.export.quality.report import encode as encode_report
 from pipeline.export.quality.report import quality_report
 from pipeline.export.quality.views import ViewsOf
 from pipeline.export.results import METRICS
 from pipeline.export.viewer.description import with_names
+from pipeline.export.writers.registry import find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.run.engine.context import Context
 from pipeline.run.engine.stage import DESCRIPTION, MOTION, ResultFile, Task
 from pipeline.run.engine.take import viewer_files_in
 
-_HOLDING_NAMES = frozenset(str(export) for export, of_format in FORMATS.items() if of_format.holds_name)
 _NOBODY = ""
 
 
@@ -81,7 +82,9 @@ class FilesInPieces(KeptFiles):
         return KeptFile(found["distance_mm"], farthest, found["difference_deg"])
 
     def keep(self, person: PersonOfTake, name: str, path: Path, kept: KeptFile) -> None:
-        """Keep a copy of a person's file."""
+        """Keep a copy of a person's file, unless another package has the format: its next version may differ."""
+        if name in PLUGINS:
+            return
         piece = self._scratch / f"piece-{person.track.track_id}-{name}"
         with piece.open("wb") as file:
             file.write(json.dumps(asdict(kept)).encode() + b"\n")
@@ -92,7 +95,8 @@ class FilesInPieces(KeptFiles):
         if self._digested is None or self._digested[0] is not person:
             unnamed = replace(person, motion=replace(person.motion, name=_NOBODY))
             self._digested = person, self._pieces.key(unnamed)
-        named = person.motion.name if name in _HOLDING_NAMES else _NOBODY
+        holds_name = any(name == export and find_writer(export).holds_name for export in of_people(FILE_FORMATS))
+        named = person.motion.name if holds_name else _NOBODY
         return self._pieces.key(name, self._digested[1], named)
 
 

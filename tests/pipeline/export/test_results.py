@@ -18,10 +18,10 @@ from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
 from pipeline.core.options.config import Export, ReconstructionConfig, ending_of, installed_formats, of_people
-from pipeline.export.formats import FORMATS
 from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
 from pipeline.export.writers.fbx_stored import StoredScene, numbers
+from pipeline.export.writers.registry import find_writer
 from pipeline.motion.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
@@ -31,7 +31,7 @@ from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 EXPORTS = of_people(installed_formats())
 # Files with a whole take.
-OF_TAKE = {f"take.{ending_of(name)}" for name in EXPORTS if FORMATS[name].of_take}
+OF_TAKE = {f"take.{ending_of(name)}" for name in EXPORTS if find_writer(name).take}
 CSV: tuple[Export, ...] = ("csv",)
 ANGLES = ("angles", "mot")
 LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]

@@ -17,14 +17,14 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.core.options.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.core.progress import ignore
-from pipeline.export.formats import FORMATS as FORMATS_BY_NAME
-from pipeline.export.formats import PersonContent
 from pipeline.export.person_files import people_of
 from pipeline.export.quality.views import ViewsOf, views_of
 from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc, vrma
+from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.skeleton import animate
+from pipeline.motion.skeleton.model import forward_kinematics
 from pipeline.run.engine.local import reconstruct, session_facts
 from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
 from pipeline.run.engine.plan import STAGE_BY_NAME, plan
@@ -161,12 +161,13 @@ def test_formats_say_whether_their_files_hold_names(session: KeypointSession, ca
         of_person = PersonContent(
             *(one.track, motion, one.joints, one.timebase, "f", one.frames, one.is_present, one.origin_m, "default"),
             one.body,
+            lambda: forward_kinematics(motion),
             lambda: joint_angles(motion, one.track, one.joints),
         )
-        return b"".join(FORMATS_BY_NAME[name].encode(of_person))
+        return b"".join(find_writer(name).encode(of_person))
 
     holds_name = content(one.motion) != content(dataclasses.replace(one.motion, name="Somebody else"))
-    assert holds_name == FORMATS_BY_NAME[name].holds_name
+    assert holds_name == find_writer(name).holds_name
 
 
 def test_names_change_the_keys_of_files_alone(session: KeypointSession) -> None:

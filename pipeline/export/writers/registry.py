@@ -1,0 +1,99 @@
+"""Declaration of a writer, which each module of this folder makes of its format, and lookup of writers by format.
+
+``pipeline.core.options.file_formats`` declares names, labels, media types and limits of the formats; the web API needs
+these too.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from pkgutil import resolve_name
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset
+from pipeline.export.scene import TakeScene
+from pipeline.export.timelines import held, unknown_outside
+from pipeline.export.writers.body_mesh import BodyChoice
+from pipeline.export.writers.rotation_orders import BetweenFrames
+from pipeline.motion.angles.compute import JointAngles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PersonContent:
+    """Content of a person's file."""
+
+    track: Track3D  # Positions of the joints
+    motion: SkeletonMotion  # Motion of the skeleton in the same frames
+    # Joints of the track, and clock of its frames
+    joints: JointSet
+    timebase: Timebase
+    file_name: str  # Name of the file
+    frames: range  # Output frames of the file, those of the person among them
+    is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
+    origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
+    preset: Preset  # Convention of BVH and FBX files
+    body: BodyChoice  # Body of files that have one
+    # World positions of the skeleton's joints, and joint angles, in the frames of the track, each computed once
+    skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
+    angles: Callable[[], JointAngles]
+
+
+Expected = Callable[[range], Float[np.ndarray, "_ values components"]]
+"""Gives the values that a file holds in a range of its frames."""
+
+
+def skeleton_positions(person: PersonContent) -> Expected:
+    """World positions (metres) of the skeleton's joints; outside of the person's frames the nearest pose holds."""
+    return partial(held, person.skeleton_m(), person.motion.frames)
+
+
+def joint_positions(person: PersonContent) -> Expected:
+    """World positions (metres) of the track's joints, NaN before and after the person's frames."""
+    return partial(unknown_outside, person.track.xyz_m, person.track.frames)
+
+
+@dataclass(frozen=True, slots=True)
+class TakeWriter:
+    """Writer and reader of files of a format with the scene of a whole take."""
+
+    encode: Callable[[TakeScene, Preset, Body], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
+    # Yields blocks of frames of a person of a file, like ``Writer.read``, by the place among the scene's people
+    read: Callable[[Path, Preset, int], Iterator[Float[np.ndarray, "_ joints 3"]]]
+    fits: Callable[[TakeScene], bool] = lambda _: True  # Whether a file can be as large as a scene needs
+
+
+@dataclass(frozen=True, slots=True)
+class Writer:
+    """Writer and reader of a format. Every file is read back and compared with what it should hold."""
+
+    encode: Callable[[PersonContent], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
+    # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3), or as angles in
+    # degrees, (frames, columns, 1); NaN for unknown values
+    read: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ values components"]]]
+    expected: Callable[[PersonContent], Expected] = skeleton_positions  # Values that ``read`` should yield
+    # Place at which interpolated angles are farthest off; ``None`` for formats without angles
+    between_frames: Callable[[PersonContent], BetweenFrames | None] = lambda _: None
+    # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
+    holds_name: bool = False
+    # Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``
+    has_origin: bool = False
+    take: TakeWriter | None = None  # Files of a whole take; ``None`` for formats that hold one person
+
+
+def find_writer(export: Export) -> Writer:
+    """Writer of a format of people's files, whose module is imported; see ``pipeline.core.options.config.of_people``.
+
+    Raises
+    ------
+    ImportError
+        If the package that the format needs is not installed.
+    """
+    writer: Writer = resolve_name(str(FILE_FORMATS[export].writer))
+    return writer
