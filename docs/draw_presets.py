@@ -122,7 +122,7 @@ def _page(drawn: list[str], width_px: int, height_px: int) -> str:
 
 
 def _labels(places: dict[str, tuple[float, float]]) -> list[str]:
-    """Names in two columns with thin lines to their joints; those of the left side and the middle are on the right."""
+    """Names in two columns with thin lines to their joints; joints of the left side and the middle are on the right."""
     drawn = []
     for is_right_column in (True, False):
         column = sorted(
