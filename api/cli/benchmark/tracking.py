@@ -9,11 +9,8 @@ import numpy as np
 import typer
 
 from api.cli.console import JsonOption, emit, print_table, reporting, require_writable
-from pipeline.association.tracking import reference
 from pipeline.association.tracking.associate import reconstruct_tracks
-from pipeline.association.tracking.observations import gather, undistorted
 from pipeline.association.tracking.parameters import derive_parameters
-from pipeline.association.tracking.tracker import make_frames, make_rig
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.evaluation.pairwise import associate_pairwise
 from pipeline.validation.simulation.motion.director import Cast
@@ -71,16 +68,6 @@ def _track_s(simulation: Simulation, repeats: int = _REPEATS) -> float:
     return _seconds(lambda: reconstruct_tracks(*views, simulation.timebase, parameters), repeats)
 
 
-def _reference_s(simulation: Simulation) -> float:
-    """Time of the association alone, in plain NumPy."""
-    parameters = derive_parameters(simulation.cameras, RATE_HZ)
-    bodies = gather(simulation.cameras, simulation.times, simulation.detections)
-    times = [simulation.times[camera.name] for camera in simulation.cameras]
-    frames = make_frames(times, bodies, undistorted(simulation.cameras, bodies), parameters.min_score)
-    rig = make_rig(simulation.cameras)
-    return _seconds(lambda: reference.ReferenceTracker(simulation.cameras, rig, frames, parameters).run(), 1)
-
-
 def _pairwise_ms(num_cameras: int) -> float:
     simulation = _dome(num_cameras, _PAIRWISE_FRAMES / RATE_HZ)
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
@@ -94,9 +81,7 @@ def measure_sizes() -> list[dict[str, Any]]:
     for num_cameras, num_people, duration_s in _SIZES:
         simulation = crowd(num_cameras, num_people, duration_s)
         fps = simulation.timebase.num_frames / _track_s(simulation)
-        short = crowd(num_cameras, num_people, 2.0)
-        reference_fps = short.timebase.num_frames / _reference_s(short)
-        sizes.append({"cameras": num_cameras, "people": num_people, "fps": fps, "reference_fps": reference_fps})
+        sizes.append({"cameras": num_cameras, "people": num_people, "fps": fps})
     return sizes
 
 
@@ -153,9 +138,9 @@ def tracking(
     if as_json:
         emit({"sizes": sizes, "scaling": scaling, "growth": growth})
         return
-    names = ("cameras", "people", "fps", "reference_fps")
+    names = ("cameras", "people", "fps")
     print_table(
-        ("cameras", "people", "frames a second", "in plain numpy (association alone)"),
+        ("cameras", "people", "frames a second"),
         ([f"{size[name]:.0f}" for name in names] for size in sizes),
     )
     print_table(

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from pipeline.association.tracking.affinity import epipolar_affinity, ray_distance_m
 from pipeline.association.tracking.assignment import assign, partition
 from pipeline.association.tracking.kernels.state import MIN_JOINTS, RigGeometry
 from pipeline.association.tracking.parameters import TrackingParameters
+from pipeline.geometry.epipolar import epipolar_distance_px
 
 # Most detections that are grouped at once: a hundred people in five cameras. The simulated scenes have 24.
 _MAX_UNMATCHED = 512
@@ -34,6 +34,57 @@ class Groups(NamedTuple):
 
     people: list[list[Unmatched]]  # Detections of each person, from at least two cameras
     is_exact: bool  # Whether all detections were considered and the grouping is optimal
+
+
+def epipolar_affinity(
+    fundamental: Float[np.ndarray, "3 3"],
+    left_px: Float[np.ndarray, "left joints 2"],
+    right_px: Float[np.ndarray, "right joints 2"],
+    alpha_px: float,
+) -> Float[np.ndarray, "left right"]:
+    """Affinity A_e of detections in two cameras (eq. 12-13).
+
+    Parameters
+    ----------
+    fundamental
+        Fundamental matrix of the left and the right camera; see ``geometry.epipolar``.
+    left_px, right_px
+        Undistorted pixels, NaN where a joint is unseen.
+    alpha_px
+        Epipolar distance at which the affinity is 0.
+
+    Returns
+    -------
+        A_e, a mean over shared joints; ``-inf`` for a pair that shares fewer than three joints. A joint's term is at
+        least -1, so that a single wrong joint does not decide.
+    """
+    left, right = np.broadcast_arrays(left_px[:, None], right_px[None])
+    terms = np.maximum(1 - epipolar_distance_px(fundamental, left, right) / alpha_px, -1.0)
+    shared: Bool[np.ndarray, "left right joints"] = np.isfinite(terms)
+    return mean_over_joints(np.where(shared, terms, 0.0), shared)
+
+
+def mean_over_joints(
+    terms: Float[np.ndarray, "*batch joints"], shared: Bool[np.ndarray, "*batch joints"]
+) -> Float[np.ndarray, "*batch"]:
+    """Mean of the shared joints' terms, the others being 0; ``-inf`` for too few shared joints."""
+    count = shared.sum(-1)
+    return np.where(count >= MIN_JOINTS, terms.sum(-1) / np.maximum(count, 1), -np.inf)
+
+
+def ray_distance_m(
+    points_m: Float[np.ndarray, "*#batch 3"],
+    center_m: Float[np.ndarray, "*#batch 3"],
+    rays: Float[np.ndarray, "*batch 3"],
+) -> Float[np.ndarray, "*batch"]:
+    """Distance d of points to unit rays from a camera centre (eq. 4).
+
+    Distances are in metres; infinite for points behind the camera, NaN where an input is NaN.
+    """
+    offset_m = points_m - center_m
+    along_m = (offset_m * rays).sum(-1)
+    across_m = np.linalg.norm(offset_m - along_m[..., None] * rays, axis=-1)
+    return np.where(along_m < 0, np.inf, across_m)
 
 
 def group_unmatched(

@@ -69,7 +69,7 @@ def _is_better(one, other, time_s, limits):
 @inlined
 @no_type_check
 def merge_duplicates(targets, time_s, limits, replaced_by, room):
-    """Merge targets at the same place; see ``reference.Tracker``."""
+    """Merge targets at the same place: the better of two stays."""
     count = targets.alive[0]
     gone = room.gone
     gone[:count] = False

@@ -26,7 +26,14 @@ FENCED = 8
 
 @cache
 def target_dtype(lanes: int) -> np.dtype:
-    """Record of a target's state; ``reference.Target`` documents the fields."""
+    """Record of a target's state (section 3.2).
+
+    ``xyz_m`` and ``updated_s`` are the last position of each joint, NaN before the first, and its time t';
+    ``velocity_m_s`` is 0 while unknown. ``recent_m`` and ``recent_s`` are the positions and times behind the velocity,
+    ``is_fitted`` tells whether it includes the newest of them. ``moved_s`` is the time at which a joint was last
+    located, ``supported_s`` the last instant at which two cameras saw the target together; ``num_supported`` such
+    instants confirm it.
+    """
     return record_dtype(
         ("xyz_m", np.float64, (3, lanes)),
         ("updated_s", np.float64, (lanes,)),

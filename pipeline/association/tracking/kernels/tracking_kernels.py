@@ -1,7 +1,7 @@
 """Compiled loops of cross-view tracking over frames (Chen et al. 2020, algorithm 1).
 
-``tracking.reference`` is the same method in plain NumPy, to be read first; tests compare the two. ``state`` describes
-the arrays.
+``tests/pipeline/association/tracking/reference.py`` is the same method in plain NumPy, to be read first; tests compare
+the two. ``state`` describes the arrays.
 """
 
 from typing import no_type_check

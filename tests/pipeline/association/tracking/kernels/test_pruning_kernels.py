@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.association.tracking import reference
-from pipeline.association.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.association.tracking.kernels import tracking_kernels as kernels
 from pipeline.association.tracking.observations import Detections2D, gather, undistorted
 from pipeline.association.tracking.parameters import TrackingParameters, derive_parameters
@@ -19,6 +17,8 @@ from pipeline.geometry.camera import project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from pipeline.validation.simulation.scenes import SCENES, record
 from tests.cases import slow_but
+from tests.pipeline.association.tracking import reference
+from tests.pipeline.association.tracking.reference import affinity, correspondence_2d, correspondence_3d, predict
 from tests.pipeline.conftest import body, ring_camera
 
 NUM_JOINTS = 17

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.tracking import reference
-from pipeline.association.tracking.affinity import epipolar_affinity
 from pipeline.association.tracking.associate import reconstruct_tracks
+from pipeline.association.tracking.initialization import epipolar_affinity
 from pipeline.association.tracking.kernels import observation_kernels
 from pipeline.association.tracking.kernels import tracking_kernels as kernels
 from pipeline.association.tracking.kernels.assignment_kernels import assign
@@ -23,6 +22,7 @@ from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.simulation.scenes import SCENES, record
 from tests.cases import slow_but
+from tests.pipeline.association.tracking import reference
 
 
 @pytest.mark.parametrize(

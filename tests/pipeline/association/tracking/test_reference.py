@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.association.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from pipeline.core.options.parameters import change_parameters
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
+from tests.pipeline.association.tracking.reference import affinity, correspondence_2d, correspondence_3d, predict
 
 
 @pytest.fixture

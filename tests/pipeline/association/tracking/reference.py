@@ -2,7 +2,9 @@
 
 Each frame comes from one camera at its own time: no synchronisation is assumed. The frame's detections are matched to
 targets in 3D space. Unmatched detections start new targets together with those of the other cameras' most recent
-frames. Tests compare the compiled tracker (``kernels``) with this module; the benchmark compares their speed.
+frames. Affinities (eq. 1-5) are means over shared joints, where the paper uses sums: signs and the order within a
+detection are the same, and a half-hidden body is not penalised. Tests compare the compiled tracker
+(``pipeline.association.tracking.kernels``) with this module.
 
 The compiled tracker skips pairs of target and detection that are too far apart for a positive affinity
 (``pruning_kernels``). Only pairs with a positive affinity are ever matched, so skipping them changes no result.
@@ -14,7 +16,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.association.tracking.affinity import affinity, correspondence_2d, correspondence_3d, predict
 from pipeline.association.tracking.assignment import assign
 from pipeline.association.tracking.initialization import (
     Lost,
@@ -22,6 +23,8 @@ from pipeline.association.tracking.initialization import (
     find_returning,
     group_unmatched,
     is_body,
+    mean_over_joints,
+    ray_distance_m,
     spread_m,
 )
 from pipeline.association.tracking.kernels.state import NUM_RECENT, Frames, RigGeometry
@@ -30,6 +33,71 @@ from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import rays_in_world
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust
+
+
+def predict(
+    xyz_m: Float[np.ndarray, "*batch joints 3"],
+    velocity_m_s: Float[np.ndarray, "*batch joints 3"],
+    age_s: Float[np.ndarray, "*batch joints"],
+    max_extrapolation_s: float,
+) -> Float[np.ndarray, "*batch joints 3"]:
+    """Predict positions by linear motion (eq. 5); predictions stand still after ``max_extrapolation_s``."""
+    return xyz_m + velocity_m_s * np.minimum(age_s, max_extrapolation_s)[..., None]
+
+
+def correspondence_2d(
+    points_px: Float[np.ndarray, "detections joints 2"],
+    last_px: Float[np.ndarray, "targets joints 2"],
+    gap_s: Float[np.ndarray, " targets"],
+    parameters: TrackingParameters,
+) -> Float[np.ndarray, "targets detections joints"]:
+    """2D correspondence A2D of detections with the targets' last match in the same camera (eq. 2).
+
+    Pixels are undistorted, NaN where a joint is unseen; ``gap_s`` is the time since each target's last match in this
+    camera. A2D is NaN where the target or the detection lacks the joint.
+    """
+    moved_px = np.linalg.norm(points_px[None] - last_px[:, None], axis=-1)
+    allowed_px = parameters.alpha_2d_px_s * gap_s[:, None, None]
+    decay = np.exp(-parameters.lambda_a_hz * gap_s)[:, None, None]
+    return parameters.weight_2d * np.maximum(1 - moved_px / allowed_px, -1.0) * decay
+
+
+def correspondence_3d(
+    rays: Float[np.ndarray, "detections joints 3"],
+    center_m: Float[np.ndarray, " 3"],
+    predicted_m: Float[np.ndarray, "targets joints 3"],
+    age_s: Float[np.ndarray, "targets joints"],
+    parameters: TrackingParameters,
+) -> Float[np.ndarray, "targets detections joints"]:
+    """3D correspondence A3D of predicted joints and viewing rays (eq. 4).
+
+    Parameters
+    ----------
+    rays, center_m
+        Unit rays of the detections' joints in the world, NaN where a joint is unseen, and the camera's centre.
+    predicted_m, age_s
+        Predicted joints, NaN where unknown, and the time since they were located.
+
+    Returns
+    -------
+        A3D, NaN where the target or the detection lacks the joint.
+    """
+    targets, detections = np.broadcast_arrays(predicted_m[:, None], rays[None])
+    distance_m = ray_distance_m(targets, center_m, detections)
+    decay = np.exp(-parameters.lambda_a_hz * age_s)[:, None]
+    return parameters.weight_3d * np.maximum(1 - distance_m / parameters.alpha_3d_m, -1.0) * decay
+
+
+def affinity(
+    terms_2d: Float[np.ndarray, "targets detections joints"], terms_3d: Float[np.ndarray, "targets detections joints"]
+) -> Float[np.ndarray, "targets detections"]:
+    """Affinity A of targets and detections (eq. 1): mean over shared joints of A2D + A3D.
+
+    It is ``-inf`` for a pair that shares fewer than three joints.
+    """
+    shared = np.isfinite(terms_3d)
+    total = np.where(shared, terms_3d, 0.0) + np.where(shared & np.isfinite(terms_2d), terms_2d, 0.0)
+    return mean_over_joints(total, shared)
 
 
 @dataclass(slots=True, eq=False)
