@@ -208,7 +208,7 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -P -m api.web.contract.openapi --check
-	$(BIN)/python -P -m api.web.contract.problem_codes.page --check
+	$(BIN)/python -P -m api.web.contract.problems_page --check
 	$(BIN)/python -P -m api.web.contract.options_page --check
 	@test ! -e $(LINTER)/node_modules/.installed || REDOCLY_SUPPRESS_UPDATE_NOTICE=true $(BIN)/node \
 		$(LINTER)/node_modules/@redocly/cli/bin/cli.js lint --config openapi/redocly.yaml openapi/openapi.json

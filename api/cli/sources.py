@@ -26,7 +26,7 @@ from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.rules import collecting, require
-from pipeline.core.problems.commands import PARAMETER_UNREADABLE, SOURCES
+from pipeline.core.problems.findings import PARAMETER_UNREADABLE, SOURCES
 from pipeline.core.problems.sessions import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
 

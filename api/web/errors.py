@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.fields import FIELDS, MORE_PROBLEMS
-from pipeline.core.problems.model import Code, status_of
+from pipeline.core.problems import requests
+from pipeline.core.problems.model import Code, read_sentences, status_of
 from pipeline.core.problems.requests import (
     ARTIFACT_DAMAGED,
     ARTIFACTS_REFUSED,
@@ -29,12 +29,14 @@ from pipeline.core.problems.requests import (
     CONTENT_TOO_LARGE,
     DATABASE_DAMAGED,
     DATABASE_UNAVAILABLE,
+    FIELDS,
     IDEMPOTENCY_KEY_BUSY,
     IDEMPOTENCY_KEY_REUSED,
     INTERNAL_ERROR,
     INVALID_REQUEST,
     MALFORMED_REQUEST,
     METHOD_NOT_ALLOWED,
+    MORE_PROBLEMS,
     NO_RESULTS,
     NOT_FINISHED,
     NOT_FOUND,
@@ -91,7 +93,9 @@ _DETAILS: Mapping[int, str] = {
 }
 
 
-MEANINGS: Mapping[str, str] = {code.name: code.meaning for code in FIELDS.codes}
+_SENTENCES = read_sentences(requests)
+
+MEANINGS: Mapping[str, str] = {code: _SENTENCES[code][0] for code in FIELDS.places}
 """Meanings of the codes in ``errors[]`` that concern a field. The codes are part of the API and never change."""
 
 

@@ -32,13 +32,7 @@ from pipeline.core.problems.findings import (
     PARTS_JOINED,
     SOUND_DELAY_UNKNOWN,
 )
-from pipeline.core.problems.sessions import (
-    FRAME_RATE,
-    INVALID_NAME,
-    NO_FRAME_RATE,
-    OFFSET_RANGE,
-    SIZE_MISMATCH,
-)
+from pipeline.core.problems.sessions import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
 from pipeline.video.frame_rate import measured_rate_hz, without_rounding
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.probe import at_rate

@@ -28,8 +28,8 @@ from pipeline.core.options.config import (
 )
 from pipeline.core.options.rules import file_problems, format_problems, require
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.fields import VALUE_NOT_ALLOWED
-from pipeline.core.problems.warnings import TAKE_TOO_LARGE
+from pipeline.core.problems.findings import TAKE_TOO_LARGE
+from pipeline.core.problems.requests import VALUE_NOT_ALLOWED
 from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (

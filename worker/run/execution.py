@@ -18,7 +18,7 @@ from pipeline.capture.session import Session as OpenedSession
 from pipeline.core.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderName, provider_name
-from pipeline.core.problems.jobs import INPUT_DAMAGED
+from pipeline.core.problems.findings import INPUT_DAMAGED
 from pipeline.core.problems.requests import VIDEOS_DELETED
 from pipeline.core.runtime.kernel_cache import is_complete
 from pipeline.detection.profiles.detection import detection_joints, open_detection

@@ -1,7 +1,7 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused, listed
-from pipeline.core.problems.jobs import MEMORY_LIMIT, TIME_LIMIT
+from pipeline.core.problems.findings import MEMORY_LIMIT, TIME_LIMIT
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.store.errors import ArtifactsRefused

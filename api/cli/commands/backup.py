@@ -11,7 +11,7 @@ from rich.text import Text
 from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
 from api.cli.store import settings_in
 from api.web.settings import Settings
-from pipeline.core.problems.commands import BACKUP_FAILED, BAD_USAGE
+from pipeline.core.problems.findings import BACKUP_FAILED, BAD_USAGE
 from pipeline.core.problems.requests import DATABASE_DAMAGED
 from worker.store.backup.contents import BackupReport
 from worker.store.backup.create import create_backup

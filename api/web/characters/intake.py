@@ -21,7 +21,7 @@ from api.web.sessions.preflight import (
     character_wait_s,
 )
 from api.web.sessions.receiving import Sent, adopted, document, form_of, spool_folder
-from pipeline.core.problems.characters import BONES_INVALID
+from pipeline.core.problems.sessions import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import character_key, character_prefix
 from worker.store.model.characters import Character, StoredCharacterFile

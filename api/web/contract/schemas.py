@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from pipeline.core.findings import Severity
-from pipeline.core.problems.fields import CONTROL_CHARACTERS
 from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import CONTROL_CHARACTERS
 from pipeline.run.space import ForeseenSpace
 
 _UUID = {"format": "uuid"}

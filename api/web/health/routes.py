@@ -18,14 +18,17 @@ from api.web.health import examples
 from api.web.health.metrics import RequestMetrics
 from api.web.health.schemas import Health, ProviderOut, Readiness
 from pipeline.core.options.rules import install_command
-from pipeline.core.problems.jobs import (
+from pipeline.core.problems.requests import (
+    ARTIFACTS_UNAVAILABLE,
     BROKER_UNAVAILABLE,
+    DATABASE_UNAVAILABLE,
     DISK_UNAVAILABLE,
     MODEL_UNAVAILABLE,
+    NOT_READY,
+    STORAGE_FULL,
     WORKER_STARTING,
     WORKER_UNAVAILABLE,
 )
-from pipeline.core.problems.requests import ARTIFACTS_UNAVAILABLE, DATABASE_UNAVAILABLE, NOT_READY, STORAGE_FULL
 from worker.store.files.disk import DiskSpace
 from worker.store.repositories.work.workers import installed_detectors
 from worker.store.spec import JobSpec

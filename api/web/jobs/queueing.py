@@ -22,12 +22,12 @@ from pipeline.core.errors import Problem
 from pipeline.core.findings import CERTAIN
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.core.options.rules import Installed, installation_problems, session_problems
-from pipeline.core.problems.requests import SPACE_MISSING
-from pipeline.core.problems.specs import (
+from pipeline.core.problems.requests import (
     CALLBACK_INVALID,
     CALLBACK_NOT_HTTPS,
     CALLBACK_NOT_PUBLIC,
     CHARACTER_UNKNOWN,
+    SPACE_MISSING,
     WEBHOOK_SECRET_MISSING,
 )
 from pipeline.run.space import foreseen_space, shown_bytes

@@ -14,7 +14,7 @@ from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.links import examples
 from api.web.links.schemas import LinkList, LinkOut, LinkSpec, NewLinkOut
-from pipeline.core.problems.fields import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
+from pipeline.core.problems.requests import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.store.errors import NotFound
 from worker.store.model.rights import Link, LinkScope
 from worker.store.tenant_records import TenantRecords

@@ -15,8 +15,7 @@ from api.web.http.bodies.validation import model_items
 from api.web.http.socket_problems import WRONG_DATA, SocketProblem
 from api.web.live.problems import too_large
 from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
-from pipeline.core.problems.fields import MISSING_FIELD, UNKNOWN_FIELD
-from pipeline.core.problems.live import (
+from pipeline.core.problems.requests import (
     LIVE_CAMERA,
     LIVE_FIELDS,
     LIVE_JOINTS,
@@ -24,6 +23,8 @@ from pipeline.core.problems.live import (
     LIVE_PACKET,
     LIVE_TIME,
     LIVE_TOO_LARGE,
+    MISSING_FIELD,
+    UNKNOWN_FIELD,
 )
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 

@@ -1,7 +1,7 @@
 """Problems that end live captures from several places."""
 
 from api.web.http.socket_problems import FAILED, TOO_LARGE, WRONG_DATA, SocketProblem
-from pipeline.core.problems.live import (
+from pipeline.core.problems.requests import (
     LIVE_CAMERA,
     LIVE_FAILED,
     LIVE_FIELDS,

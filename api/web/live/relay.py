@@ -22,7 +22,7 @@ from api.web.live.problems import failed
 from api.web.live.process import CaptureProcess
 from api.web.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
 from api.web.settings import Settings
-from pipeline.core.problems.live import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
+from pipeline.core.problems.requests import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
 from pipeline.run.live.packets import Dropped, with_dropped
 from pipeline.run.live.pipes import CaptureAnswer
 

@@ -31,7 +31,7 @@ from api.web.live.relay import Relay, receive
 from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
 from api.web.sessions.receiving import spool_folder
 from api.web.settings import Settings
-from pipeline.core.problems.live import LIVE_FIELDS, LIVE_MESSAGE
+from pipeline.core.problems.requests import LIVE_FIELDS, LIVE_MESSAGE
 from pipeline.run.live.pipes import CaptureAnswer
 from worker.store.model.rights import Actor
 

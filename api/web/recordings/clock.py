@@ -6,7 +6,7 @@ from collections.abc import Awaitable
 from typing import TypeVar
 
 from api.web.http.socket_problems import SocketProblem
-from pipeline.core.problems.recordings import RECORDING_IDLE
+from pipeline.core.problems.requests import RECORDING_IDLE
 
 _Result = TypeVar("_Result")
 

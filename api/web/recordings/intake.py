@@ -14,7 +14,7 @@ from api.web.http.pace import Pace
 from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, SocketProblem
 from api.web.recordings.clock import in_time
 from api.web.settings import Settings
-from pipeline.core.problems.recordings import (
+from pipeline.core.problems.requests import (
     RECORDING_FIELDS,
     RECORDING_MESSAGE,
     RECORDING_THUMBNAIL,

@@ -35,7 +35,7 @@ from api.web.recordings.metrics import RecordingMetrics
 from api.web.recordings.rooms import RecordingOver, Room, Side
 from api.web.recordings.schemas import VideoSettings
 from api.web.settings import Settings
-from pipeline.core.problems.recordings import RECORDING_MESSAGE, RECORDING_TOO_FAST
+from pipeline.core.problems.requests import RECORDING_MESSAGE, RECORDING_TOO_FAST
 from worker.store.model.recordings import (
     ClipFile,
     RecordingLimits,

@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.web.http.socket_problems import LATER, SocketProblem
 from api.web.recordings.relay import RecordingRelay, RelayKind
-from pipeline.core.problems.recordings import RECORDING_BUSY
+from pipeline.core.problems.requests import RECORDING_BUSY
 from worker.store.errors import NotFound
 from worker.store.model.recordings import RecordingSession
 from worker.store.store import JobStore

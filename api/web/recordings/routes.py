@@ -31,7 +31,7 @@ from api.web.recordings.schemas import (
 )
 from api.web.recordings.taking import made_calibration, made_session, used_take
 from api.web.sessions.receiving import spool_folder
-from pipeline.core.problems.fields import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
+from pipeline.core.problems.requests import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.store.model.recordings import RecordingSession
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], route_class=SmallBodyRoute)

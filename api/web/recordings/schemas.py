@@ -11,7 +11,7 @@ from api.web.calibrations.schemas import BOARD_PATTERN
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, fields_of, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
-from pipeline.core.problems.fields import WRONG_FORMAT
+from pipeline.core.problems.requests import WRONG_FORMAT
 from worker.store.model.recordings import (
     ClipFile,
     RecordingPhone,

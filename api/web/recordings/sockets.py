@@ -22,8 +22,7 @@ from api.web.recordings.messages import EndedOut, RecordingProblemOut
 from api.web.recordings.metrics import RecordingMetrics
 from api.web.recordings.phones import PhoneConnection, limits_of, said_hello, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
-from pipeline.core.problems.recordings import RECORDING_BUSY, RECORDING_LINK_ENDED
-from pipeline.core.problems.requests import LINK_UNKNOWN
+from pipeline.core.problems.requests import LINK_UNKNOWN, RECORDING_BUSY, RECORDING_LINK_ENDED
 from worker.store.errors import NotFound, PhoneRemoved
 from worker.store.model.rights import Actor
 from worker.store.tenant_records import TenantRecords

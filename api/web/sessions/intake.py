@@ -33,7 +33,6 @@ from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, 
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.core.errors import Problem
-from pipeline.core.problems.fields import WRONG_FORMAT
 from pipeline.core.problems.findings import PAIRED_IN_SORTED_ORDER
 from pipeline.core.problems.requests import (
     CALIBRATION_UNKNOWN,
@@ -41,6 +40,7 @@ from pipeline.core.problems.requests import (
     CALIBRATION_UNPOSED,
     CAMERAS_OF_KEYPOINTS,
     FRAMES_TOO_LARGE,
+    WRONG_FORMAT,
 )
 from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.run.planning import chunk_length

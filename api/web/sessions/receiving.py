@@ -32,8 +32,8 @@ from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
 from api.web.http.idempotency import IdempotentRequest
 from api.web.sessions.schemas import UploadedSession
-from pipeline.core.problems.fields import MALFORMED_JSON
 from pipeline.core.problems.requests import (
+    MALFORMED_JSON,
     PART_NOT_ALLOWED,
     SESSION_UNKNOWN,
     UNSUPPORTED_MEDIA_TYPE,

@@ -13,7 +13,7 @@ from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, 
 from api.web.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
-from pipeline.core.problems.fields import JSON_VALUE
+from pipeline.core.problems.requests import JSON_VALUE
 from pipeline.run.space import foreseen_space
 from worker.store.model.jobs import NewestJob
 from worker.store.model.sessions import Capture

@@ -10,8 +10,7 @@ from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import CERTAIN, Finding, Severity
-from pipeline.core.problems.findings import NO_COMMON_VIEW
-from pipeline.core.problems.warnings import TOO_FEW_CAMERAS
+from pipeline.core.problems.findings import NO_COMMON_VIEW, TOO_FEW_CAMERAS
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 
 MIN_CAMERAS = 2

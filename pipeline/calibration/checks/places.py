@@ -9,9 +9,15 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
-from pipeline.core.problems.findings import SAME_PLACE, UP_AXIS_UNKNOWN, WORLD_UNIT
+from pipeline.core.problems.findings import (
+    CAMERA_BELOW_FLOOR,
+    NOT_UPRIGHT,
+    SAME_PLACE,
+    UP_AXIS_UNKNOWN,
+    UPSIDE_DOWN,
+    WORLD_UNIT,
+)
 from pipeline.core.problems.requests import CALIBRATION_UNPOSED
-from pipeline.core.problems.warnings import CAMERA_BELOW_FLOOR, NOT_UPRIGHT, UPSIDE_DOWN
 from pipeline.geometry.camera import center_in_world
 
 UP_AXIS_CODES = (UPSIDE_DOWN, NOT_UPRIGHT, UP_AXIS_UNKNOWN)

@@ -13,8 +13,8 @@ from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.problems.findings import KNOWN_POINTS_DOUBTFUL
 from pipeline.core.problems.sessions import KNOWN_POINTS_FEW, KNOWN_POINTS_MISFIT
-from pipeline.core.problems.warnings import KNOWN_POINTS_DOUBTFUL
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views

@@ -11,14 +11,7 @@ from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.sessions import (
-    PEOPLE_DISAGREE,
-    PEOPLE_NOT_FOUND,
-    PEOPLE_NOT_WHOLE,
-    PEOPLE_ONE_CAMERA,
-    PEOPLE_UNLINKED,
-)
-from pipeline.core.problems.warnings import (
+from pipeline.core.problems.findings import (
     PEOPLE_FEW_VIEWS,
     PEOPLE_POOR_FIT,
     PEOPLE_SAME_PLACE,
@@ -26,6 +19,13 @@ from pipeline.core.problems.warnings import (
     PEOPLE_UNCERTAIN_FLOOR,
     PEOPLE_UNCERTAIN_FOCAL,
     PEOPLE_UNCERTAIN_POSE,
+)
+from pipeline.core.problems.sessions import (
+    PEOPLE_DISAGREE,
+    PEOPLE_NOT_FOUND,
+    PEOPLE_NOT_WHOLE,
+    PEOPLE_ONE_CAMERA,
+    PEOPLE_UNLINKED,
 )
 from pipeline.geometry.camera import center_in_world
 

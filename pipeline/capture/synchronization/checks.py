@@ -10,14 +10,14 @@ from pipeline.capture.synchronization.coarse import CameraSplit
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion
 from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes
 from pipeline.core.errors import Problem
-from pipeline.core.problems.jobs import (
+from pipeline.core.problems.findings import (
     SYNC_AMBIGUOUS,
     SYNC_IMPRECISE,
     SYNC_LITTLE_OVERLAP,
     SYNC_NO_MOTION,
     SYNC_NOTHING_IN_COMMON,
+    SYNC_UNCERTAIN,
 )
-from pipeline.core.problems.warnings import SYNC_UNCERTAIN
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DECLARE = "Give the offset of each camera."

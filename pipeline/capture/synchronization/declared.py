@@ -13,7 +13,7 @@ from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes, Synchron
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.warnings import SYNC_AS_DECLARED, SYNC_BEYOND_DECLARED
+from pipeline.core.problems.findings import SYNC_AS_DECLARED, SYNC_BEYOND_DECLARED
 from pipeline.core.progress import OnShare, ignore
 
 # Standard deviations by which a measured offset may differ from the declared one; and the difference that is always

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.commands import PARAMETER_RANGE, UNKNOWN_PARAMETER
+from pipeline.core.problems.findings import PARAMETER_RANGE, UNKNOWN_PARAMETER
 
 _Parameters = TypeVar("_Parameters", bound=Any)
 

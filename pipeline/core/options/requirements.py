@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
-from pipeline.core.problems.fields import (
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import (
     INVALID_VALUE,
     OUT_OF_RANGE,
     VALUE_NOT_ALLOWED,
@@ -17,7 +18,6 @@ from pipeline.core.problems.fields import (
     WRONG_LENGTH,
     WRONG_TYPE,
 )
-from pipeline.core.problems.model import Code
 
 _NOUNS: Mapping[str, str] = {
     "array": "a list",

@@ -24,16 +24,16 @@ from pipeline.core.options.config import (
     installed_formats,
 )
 from pipeline.core.options.requirements import Steps, faults, path_text, requirement
-from pipeline.core.problems.commands import UNKNOWN_PARAMETER
-from pipeline.core.problems.fields import EXPORT_REPEATED
-from pipeline.core.problems.sessions import TOO_MANY_FRAMES
-from pipeline.core.problems.specs import (
+from pipeline.core.problems.findings import UNKNOWN_PARAMETER
+from pipeline.core.problems.requests import (
     BODY_NOT_INSTALLED,
     CUTOFF_RANGE,
     DETECTOR_NOT_INSTALLED,
+    EXPORT_REPEATED,
     FORMAT_NOT_INSTALLED,
     FRAME_RANGE,
 )
+from pipeline.core.problems.sessions import TOO_MANY_FRAMES
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
 """Choices of a reconstruction on this machine by name: those of jobs, and others."""

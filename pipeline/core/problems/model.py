@@ -1,26 +1,16 @@
 """Declaration of problem codes in groups; each group is a section of ``docs/problems.md``."""
 
-from collections.abc import Sequence
+import ast
+import inspect
 from dataclasses import dataclass, field
-from typing import NewType
+from itertools import pairwise
+from types import ModuleType
+from typing import Literal, NewType
 
 Code = NewType("Code", str)
 """Stable name of a problem, such as ``video_truncated``. It is part of the API and never changes."""
 
-
-@dataclass(frozen=True, slots=True)
-class ProblemCode:
-    """A declared code with its meaning and remedy, and places in which clients meet it; see ``CodeGroup.code``."""
-
-    name: Code
-    where: Sequence[str]
-    meaning: str
-    remedy: str
-
-    @property
-    def statuses(self) -> tuple[int, ...]:
-        """HTTP statuses of answers with the code, the usual one first."""
-        return tuple(int(place) for place in self.where if place.isdecimal())
+Place = Literal["live", "recording", "job", "waiting", "attempt", "readyz", "command", "warning", "finding"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,25 +19,24 @@ class CodeGroup:
 
     title: str
     introduction: str
-    codes: list[ProblemCode] = field(default_factory=list, init=False)
+    places: dict[Code, tuple[int | Place, ...]] = field(default_factory=dict, init=False)
 
-    def code(self, name: str, where: Sequence[str], meaning: str, remedy: str) -> Code:
-        """Declare a code.
+    def code(self, name: str, *places: int | Place) -> Code:
+        """Declare a code. A text follows the declaration: the code's meaning, a bar, and the remedy.
 
         Parameters
         ----------
-        where
-            Places in which clients meet the code: HTTP statuses of answers as digits, the usual one first; ``job`` (the
-            error of a job), ``waiting`` (what a job waits for), ``attempt`` (a failed attempt at a chunk), ``readyz``
-            (the errors of ``/readyz``), ``command`` (the command line), ``warning`` (a warning of a job and in
-            ``metrics.json``), ``finding`` (of a check).
-        meaning, remedy
-            One sentence each.
+        places
+            Places in which clients meet the code: HTTP statuses of answers, the usual one first; ``job`` (the error of
+            a job), ``waiting`` (what a job waits for), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the
+            errors of ``/readyz``), ``command`` (the command line), ``warning`` (a warning of a job and in
+            ``metrics.json``), ``finding`` (of a check), ``live`` and ``recording`` (a message of their WebSockets).
         """
-        self.codes.append(declared := ProblemCode(Code(name), where, meaning, remedy))
-        if declared.statuses:
-            _STATUSES[declared.name] = declared.statuses[0]
-        return declared.name
+        code = Code(name)
+        self.places[code] = places
+        if isinstance(places[0], int):
+            _STATUSES[code] = places[0]
+        return code
 
 
 _STATUSES: dict[Code, int] = {}
@@ -56,3 +45,14 @@ _STATUSES: dict[Code, int] = {}
 def status_of(code: Code) -> int:
     """Usual status of an answer with a code."""
     return _STATUSES[code]
+
+
+def read_sentences(module: ModuleType) -> dict[Code, tuple[str, str]]:
+    """Meaning and remedy of each code that a module declares, from the texts that follow the declarations."""
+    sentences: dict[Code, tuple[str, str]] = {}
+    for statements in pairwise(ast.parse(inspect.getsource(module)).body):
+        match statements:
+            case ast.Assign(targets=[ast.Name(id=name)]), ast.Expr(value=ast.Constant(value=str(row))):
+                meaning, _, remedy = " ".join(row.split()).partition(" | ")
+                sentences[vars(module)[name]] = meaning, remedy
+    return sentences

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.core.problems.characters import CHARACTER_TOO_LARGE
+from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import is_fbx
 from pipeline.export.character.fbx.reader import decode_fbx_character
 from pipeline.export.character.gltf_reader import CharacterFile, decode_character

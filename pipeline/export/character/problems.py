@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Iterator
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.characters import CHARACTER_UNREADABLE
 from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import CHARACTER_UNREADABLE
 
 MAX_NODES = 20_000
 """Largest number of nodes of a file."""

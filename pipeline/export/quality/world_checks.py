@@ -17,8 +17,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.warnings import (
+from pipeline.core.problems.findings import (
     CAMERA_BELOW_FLOOR,
     CAMERA_DISAGREES,
     FLOOR_NOT_AT_ZERO,
@@ -28,6 +27,7 @@ from pipeline.core.problems.warnings import (
     STATURE_OUT_OF_RANGE,
     UPSIDE_DOWN,
 )
+from pipeline.core.problems.model import Code
 from pipeline.export.quality.camera_shifts import CameraShift
 from pipeline.export.quality.names import first_names
 from pipeline.geometry.camera import center_in_world

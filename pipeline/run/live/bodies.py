@@ -9,7 +9,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.commands import PARAMETER_RANGE
+from pipeline.core.problems.findings import PARAMETER_RANGE
 from pipeline.run.live.skeleton import learn_bones
 
 # Frames from which lengths are learnt, evenly spaced over the take.

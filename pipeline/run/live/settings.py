@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.commands import PARAMETER_RANGE
+from pipeline.core.problems.findings import PARAMETER_RANGE
 from pipeline.motion.skeleton.model import SKELETON
 
 MAX_BODIES, MAX_BONE_M = 32, 2.0

@@ -11,6 +11,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.problems.findings import (
     CALIBRATION_OF_ANOTHER_RIG,
+    CAMERA_DISAGREES,
     CAMERA_SEES_NOBODY,
     CAMERAS_EXCHANGED,
     COORDINATES_EXCHANGED,
@@ -20,7 +21,6 @@ from pipeline.core.problems.findings import (
     PICTURE_TURNED,
     SAME_VIDEO,
 )
-from pipeline.core.problems.warnings import CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import find_shifted
 from pipeline.export.quality.names import first_names
 from pipeline.run.preflight.agreement import FAR

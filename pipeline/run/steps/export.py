@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.core.options.config import FILE_FORMATS, ending_of
-from pipeline.core.problems.warnings import OPENSIM_FAILED
+from pipeline.core.problems.findings import OPENSIM_FAILED
 from pipeline.run.engine.stage import (
     EXPORT,
     IDENTIFY,

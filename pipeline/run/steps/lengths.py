@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.specs import FRAME_RANGE
+from pipeline.core.problems.requests import FRAME_RANGE
 from pipeline.run.engine.stage import DETECT, LENGTHS, REFINE, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
 
 # Rate of the frames in which clustering measures bones.

@@ -1,6 +1,6 @@
 """Find people: in a range of output frames, each instant by itself. The output is a ``Poses3D``."""
 
-from pipeline.core.problems.specs import FRAME_RANGE
+from pipeline.core.problems.requests import FRAME_RANGE
 from pipeline.run.engine.stage import DETECT, LENGTHS, POSES, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 from pipeline.run.steps.lengths import is_clustering
 

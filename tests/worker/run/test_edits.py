@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.errors import PipelineError
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PeopleEdit, Remove, Rename
-from pipeline.core.problems.warnings import NOBODY_FOUND
+from pipeline.core.problems.findings import NOBODY_FOUND
 from pipeline.run.engine.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT, WRITE, Output, ResultFile
 from tests.cases import slow_but
 from tests.worker.conftest import FOUND, RESULT, RunnerBench

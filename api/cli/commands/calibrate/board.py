@@ -27,7 +27,7 @@ from pipeline.capture.keypoint_files.timestamps import times_from_file
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.commands import SOURCES
+from pipeline.core.problems.findings import SOURCES
 from pipeline.core.problems.sessions import CAMERA_UNKNOWN
 
 

@@ -16,7 +16,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
-from pipeline.core.problems.commands import SOURCES
+from pipeline.core.problems.findings import SOURCES
 from pipeline.core.progress import Progress
 from pipeline.detection.profiles.detection import detection_joints
 from pipeline.run.engine.local import detect_people

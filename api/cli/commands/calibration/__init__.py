@@ -17,7 +17,7 @@ from pipeline.calibration.write import ENCODERS
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.parsing import SIDE_PX
-from pipeline.core.problems.commands import PARAMETER_UNREADABLE
+from pipeline.core.problems.findings import PARAMETER_UNREADABLE
 from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 from pipeline.geometry.camera import center_in_world
 

@@ -21,19 +21,19 @@ from starlette.responses import Response
 from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces, path_of
 from pipeline.core.options.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
-from pipeline.core.problems.fields import (
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import (
     INVALID_VALUE,
     MALFORMED_JSON,
     MISSING_FIELD,
     OUT_OF_RANGE,
     UNKNOWN_FIELD,
+    UNSUPPORTED_MEDIA_TYPE,
     VALUE_NOT_ALLOWED,
     WRONG_FORMAT,
     WRONG_LENGTH,
     WRONG_TYPE,
 )
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import UNSUPPORTED_MEDIA_TYPE
 
 _CODES: Mapping[str, Code] = {
     "extra_forbidden": UNKNOWN_FIELD,

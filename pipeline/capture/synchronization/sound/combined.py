@@ -10,8 +10,7 @@ from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes, Synchron
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.jobs import SYNC_CONTRADICTION
-from pipeline.core.problems.warnings import SYNC_BY_SOUND
+from pipeline.core.problems.findings import SYNC_BY_SOUND, SYNC_CONTRADICTION
 from pipeline.core.progress import OnShare, ignore
 
 # Motion and sound may differ so much: sound and pictures of phones are some hundredths apart, and sound takes its way.

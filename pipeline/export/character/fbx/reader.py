@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.core.errors import printable
-from pipeline.core.problems.characters import CHARACTER_BONES, CHARACTER_TOO_LARGE
+from pipeline.core.problems.sessions import CHARACTER_BONES, CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import EXPORT_AGAIN, FbxContent, is_invertible
 from pipeline.export.character.fbx.gltf_document import GltfBuilder, Primitive, Rgb
 from pipeline.export.character.fbx.placement import ModelTree, axes_of

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.core.problems.characters import CHARACTER_TOO_LARGE
+from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import FbxContent
 from pipeline.export.character.problems import CharacterFileError
 from pipeline.export.writers.fbx_nodes import FbxError, Node

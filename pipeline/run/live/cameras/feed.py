@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.live import STREAM_SILENT
+from pipeline.core.problems.findings import STREAM_SILENT
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
 from pipeline.run.live.cameras.sources import CameraSource

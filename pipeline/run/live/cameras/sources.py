@@ -9,7 +9,7 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from pipeline.core.errors import InputError, Problem, listed_names
-from pipeline.core.problems.live import CAMERA_SOURCE
+from pipeline.core.problems.findings import CAMERA_SOURCE
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_MISSING
 

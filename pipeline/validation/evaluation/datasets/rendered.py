@@ -15,7 +15,7 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.commands import DATASET_INCOMPLETE, TRUTH_UNREADABLE
+from pipeline.core.problems.findings import DATASET_INCOMPLETE, TRUTH_UNREADABLE
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints
 
 _TRUTH_FILE = "gt.npz"

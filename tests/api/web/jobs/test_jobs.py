@@ -8,11 +8,10 @@ import pytest
 
 from pipeline.core.errors import Problem, SessionRefused
 from pipeline.core.findings import Finding
-from pipeline.core.problems.jobs import INPUT_ERROR
+from pipeline.core.problems.findings import CAMERA_DISAGREES, INPUT_ERROR, MIRRORED_WORLD, NOBODY_FOUND
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import INTERNAL_ERROR
 from pipeline.core.problems.sessions import VIDEO_TRUNCATED
-from pipeline.core.problems.warnings import CAMERA_DISAGREES, MIRRORED_WORLD, NOBODY_FOUND
 from tests.api.conftest import Live, form, problem_of
 from worker.run.problems import problem_of as job_problem_of
 from worker.store.model.jobs import JobProblem

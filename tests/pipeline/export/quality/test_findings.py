@@ -1,9 +1,8 @@
 from dataclasses import replace
 
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import DISTORTION_FOLDS
+from pipeline.core.problems.findings import CAMERA_BELOW_FLOOR, DISTORTION_FOLDS
 from pipeline.core.problems.requests import CALIBRATION_UNPOSED
-from pipeline.core.problems.warnings import CAMERA_BELOW_FLOOR
 from pipeline.export.quality.findings import join_findings, people_findings
 from pipeline.export.quality.report import quality_report
 from tests.pipeline.export.quality.test_report import reconstruction

@@ -6,7 +6,7 @@ from itertools import product
 import pytest
 import sqlalchemy as sa
 
-from pipeline.core.problems.jobs import INPUT_ERROR
+from pipeline.core.problems.findings import INPUT_ERROR
 from pipeline.core.problems.requests import INTERNAL_ERROR
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, StoreBench, stages
 from worker.store.database import tables

@@ -7,9 +7,9 @@ import sqlalchemy as sa
 import uuid_utils
 
 from pipeline.core.findings import Finding
+from pipeline.core.problems.findings import FEW_VIEWS
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_TRUNCATED
-from pipeline.core.problems.warnings import FEW_VIEWS
 from tests.worker.store.conftest import PREFLIGHT, UNITS, StoreBench, new_session, result, stages
 from worker.store.database import tables
 from worker.store.errors import Conflict, NoResults, NotFinished, NotFound

@@ -11,7 +11,7 @@ from uuid_utils import uuid7
 
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
-from pipeline.core.problems.jobs import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from pipeline.core.problems.findings import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
 from worker.store.database.connection import now, upsert
 from worker.store.database.listed_results import list_results
 from worker.store.database.rows import edits_of, job_character_of, making_of, spec_of

@@ -4,7 +4,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, case, delete, select, update
 
-from pipeline.core.problems.jobs import WORKER_LOST
+from pipeline.core.problems.findings import WORKER_LOST
 from worker.store.database.tables import chunks, failures, jobs
 from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import lock_job, set_waiting

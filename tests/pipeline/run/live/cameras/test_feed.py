@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.live import STREAM_REFUSED, STREAM_SILENT
+from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.problems.sessions import NO_VIDEO_STREAM, VIDEO_UNREADABLE
 from pipeline.run.live.cameras import feed as feeds
 from pipeline.run.live.cameras.feed import (

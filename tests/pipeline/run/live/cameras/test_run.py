@@ -14,7 +14,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.live import STREAM_REFUSED, STREAM_SILENT
+from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.problems.sessions import SIZE_MISMATCH
 from pipeline.detection.appearance import NUM_BINS, PARTS
 from pipeline.run.live.cameras import feed as feeds

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.core.errors import InputError
-from pipeline.core.problems.live import CAMERA_SOURCE
+from pipeline.core.problems.findings import CAMERA_SOURCE
 from pipeline.core.problems.sessions import VIDEO_MISSING
 from pipeline.run.live.cameras.sources import CameraSource, read_sources
 

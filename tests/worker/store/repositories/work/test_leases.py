@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 
-from pipeline.core.problems.jobs import INPUT_ERROR
+from pipeline.core.problems.findings import INPUT_ERROR
 from pipeline.core.problems.requests import INTERNAL_ERROR
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, StoreBench, result, stages
 from worker.store.database.quotas import NO_QUOTAS

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 import sqlalchemy as sa
 
-from pipeline.core.problems.jobs import TIME_LIMIT
+from pipeline.core.problems.findings import TIME_LIMIT
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, StoreBench, stages
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks

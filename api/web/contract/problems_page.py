@@ -1,30 +1,27 @@
-"""``python -m api.web.contract.problem_codes.page``: write ``docs/problems.md``, or check it against the code."""
+"""``python -m api.web.contract.problems_page``: write ``docs/problems.md``, or check it against the code."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from api.web.contract.documentation import write_or_check
-from pipeline.core.problems.characters import CHARACTERS
-from pipeline.core.problems.commands import COMMANDS
-from pipeline.core.problems.fields import FIELDS
-from pipeline.core.problems.findings import FILES, FINDINGS, PEOPLE
-from pipeline.core.problems.jobs import EDITS, JOBS, READINESS
-from pipeline.core.problems.live import LIVE, STREAMS
-from pipeline.core.problems.model import CodeGroup
-from pipeline.core.problems.recordings import RECORDINGS
-from pipeline.core.problems.requests import ANSWERS, PARTS
-from pipeline.core.problems.sessions import CALIBRATIONS, KEYPOINTS, TIMES, VIDEOS
-from pipeline.core.problems.specs import SPECS
-from pipeline.core.problems.warnings import WARNINGS
+from pipeline.core.problems import findings, requests, sessions
+from pipeline.core.problems.model import Code, CodeGroup, read_sentences
 
-PAGE = Path(__file__).parents[4] / "docs" / "problems.md"
+PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
-    *(ANSWERS, FIELDS, PARTS, SPECS, CALIBRATIONS, VIDEOS, KEYPOINTS, TIMES),
-    *(LIVE, RECORDINGS, STREAMS, FILES, EDITS, PEOPLE, JOBS, READINESS, WARNINGS, CHARACTERS, COMMANDS, FINDINGS),
+    *(requests.ANSWERS, requests.FIELDS, requests.PARTS, requests.SPECS),
+    *(sessions.CALIBRATIONS, sessions.VIDEOS, sessions.KEYPOINTS, sessions.TIMES),
+    *(requests.LIVE, requests.RECORDINGS, findings.STREAMS, findings.FILES, requests.EDITS, findings.PEOPLE),
+    *(findings.JOBS, requests.READINESS, findings.WARNINGS, sessions.CHARACTERS, findings.COMMANDS, findings.FINDINGS),
 )
 """All problem codes, in the order of the page."""
+
+SENTENCES: Mapping[Code, tuple[str, str]] = (
+    read_sentences(requests) | read_sentences(sessions) | read_sentences(findings)
+)
+"""Meaning and remedy of every code."""
 
 _INTRODUCTION = """\
 # Problem codes
@@ -39,7 +36,7 @@ at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line
 `finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
 [live capture](live_service.md), `recording` a message of a [recording](phones_service.md).
 
-This page is made from the code: `python -m api.web.contract.problem_codes.page` writes it.
+This page is made from the code: `python -m api.web.contract.problems_page` writes it.
 """
 
 
@@ -51,14 +48,15 @@ def document() -> str:
 def _section(group: CodeGroup) -> Iterator[str]:
     yield from (f"## {group.title}", "", group.introduction, "")
     yield from ("| code | where | meaning | what to do |", "| --- | --- | --- | --- |")
-    for code in group.codes:
-        yield f"| `{code.name}` | {', '.join(code.where)} | {code.meaning} | {code.remedy} |"
+    for code, places in group.places.items():
+        meaning, remedy = SENTENCES[code]
+        yield f"| `{code}` | {', '.join(map(str, places))} | {meaning} | {remedy} |"
     yield ""
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Write or compare the page, and return the exit code."""
-    return write_or_check(PAGE, document(), "api.web.contract.problem_codes.page", words)
+    return write_or_check(PAGE, document(), "api.web.contract.problems_page", words)
 
 
 if __name__ == "__main__":

@@ -5,33 +5,35 @@ import importlib
 import pkgutil
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import pipeline.core.problems
-from api.web.contract.problem_codes.page import GROUPS, PAGE, document, main
+from api.web.contract.problems_page import GROUPS, PAGE, SENTENCES, document, main
 from api.web.errors import _CODES
-from pipeline.core.problems.model import ProblemCode, status_of
+from pipeline.core.problems.model import Code, Place, status_of
 
-CODES = [code for group in GROUPS for code in group.codes]
+CODES = [(code, places) for group in GROUPS for code, places in group.places.items()]
 ROOT = Path(__file__).parents[4]
-PLACES = {"live", "recording", "job", "waiting", "attempt", "readyz", "command", "warning", "finding"}
+PLACES = get_args(Place)
 
 
 def test_codes_are_declared_once() -> None:
-    names = [code.name for code in CODES]
+    names = [code for code, _ in CODES]
     assert len(names) > 250
     assert sorted(names) == sorted(set(names))
 
 
-@pytest.mark.parametrize("code", CODES, ids=lambda code: code.name)
-def test_entries_are_sentences_and_places(code: ProblemCode) -> None:
-    assert re.fullmatch(r"[a-z]+(_[a-z0-9]+)*", code.name)
-    assert code.meaning.endswith(".")
-    assert code.remedy.endswith(".")
-    assert "|" not in code.meaning + code.remedy
-    assert code.where
-    assert all(place in PLACES or re.fullmatch(r"4\d\d|5\d\d", place) for place in code.where)
+@pytest.mark.parametrize(("code", "places"), CODES, ids=[code for code, _ in CODES])
+def test_entries_are_sentences_and_places(code: Code, places: tuple[int | Place, ...]) -> None:
+    assert re.fullmatch(r"[a-z]+(_[a-z0-9]+)*", code)
+    meaning, remedy = SENTENCES[code]
+    assert meaning.endswith(".")
+    assert remedy.endswith(".")
+    assert "|" not in meaning + remedy
+    assert places
+    assert all(place in PLACES or (isinstance(place, int) and 400 <= place < 600) for place in places)
 
 
 def test_every_code_has_a_use() -> None:

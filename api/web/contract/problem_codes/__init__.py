@@ -1,1 +1,0 @@
-"""Problem codes of the API's responses, and the page with all codes, which is made from their declarations."""
