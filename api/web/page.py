@@ -1,10 +1,11 @@
-"""The page at ``/``, that of phones at ``/record``, Swagger UI at ``/docs``, files at ``/portal``, and the contract."""
+"""Pages at ``/``, ``/record`` (phones) and ``/docs`` (Swagger UI), files at ``/portal``, and the contracts."""
 
 import json
 import os
 from functools import cache
 from os import PathLike
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from starlette.responses import FileResponse, Response
@@ -13,6 +14,8 @@ from starlette.types import Scope
 from api.web.dependencies import ServicesDep
 from api.web.http.compression import CompressedFiles
 from api.web.http.middleware import SAFE_HEADERS
+from api.web.live.asyncapi import describe_live
+from api.web.recordings.asyncapi import describe_recordings
 from worker.store.errors import NotFound
 
 router = APIRouter(include_in_schema=False)
@@ -88,6 +91,18 @@ def get_certificate(services: ServicesDep) -> FileResponse:
 def get_contract(request: Request) -> Response:
     """Answer with the contract."""
     return Response(_contract_json(request.app), media_type="application/json")
+
+
+@router.get("/live.asyncapi.json")
+def get_live_contract() -> dict[str, Any]:
+    """Answer with the contract of the WebSocket of live captures."""
+    return describe_live()
+
+
+@router.get("/recordings.asyncapi.json")
+def get_recordings_contract() -> dict[str, Any]:
+    """Answer with the contract of the WebSocket of recordings by phones."""
+    return describe_recordings()
 
 
 @cache

@@ -197,4 +197,4 @@ def delete_calibration(calibration_id: CalibrationId, services: ServicesDep, rec
 
 
 CREATION = Resource(router=router, forms=(CALIBRATION_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"calibration_id": CALIBRATION_ID})
+RESOURCE = Resource(router=small, answers=examples.ANSWERS)

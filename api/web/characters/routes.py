@@ -198,4 +198,4 @@ def delete_character(character_id: CharacterId, services: ServicesDep, records: 
 
 
 CREATION = Resource(router=router, forms=(CHARACTER_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"character_id": CHARACTER_ID})
+RESOURCE = Resource(router=small, answers=examples.ANSWERS)

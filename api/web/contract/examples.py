@@ -1,9 +1,8 @@
-"""Examples that resources share: ids of one capture, headers, problems."""
+"""Examples that resources share: ids of one capture, and problems."""
 
 from typing import Any
 
 from api.web.errors import title_of
-from api.web.http.file_names import disposition_of
 from pipeline.core.problems.requests import (
     CHECKSUM_MISMATCH,
     CLIENT_TOO_SLOW,
@@ -33,30 +32,6 @@ CHARACTER_ID = "01890a5b-a1b2-7c3d-8e4f-5a6b7c8d9e0f"
 SHA256 = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 UPLOAD_IDS = [f"01890a5c-7c1e-7a4b-8f00-00000000000{index}" for index in range(3)]
-
-REQUEST_HEADERS = {
-    "Idempotency-Key": "01890a5b-02aa-7cc1-9d10-6f0a7b8c9d0e",
-    "Tus-Resumable": "1.0.0",
-    "Upload-Length": "5242880",
-    "Upload-Metadata": "filename Y2FtXzAubXA0",
-    "Upload-Offset": "1048576",
-    "Last-Event-ID": "16",
-    "If-None-Match": f'"{SHA256}"',
-    "If-Match": f'"{SHA256}"',
-}
-
-ANSWER_HEADERS = {
-    "Retry-After": "1",
-    "ETag": f'"{SHA256}"',
-    "Accept-Ranges": "bytes",
-    **disposition_of("handshake-take-3_person-1.bvh"),
-    "Set-Cookie": "multicap_session=...; HttpOnly; Max-Age=43200; Path=/; SameSite=strict",
-    "Tus-Resumable": "1.0.0",
-    "Upload-Offset": "1048576",
-    "Upload-Length": "5242880",
-    "Upload-Metadata": "filename Y2FtXzAubXA0",
-    "Upload-Expires": "Tue, 03 Mar 2026 09:30:00 GMT",
-}
 
 _PROBLEMS: dict[int, tuple[str, str]] = {
     400: (MALFORMED_REQUEST, "The request can't be read."),

@@ -21,8 +21,6 @@ class Resource:
         Whether its routes need no key.
     answers
         Examples of responses by name; see ``api.web.contract.description.answer``.
-    parameters
-        Example of each parameter in the paths of its routes, by name.
     forms
         Kinds of the forms that its routes take.
     """
@@ -30,5 +28,4 @@ class Resource:
     router: APIRouter
     is_open: bool = False
     answers: Mapping[str, Any] = field(default_factory=dict)
-    parameters: Mapping[str, str | int] = field(default_factory=dict)
     forms: tuple[FormKind, ...] = ()

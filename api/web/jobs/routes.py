@@ -290,4 +290,4 @@ def _accepted(job: JobRecord) -> Answer:
 
 
 CREATION = Resource(router=router, forms=(CAPTURE_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"job_id": JOB_ID})
+RESOURCE = Resource(router=small, answers=examples.ANSWERS)

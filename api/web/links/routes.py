@@ -119,4 +119,4 @@ def _address(link: Link, secret: str) -> str:
     return f"{path}?{LINK}={secret}"
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"link_id": examples.LINK_ID})
+RESOURCE = Resource(router=router, answers=examples.ANSWERS)

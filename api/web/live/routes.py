@@ -48,7 +48,7 @@ _CLIENT_GONE = 1005
 
 @router.websocket("/live")
 async def live(websocket: WebSocket) -> None:
-    """Compute a live capture; openapi/live.asyncapi.json describes the messages."""
+    """Compute a live capture; ``/live.asyncapi.json`` describes the messages."""
     services: Services = websocket.app.state.services
     metrics: LiveMetrics = websocket.app.state.metrics.live
     with contextlib.ExitStack() as held:

@@ -166,4 +166,4 @@ def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozens
     )
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"sample_file": "cam01.mp4"})
+RESOURCE = Resource(router=router, answers=examples.ANSWERS)

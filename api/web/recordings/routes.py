@@ -212,6 +212,4 @@ def _new(request: Request, services: Services, recording: RecordingSession, secr
     return NewRecordingOut(**fields_of(RecordingOut.of(recording, server_s()), RecordingOut), join=join)
 
 
-RESOURCE = Resource(
-    router=router, answers=examples.ANSWERS, parameters={"recording_id": examples.RECORDING_ID, "take": 1}
-)
+RESOURCE = Resource(router=router, answers=examples.ANSWERS)

@@ -40,7 +40,7 @@ _CLIENT_GONE = 1005
 
 @router.websocket("/recordings/{recording_id}/connect")
 async def connect(websocket: WebSocket, recording_id: str) -> None:
-    """Serve a phone or a host; openapi/recordings.asyncapi.json describes the messages."""
+    """Serve a phone or a host; ``/recordings.asyncapi.json`` describes the messages."""
     services: Services = websocket.app.state.services
     secret = joining_secret(websocket)
     if secret is not None:

@@ -148,4 +148,4 @@ def get_result(
     return send_file(request, services, download, conditions, may_redirect=redirect)
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS, parameters={"name": _NAME})
+RESOURCE = Resource(router=router, answers=examples.ANSWERS)

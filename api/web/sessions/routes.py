@@ -139,4 +139,4 @@ def _created(capture: Capture) -> Answer:
 
 
 CREATION = Resource(router=router, forms=(SESSION_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS, parameters={"session_id": SESSION_ID})
+RESOURCE = Resource(router=small, answers=examples.ANSWERS)

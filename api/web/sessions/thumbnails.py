@@ -64,4 +64,4 @@ def get_session_thumbnail(
     return send_file(request, services, file, conditions)
 
 
-RESOURCE = Resource(router=router, parameters={"number": 0})
+RESOURCE = Resource(router=router)

@@ -139,4 +139,4 @@ def _sent(session: Session, camera: PreflightCamera, media_type: str) -> Downloa
     )
 
 
-RESOURCE = Resource(router=router, parameters={"camera": "cam_0"})
+RESOURCE = Resource(router=router)

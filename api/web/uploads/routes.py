@@ -320,5 +320,5 @@ def _checksum(header: str | None) -> Checksum | None:
         raise ApiError(CHECKSUM_INVALID, message) from None
 
 
-RESOURCE = Resource(router=router, parameters={"upload_id": UPLOAD_IDS[0]})
+RESOURCE = Resource(router=router)
 DESCRIPTION = Resource(router=described, is_open=True)

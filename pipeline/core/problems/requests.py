@@ -318,7 +318,7 @@ RECORDINGS = CodeGroup(
 
 RECORDING_MESSAGE = RECORDINGS.code("recording_message", "recording")
 """A message is not JSON in UTF-8, not an object, or not of a type that is expected at this point. | A phone sends
-`hello` first; then send messages of the types that openapi/recordings.asyncapi.json lists."""
+`hello` first; then send messages of the types that `/recordings.asyncapi.json` lists."""
 RECORDING_FIELDS = RECORDINGS.code("recording_fields", "recording")
 """Fields of a message are missing or wrong; `errors` lists all of them. | Correct the fields that `errors` lists, and
 connect again."""

@@ -1,14 +1,15 @@
-"""OpenAPI document: committed files, operations, examples, security and schemas."""
+"""OpenAPI document: committed file, operations, examples, security and schemas."""
 
-import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from jsonschema_rs import validator_for
 
-from api.web.contract.openapi import FOLDER, documents
+from api.web.contract.openapi import COMMITTED, document
+from api.web.live.asyncapi import describe_live
+from api.web.recordings.asyncapi import describe_recordings
 from pipeline.core.options.config import FILE_FORMATS
 from tests.api.conftest import Live
 
@@ -25,28 +26,32 @@ def schema(live: Live) -> dict[str, Any]:
     return found
 
 
-def test_committed_files_are_what_the_code_says() -> None:
-    assert {path: path.read_text(encoding="utf-8") for path in FOLDER.rglob("*.json")} == documents()
+def test_committed_contract_is_what_the_code_says() -> None:
+    assert COMMITTED.read_text(encoding="utf-8") == document()
 
 
-def test_every_operation_has_an_exchange_that_keeps_the_contract(schema: dict[str, Any]) -> None:
-    for path, item in schema["paths"].items():
-        for method in METHODS & item.keys():
-            operation = item[method]
-            exchange = json.loads((FOLDER / "examples" / f"{operation['operationId']}.json").read_text("utf-8"))
-            for request in exchange["requests"]:
-                assert request["method"] == method.upper()
-                assert re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", path), request["path"])
-                if request["headers"].get("Content-Type") == "application/json":
-                    declared = operation["requestBody"]["content"]["application/json"]["schema"]
-                    validator_for(schema | declared).validate(request["body"])
-            assert {str(answer["status"]) for answer in exchange["answers"]} == {
-                status for status, answer in operation["responses"].items() if "$ref" not in answer
-            }
-            for answer in exchange["answers"]:
-                if answer["headers"].get("Content-Type") == "application/json":
-                    content = operation["responses"][str(answer["status"])]["content"]["application/json"]
-                    validator_for(schema | content["schema"]).validate(answer["body"])
+def test_operations_have_examples_that_keep_the_contract(schema: dict[str, Any]) -> None:
+    """Every body in JSON, of a request and of an answer, has an example of its schema."""
+    for operation in operations(schema):
+        bodies = [operation.get("requestBody", {}), *operation["responses"].values()]
+        contents = [body.get("content", {}).get("application/json") for body in bodies]
+        for content in filter(None, contents):
+            if content["schema"].get("format") == "binary":
+                continue
+            examples = [content["example"]] if "example" in content else [*content["examples"].values()]
+            assert examples
+            for example in examples:
+                found = (
+                    schema["components"]["examples"][example["$ref"].rpartition("/")[2]]
+                    if "$ref" in example
+                    else example
+                )
+                validator_for(schema | content["schema"]).validate(found.get("value", found))
+
+
+@pytest.mark.parametrize(("path", "describe"), [("live", describe_live), ("recordings", describe_recordings)])
+def test_contracts_of_websockets_are_served(live: Live, path: str, describe: Callable[[], dict[str, Any]]) -> None:
+    assert live.client.get(f"/{path}.asyncapi.json").raise_for_status().json() == describe()
 
 
 def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
