@@ -50,7 +50,7 @@ def warm_up() -> None:
     """
     with contextlib.suppress(ModelError):
         open_detection(JobSpec().config.networks, JobSpec().config.detected_joints)
-    compile_kernels([detection_joints(JobSpec())] if is_complete() else JOINT_SETS)
+    compile_kernels([detection_joints(JobSpec().config)] if is_complete() else JOINT_SETS)
 
 
 class KeptSession:
