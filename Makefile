@@ -50,9 +50,10 @@ $(VENV)/.compiled: $(VENV)/.service $(KERNELS)
 	PYTHONPATH="$(CURDIR)" $(BIN)/python -P -m pipeline.run.warm_up
 	touch $@
 
-$(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(VENV)/.installed
+# Reports hold a bundle of the viewer.
+$(PORTAL)/vendor/.installed: $(PORTAL)/package-lock.json $(PORTAL)/vendor.mjs $(shell find $(PORTAL)/viewer -type f) $(VENV)/.installed
 	@$(BIN)/npm ci --prefix $(PORTAL) --silent --no-audit --no-fund && touch $@ \
-		|| echo "npm's packages can't be installed here: the page at / shows how to install them; the rest works."
+		|| echo "npm's packages can't be installed here: the page at / shows how to install them, and reports have no 3D view; the rest works."
 
 demo:  ## Start the service, send a real four-camera capture, write the results to demo-output/
 	$(AT_ONCE) demo-files
@@ -233,4 +234,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

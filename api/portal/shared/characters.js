@@ -2,7 +2,7 @@
 
 import { call, jsonPart } from "./api.js";
 
-const MOST = 100;
+const MOST_CHARACTERS = 100;
 
 class CharacterShelf extends EventTarget {
   list = null; // newest first; null until it is loaded
@@ -24,7 +24,7 @@ class CharacterShelf extends EventTarget {
   async load(spec) {
     const { character: id } = spec;
     await this.#try(async () => {
-      this.list ??= (await call(`/v1/characters?limit=${MOST}`)).characters;
+      this.list ??= (await call(`/v1/characters?limit=${MOST_CHARACTERS}`)).characters;
       if (!id) return;
       if (!this.list.some((character) => character.id === id)) delete spec.character;
       else if (!this.opened.has(id)) this.opened.set(id, await call(`/v1/characters/${id}`));

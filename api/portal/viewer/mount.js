@@ -2,8 +2,11 @@
 
 import { el } from "./dom.js";
 import { about, originOf } from "./motion/nearby.js";
+import { MotionStore } from "./motion/store.js";
+import { Figures } from "./panels/figures.js";
 import { transport } from "./panels/transport.js";
 import { Player, rangeOf } from "./player.js";
+import { Wall } from "./video/wall.js";
 import { Viewer } from "./viewer.js";
 
 /**
@@ -14,7 +17,7 @@ import { Viewer } from "./viewer.js";
  */
 export async function mount(element, source) {
   const [description] = await describe(element, [source]);
-  return new Viewer(element, source, description, new Player(rangeOf([description])));
+  return viewJob(element, source, description, new Player(rangeOf([description])));
 }
 
 /**
@@ -28,12 +31,18 @@ export async function mountPair(element, sources, titles) {
   const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
   // One play head, one row of buttons: above both, so that they are in sight with the pictures.
   element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared" }, transport(player)), places));
-  const viewers = places.map((place, number) => new Viewer(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0, hasTransport: false }));
+  const viewers = places.map((place, number) => viewJob(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0, hasTransport: false }));
   player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));
   linkOrbits(viewers);
   const [first, second] = viewers;
   first.follower = second;
   return first;
+}
+
+function viewJob(element, source, description, player, options) {
+  return new Viewer(element, new MotionStore(description, source), player, {
+    source, videos: (viewer) => new Wall(viewer, source), figures: (viewer, shown) => new Figures(viewer, shown), ...options,
+  });
 }
 
 async function describe(element, sources) {

@@ -1,21 +1,14 @@
-// Viewer of one job: 3D view, videos, time line and figures around a play head.
+// Viewer of one take: 3D view and time line around a play head, and what a page puts beside them: videos and figures.
 
 import { el } from "./dom.js";
 import { graphics } from "./graphics.js";
 import { listenToKeys } from "./keys.js";
-import { MotionStore } from "./motion/store.js";
-import { clocksPanel } from "./panels/clocks.js";
-import { gaitPanel } from "./panels/gait.js";
-import { camerasTable, peopleTable, warningList } from "./panels/figures.js";
-import { Plots } from "./panels/plots.js";
 import { ShapeChoice } from "./panels/shape_choice.js";
 import { Strips } from "./panels/strips.js";
-import { tabs } from "./panels/tabs.js";
 import { transport } from "./panels/transport.js";
 import { viewControls } from "./panels/view_controls.js";
 import { rangeOf, SPEEDS } from "./player.js";
 import { SceneView } from "./scene/view.js";
-import { Wall } from "./video/wall.js";
 
 export class Viewer {
   #isOpen = true;
@@ -26,15 +19,21 @@ export class Viewer {
   #listening = new AbortController();
   #ofStore = new AbortController(); // of what listens to the store
   #figuresEnd = new AbortController(); // of what listens to the play head for the figures
+  #makeFigures;
 
-  /** A leader moves the play head and listens to the keys; the other viewers of a pair follow, and share its buttons. */
-  constructor(element, source, description, player, { isLeader = true, hasTransport = true } = {}) {
-    Object.assign(this, { player, isLeader, hasTransport });
-    this.store = new MotionStore(description, source);
+  /**
+   * `store` has the frames of the take. `source`, if there is one, has the files of a character. `videos` makes the wall of
+   * videos of this viewer, and `figures` the figures of its people.
+   *
+   * A leader moves the play head and listens to the keys; the other viewers of a pair follow, and share its buttons.
+   */
+  constructor(element, store, player, { source = null, videos = () => null, figures = () => null, isLeader = true, hasTransport = true } = {}) {
+    Object.assign(this, { store, player, isLeader, hasTransport });
     this.seen = null;
     this.follower = null; // viewer of another job that shares the play head
+    this.#makeFigures = figures;
     player.mustWait = (now) => this.isLate(now);
-    this.#build(element, source);
+    this.#build(element, source, videos);
     const { signal } = this.#listening;
     player.addEventListener("time", () => this.#show(), { signal });
     player.addEventListener("change", () => this.#show(), { signal });
@@ -59,19 +58,18 @@ export class Viewer {
     this.store = store;
     this.shown = store.description.people.map(({ id }) => !hidden.has(id));
     this.view?.replace(store);
-    this.wall.replace(store);
-    const [strips, figures, kind] = [this.strips, this.figures, this.plots.kind];
-    this.plots.close();
-    this.#buildFigures({ tab: figures.dataset.shown, kind });
+    this.wall?.replace(store);
+    const [strips, figures] = [this.strips, this.figures];
+    this.#buildFigures(figures?.shown);
     strips.element.replaceWith(this.strips.element);
-    figures.replaceWith(this.figures);
+    figures?.element.replaceWith(this.figures.element);
     this.canvas.setAttribute("aria-label", this.#sceneName());
     this.shown.forEach((isShown, person) => { if (!isShown) this.view?.setShown(person, false); });
-    if (hadFocus && !hadFocus.isConnected) this.figures.querySelector("[aria-selected=true]").focus({ preventScroll: true });
+    if (hadFocus && !hadFocus.isConnected) this.figures?.focus();
     this.#listenToStore();
     this.player.setRange(rangeOf([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
     this.#show(true);
-    this.wall.redraw();
+    this.wall?.redraw();
     if (hasNewFiles) this.shapes.renew();
   }
 
@@ -105,7 +103,7 @@ export class Viewer {
 
   /** Whether the play head must wait: for frames on their way, or for a video that is late. */
   isLate(now) {
-    const isVideoLate = this.wall.isBehind(now);
+    const isVideoLate = this.wall?.isBehind(now);
     return isVideoLate || (this.frame !== null && !this.store.has(this.frame));
   }
 
@@ -124,7 +122,7 @@ export class Viewer {
   see(number) {
     this.seen = number !== null && number < this.description.cameras.length ? number : null;
     this.view?.see(this.seen);
-    this.wall.choose(this.seen);
+    this.wall?.choose(this.seen);
     this.controls.showSeen(this.seen);
   }
 
@@ -143,8 +141,8 @@ export class Viewer {
     this.player.pause();
     this.unlisten();
     this.shapes.close();
-    this.plots.close();
-    this.wall.close();
+    this.figures?.close();
+    this.wall?.close();
     this.store.close();
     this.view?.close();
   }
@@ -156,7 +154,7 @@ export class Viewer {
     this.store.addEventListener("problem", () => this.say(`The frames could not be loaded: ${this.store.problem.message}`), { signal });
   }
 
-  #build(element, source) {
+  #build(element, source, videos) {
     const { description, player } = this;
     this.shown = description.people.map(() => true);
     this.canvas = el("canvas", { class: "look-canvas", tabindex: 0, role: "img", "aria-label": this.#sceneName() });
@@ -167,37 +165,27 @@ export class Viewer {
     const draws = graphics().hasWebGL;
     const drawn = draws ? [this.canvas, layer, this.controls.element]
       : [el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2). The videos, the time line and the figures below work without it.")];
-    this.wall = new Wall(this.store, player, source, { onthrough: (number) => this.see(this.seen === number ? null : number), isShown: (person) => this.shown[person] });
+    this.wall = videos(this);
     this.#buildFigures();
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
-      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.shapes.progress, this.status), this.wall.element),
-      this.hasTransport ? transport(player) : null, this.strips.element, this.figures);
+      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.shapes.progress, this.status), this.wall?.element),
+      this.hasTransport ? transport(player) : null, this.strips.element, this.figures?.element);
     element.replaceChildren(this.element);
     this.view = draws ? new SceneView(this.canvas, layer, this.store) : null;
     this.unlisten = listenToKeys(this);
     if (draws) this.shapes.renew();
   }
 
-  /** Time line and figures of the store's people; `tab` and `kind` of plot are shown first. */
-  #buildFigures({ tab = null, kind } = {}) {
+  /** Time line and figures of the store's people; `shown` is the state of the figures before these. */
+  #buildFigures(shown) {
     const { description, player } = this;
     this.#figuresEnd.abort();
     this.#figuresEnd = new AbortController();
     const { signal } = this.#figuresEnd;
     const onperson = (person, isShown) => this.#setShown(person, isShown);
     this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson, isShown: (person) => this.shown[person], signal });
-    this.plots = new Plots(this.store, player, { kind });
-    const warnings = warningList(description);
-    const clocks = clocksPanel(description);
-    const gait = gaitPanel(description, player);
-    this.figures = tabs([
-      { id: "people", label: "People", element: peopleTable(description, player, this.strips.spots) },
-      { id: "plots", label: "Plots", element: this.plots.element, onshow: () => this.plots.draw(true) },
-      ...(gait ? [{ id: "gait", label: "Gait and movement", element: gait }] : []),
-      { id: "cameras", label: "Cameras", element: camerasTable(description) },
-      ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
-      ...(warnings ? [{ id: "warnings", label: `Warnings (${description.warnings.length})`, element: warnings }] : []),
-    ], tab);
+    this.figures?.close();
+    this.figures = this.#makeFigures(this, shown);
   }
 
   #sceneName() {
@@ -208,7 +196,7 @@ export class Viewer {
   #setShown(person, isShown) {
     this.shown[person] = isShown;
     this.view?.setShown(person, isShown);
-    this.wall.redraw();
+    this.wall?.redraw();
   }
 
   /** Show the frame at the play head, unless it is shown. */
@@ -220,7 +208,7 @@ export class Viewer {
       if (this.#isDrawn) this.view?.show(frame);
       else if (frame === null || this.store.has(frame)) this.#first(frame);
     }
-    this.wall.follow();
+    this.wall?.follow();
   }
 
   #first(frame) {

@@ -22,9 +22,9 @@ from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.export.quality.views import views_of, without_fingers
 from pipeline.export.report.angles import MAX_PEOPLE, PersonAngles
-from pipeline.export.report.motion import motion_of
+from pipeline.export.report.motion import embed_motion
 from pipeline.export.report.page import ReportContents, Rows
-from pipeline.export.report.pictures import MAX_PICTURES, Moment, Picture, draw_picture, moments_of
+from pipeline.export.report.pictures import MAX_PICTURES, Moment, Picture, choose_moments, draw_picture, presence
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.body.installed import find as find_body
 from pipeline.motion.gait.analysis import analyse_gait
@@ -54,11 +54,12 @@ def contents_of(
     SHA-256 of the take's files by name.
     """
     views = views_of(take)
-    metrics, motion = quality_report(take, views), motion_of(take, views, shapes=find_body())
+    metrics = quality_report(take, views)
     pictures: list[Picture] = []
     notes: list[str] = []
     shown = take.cameras[:MAX_PICTURES]
-    wanted = [(moment, camera.name) for moment in moments_of(motion, len(shown)) for camera in shown]
+    moments = choose_moments(*presence(take, views), len(shown))
+    wanted = [(moment, camera.name) for moment in moments for camera in shown]
     for number, (moment, camera) in enumerate(wanted):
         on_share(0.5 + 0.5 * number / len(wanted))
         try:
@@ -76,7 +77,7 @@ def contents_of(
     errors_px = metrics["reprojection_error_px"]["by_camera"]
     return ReportContents(
         name=name,
-        motion=motion,
+        motion=embed_motion(take, views, metrics, find_body()),
         metrics=metrics,
         angles=_angles_of(take, metrics),
         findings=[*session.findings, *all_checks(metrics)],

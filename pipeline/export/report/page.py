@@ -11,14 +11,11 @@ from pipeline.core.findings import Finding, worst_first
 from pipeline.export.report.angles import PersonAngles, angle_parts
 from pipeline.export.report.gait import GAIT_COLUMNS, MOVEMENT_COLUMNS, gait_rows, movement_rows
 from pipeline.export.report.markup import Markup, data, element, joined, source_hash
-from pipeline.export.report.motion import ReportMotion
 from pipeline.export.report.pictures import Picture
 
 _ASSETS = Path(__file__).parent / "assets"
-_STYLE, _SCRIPTS = "report.css", ("humans.js", "scene.js", "report.js")
-# Largest number of people who are drawn as humans from the start: a plain canvas takes its time.
-_MAX_HUMANS = 5
-_SPEEDS = (0.1, 0.25, 0.5, 1, 2)
+# The page's viewer, which api/portal/vendor.mjs puts there when npm's packages are installed.
+_VIEWER = _ASSETS / "viewer.js"
 
 Rows = Sequence[tuple[str, ...]]
 
@@ -28,7 +25,7 @@ class ReportContents:
     """Contents of a report."""
 
     name: str  # Name of the take
-    motion: ReportMotion  # Motion and quality for the script
+    motion: Mapping[str, Any]  # Motion and quality for the script, as ``embed_motion`` gives them
     metrics: Mapping[str, Any]  # Content of ``metrics.json``
     angles: Sequence[PersonAngles]  # Joint angles of the first people
     findings: Sequence[Finding]  # Warnings of the result
@@ -43,8 +40,8 @@ class ReportContents:
 
 def encode_page(contents: ReportContents) -> bytes:
     """Write the report as one file of HTML."""
-    style = _asset(_STYLE)
-    script = "".join(map(_asset, _SCRIPTS))
+    style = "".join(_text(path) for path in (_ASSETS / "report.css", _ASSETS / "viewer.css"))
+    script = _text(_VIEWER)
     policy = (
         f"default-src 'none'; img-src data:; style-src {source_hash(style)}; script-src {source_hash(script)}; "
         "base-uri 'none'; form-action 'none'"
@@ -70,14 +67,14 @@ def encode_page(contents: ReportContents) -> bytes:
             _pictures(contents),
             _details(contents),
         ),
-        data("take", contents.motion.document),
+        data("take", contents.motion),
         element("script", Markup(script), type="module"),
     )
     return joined(Markup("<!DOCTYPE html>\n"), element("html", head, body, lang="en"), Markup("\n")).encode()
 
 
-def _asset(name: str) -> str:
-    return (_ASSETS / name).read_text(encoding="utf-8")
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
 def _header(contents: ReportContents) -> Markup:
@@ -117,78 +114,26 @@ def _findings(findings: Sequence[Finding]) -> Markup:
 
 
 def _take(contents: ReportContents) -> Markup:
-    """The 3D view with its controls, and the quality of each person over time; the script fills them."""
-    num_frames = contents.metrics["num_frames"]
-    speeds = (element("option", f"{speed:g} x", value=f"{speed:g}", selected=speed == 1) for speed in _SPEEDS)
-    views = [element("option", "free", value="")]
-    views += [element("option", row[0], value=number) for number, row in enumerate(contents.cameras)]
-    controls = element(
-        "div",
-        element("button", "Play", type="button", id="play"),
-        element(
-            "input", type="range", id="head", min=0, max=max(0, num_frames - 1), step=1, value=0, aria_label="Frame"
-        ),
-        element("output", "", id="clock"),
-        element("label", "Speed ", element("select", speeds, id="speed")),
-        element("label", "View ", element("select", views, id="view")),
-        element("button", "Fit", type="button", id="fit"),
-        _choice_of_humans(contents),
-        class_="controls",
-    )
-    stage = element(
-        "div",
-        element(
-            "canvas",
-            id="scene",
-            tabindex=0,
-            role="img",
-            aria_label="Motion of the people in 3D. Arrow keys step, A D W S turn, Q E zoom.",
-        ),
-        class_="stage",
-    )
+    """The viewer, which the script fills, and the figures of the people."""
     notes = []
-    if contents.motion.stride > 1:
+    if not _VIEWER.is_file():
+        notes.append("The 3D view is missing: the libraries of the page were not installed where this report was made.")
+    if contents.motion["stride"] > 1:
         notes.append(
-            f"The take is long: the 3D view holds every {_ordinal(contents.motion.stride)} frame, and shows positions "
-            "between these in between. The result files hold all frames."
+            f"The take is long: the 3D view holds every {_ordinal(contents.motion['stride'])} frame, and shows "
+            "positions between these in between. The result files hold all frames."
         )
     notes.append(
-        "Drag to turn, scroll or pinch to come closer, drag with the right button to move. Space plays, arrows step, "
-        "with Shift ten frames, F fits the view."
+        "Drag to turn, scroll or pinch to come closer, drag with the right button to move. Click bands to go there."
     )
-    strips = element("div", (_strip(person) for person in contents.metrics["people"]), id="strips")
-    legend = element(
-        "p",
-        (
-            element("span", text, class_=f"key {name}")
-            for name, text in (
-                ("measured", "measured"),
-                ("interpolated", "interpolated"),
-                ("predicted", "predicted"),
-                ("error", "large error"),
-                ("cameras", "few cameras"),
-                ("identity", "doubtful identity"),
-            )
-        ),
-        class_="legend",
-    )
-    people = Markup()
-    if contents.metrics["people"]:
-        people = _section(
-            "quality",
-            "Quality of each person",
-            element(
-                "p",
-                "Bands: joints by source, reprojection error, cameras, identity. Click to go there.",
-                class_="quiet",
-            ),
-            strips,
-            legend,
-            _table("People", _PEOPLE, map(_person_row, contents.metrics["people"], contents.motion.document["people"])),
-        )
-    motion = _section("motion", "Motion", stage, controls, (element("p", note, class_="quiet") for note in notes))
     without = element("noscript", element("p", "The 3D view needs JavaScript; everything else is shown without."))
-    return joined(motion, without, people)
+    motion = _section(
+        "motion", "Motion", element("div", id="viewer"), without, (element("p", note, class_="quiet") for note in notes)
+    )
+    if not contents.metrics["people"]:
+        return motion
+    rows = map(_person_row, contents.metrics["people"], contents.motion["people"])
+    return joined(motion, _section("quality", "Quality of each person", _table("People", _PEOPLE, rows)))
 
 
 _PEOPLE = ("Person", "Frames", "Measured", "Reprojection error", "Cameras a joint", "Stature", "Doubts about identity")
@@ -209,7 +154,7 @@ def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[
 
 def _gait(contents: ReportContents) -> Markup:
     """Tables of gait and movements; empty if nobody walks, jumps, squats or sits down."""
-    names = [person["name"] for person in contents.motion.document["people"]]
+    names = [person["name"] for person in contents.motion["people"]]
     named = list(zip(names, contents.metrics["people"], strict=True))
     tables = [
         _table(caption, columns, rows)
@@ -223,21 +168,6 @@ def _gait(contents: ReportContents) -> Markup:
         return Markup()
     note = "Means and standard deviations over strides that neither turn nor start nor stop."
     return _section("gait", "Gait and movement", element("p", note, class_="quiet"), tables)
-
-
-def _choice_of_humans(contents: ReportContents) -> Markup:
-    if contents.motion.document["body"] is None:
-        return Markup()
-    is_chosen = len(contents.metrics["people"]) <= _MAX_HUMANS
-    return element("label", element("input", type="checkbox", id="humans", checked=is_chosen), " Humans")
-
-
-def _strip(figures: Mapping[str, Any]) -> Markup:
-    """Place for the strip of a person; the script writes the name, which stands in the data."""
-    label = f"Quality over time: {100 * figures['coverage']:.0f} % of the joints are measured"
-    return element(
-        "div", element("span", class_="who"), element("canvas", role="img", aria_label=label), class_="strip"
-    )
 
 
 def _angles(contents: ReportContents) -> Markup:

@@ -1,17 +1,19 @@
 """Pictures of cameras with the skeletons over them, at moments that tell most about a take."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from pipeline.calibration.sizes import scaled
 from pipeline.core.data.cameras import Camera
-from pipeline.core.joints import JointSet
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import JointSet, without_hands
 from pipeline.export.overlay import NO_NAMES, draw_skeletons
-from pipeline.export.report.motion import ReportMotion
+from pipeline.export.quality.views import PersonViews
+from pipeline.export.viewer.description import mean_of_known
 
 LONG_SIDE_PX = 800
 MAX_PICTURES = 32
@@ -40,17 +42,40 @@ class Picture:
     jpeg: bytes  # The compressed picture
 
 
-def moments_of(motion: ReportMotion, num_cameras: int) -> list[Moment]:
-    """Moments of a take to show: in the middle of the frames with most people, and the one with the largest error."""
-    if not motion.num_people.any():
-        return [Moment("Middle of the take", len(motion.num_people) // 2)]
-    fullest = np.flatnonzero(motion.num_people == motion.num_people.max())
-    found = [Moment("Most people at once", int(fullest[len(fullest) // 2]))]
-    if np.isfinite(motion.error_px).any():
-        worst = int(np.nanargmax(motion.error_px))
-        if worst != found[0].frame and 2 * num_cameras <= MAX_PICTURES:
-            found.append(Moment(f"Largest reprojection error ({motion.error_px[worst]:.1f} px)", worst))
-    return found
+def presence(
+    take: Reconstruction, views: Sequence[PersonViews]
+) -> tuple[Int[np.ndarray, " frames"], Float[np.ndarray, " frames"]]:
+    """Number of people in each output frame, and mean reprojection error in pixels of the worst of them.
+
+    The error is that of the body's joints; NaN where no camera sees anybody.
+    """
+    num_people = np.zeros(take.timebase.num_frames, int)
+    error_px = np.full(take.timebase.num_frames, np.nan)
+    num_body_joints = len(without_hands(take.joints).names)
+    for track, seen in zip(take.tracks, views, strict=True):
+        rows = slice(track.start_frame, track.start_frame + track.num_frames)
+        num_people[rows] += 1
+        mean_px = mean_of_known(mean_of_known(seen.error_px[:, :, :num_body_joints]))
+        error_px[rows] = np.fmax(error_px[rows], mean_px)
+    return num_people, error_px
+
+
+def choose_moments(
+    num_people: Int[np.ndarray, " frames"], error_px: Float[np.ndarray, " frames"], num_cameras: int
+) -> list[Moment]:
+    """Moments of a take to show: in the middle of the frames with most people, and the one with the largest error.
+
+    Frames are described by ``presence``.
+    """
+    if not num_people.any():
+        return [Moment("Middle of the take", len(num_people) // 2)]
+    fullest = np.flatnonzero(num_people == num_people.max())
+    moments = [Moment("Most people at once", int(fullest[len(fullest) // 2]))]
+    if np.isfinite(error_px).any():
+        worst = int(np.nanargmax(error_px))
+        if worst != moments[0].frame and 2 * num_cameras <= MAX_PICTURES:
+            moments.append(Moment(f"Largest reprojection error ({error_px[worst]:.1f} px)", worst))
+    return moments
 
 
 def draw_picture(

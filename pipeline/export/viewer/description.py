@@ -94,7 +94,7 @@ class ViewerMotion:
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = skeleton_of(num_bones) if num_bones else ()
         self._angle_names = observable_angles(reconstruction.joints)
-        self._dtype = record_type(
+        self.dtype = record_type(
             len(reconstruction.joints.names), num_bones, len(self._angle_names), len(reconstruction.cameras)
         )
         self._steps_m: list[float] = []
@@ -108,7 +108,7 @@ class ViewerMotion:
             person = person_frames(self._take, self._views, number)
             self._steps_m.append(position_step_m(person))
             self._strips.append(encode_strips(person, self._take.timebase.num_frames, num_body_joints))
-            yield from encode_person(person, self._dtype)
+            yield from encode_person(person, self.dtype)
 
     def describe(self) -> bytes:
         """Encode ``motion.json`` as strict JSON. All pieces of ``encode`` must have been taken before."""
@@ -155,10 +155,10 @@ class ViewerMotion:
         return _encoded(document)
 
     def _describe_record(self) -> dict[str, Any]:
-        fields: Mapping[str, tuple[Any, ...]] = self._dtype.fields or {}
+        fields: Mapping[str, tuple[Any, ...]] = self.dtype.fields or {}
         return {
-            "num_bytes": self._dtype.itemsize,
-            "offsets": {name: fields[name][1] for name in self._dtype.names or () if name != "padding"},
+            "num_bytes": self.dtype.itemsize,
+            "offsets": {name: fields[name][1] for name in self.dtype.names or () if name != "padding"},
             "absent": ABSENT,
             "angle_step_deg": ANGLE_STEP_DEG,
             "error_step_px": ERROR_STEP_PX,
@@ -197,7 +197,7 @@ class ViewerMotion:
                 "movements": of_person["movements"],
                 "body": None if self._shapes is None else describe_shape(self._shapes, motion, floor),
             }
-            offset_bytes += track.num_frames * self._dtype.itemsize
+            offset_bytes += track.num_frames * self.dtype.itemsize
 
 
 def with_names(description: bytes, motions: Sequence[SkeletonMotion]) -> bytes:
@@ -223,12 +223,12 @@ def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], 
         motion.root_m,
         forward_kinematics(motion),
         joint_angles(motion, track, joints, has_sigmas=False).angle_deg[:, shown],
-        _mean_of_joints(views[number].error_px[:, :, : len(without_hands(joints).names)]),
+        mean_of_known(views[number].error_px[:, :, : len(without_hands(joints).names)]),
         identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
     )
 
 
-def _mean_of_joints(error_px: np.ndarray) -> np.ndarray:
+def mean_of_known(error_px: np.ndarray) -> np.ndarray:
     """Mean over the last axis of the values that are not NaN; NaN without any."""
     is_known = np.isfinite(error_px)
     num_known = is_known.sum(-1)

@@ -1,9 +1,49 @@
-// Text alternative: people and cameras as tables of figures, and the warnings of the take.
+// Figures of a take: tables of people and cameras, plots, gait, clocks, warnings.
 
+import { clocksPanel } from "./clocks.js";
+import { gaitPanel } from "./gait.js";
+import { Plots } from "./plots.js";
+import { goTo, table } from "./tables.js";
+import { tabs } from "./tabs.js";
 import { el, figure } from "../dom.js";
 
+/** Tabs of figures of a viewer's store, which are in the order of how often they are needed. */
+export class Figures {
+  #plots;
+
+  /** `shown` is that of the figures before these, for the same tab and plot. */
+  constructor({ store, player, strips }, { tab = null, kind } = {}) {
+    const { description } = store;
+    this.#plots = new Plots(store, player, { kind });
+    const clocks = clocksPanel(description);
+    const gait = gaitPanel(description, player);
+    const { warnings } = description;
+    this.element = tabs([
+      { id: "people", label: "People", element: peopleTable(description, player, strips.spots) },
+      { id: "plots", label: "Plots", element: this.#plots.element, onshow: () => this.#plots.draw(true) },
+      ...(gait ? [{ id: "gait", label: "Gait and movement", element: gait }] : []),
+      { id: "cameras", label: "Cameras", element: camerasTable(description) },
+      ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
+      ...(warnings.length > 0 ? [{ id: "warnings", label: `Warnings (${warnings.length})`, element: el("ul", { class: "look-warnings" }, warnings.map((warning) => el("li", {}, warning))) }] : []),
+    ], tab);
+  }
+
+  /** Tab and kind of plot that are shown. */
+  get shown() {
+    return { tab: this.element.dataset.shown, kind: this.#plots.kind };
+  }
+
+  focus() {
+    this.element.querySelector("[aria-selected=true]").focus({ preventScroll: true });
+  }
+
+  close() {
+    this.#plots.close();
+  }
+}
+
 /** Table of the people: where they are and how well they were seen. */
-export function peopleTable(description, player, spots) {
+function peopleTable(description, player, spots) {
   const rate = description.frame_rate_hz;
   const rows = description.people.map((person, number) => el("tr", {},
     el("th", { scope: "row" }, el("span", { class: "look-swatch" }), person.name),
@@ -20,7 +60,7 @@ export function peopleTable(description, player, spots) {
 }
 
 /** Table of the cameras: pictures, lens, error. */
-export function camerasTable(description) {
+function camerasTable(description) {
   const { by_camera: errors } = description.reprojection_error_px;
   return table(description.is_refined ? "Cameras (refined)" : "Cameras", ["Camera", "Picture", "Focal length", "Lens", "Median error", "Video"],
     description.cameras.map((camera) => el("tr", {},
@@ -32,24 +72,6 @@ export function camerasTable(description) {
       el("td", {}, camera.video ?? "–"))));
 }
 
-/** Warnings of the take; null without any. */
-export function warningList(description) {
-  if (description.warnings.length === 0) return null;
-  return el("ul", { class: "look-warnings" }, description.warnings.map((warning) => el("li", {}, warning)));
-}
-
 function doubts(player, { name, identity }) {
   return identity.doubts.map(({ frame, confidence }) => el("span", {}, " ", goTo(player, frame, `${figure(confidence * 100, 0, " %")} at ${frame}`, `${name}, identity:`)));
-}
-
-/** Button that goes to a frame; `about` tells it from the others in its name. */
-export function goTo(player, frame, text, about) {
-  return el("button", { type: "button", class: "look-link", title: `Go to frame ${frame}`, "aria-label": `${about} ${text}`, onclick: () => { player.pause(); player.seek(frame); } }, text);
-}
-
-/** Table with a caption, in a box that scrolls. */
-export function table(caption, heads, rows) {
-  return el("div", { class: "look-scroll", tabindex: 0, role: "group", "aria-label": caption },
-    el("table", {}, el("caption", {}, caption),
-      el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col" }, head)))), el("tbody", {}, rows)));
 }

@@ -1,7 +1,7 @@
 // Gait and movements of the people as tables; a movement leads to its frame.
 
 import { el, figure } from "../dom.js";
-import { goTo, table } from "./figures.js";
+import { goTo, table } from "./tables.js";
 
 // Heading, figure, decimals and unit of each column.
 const FIGURES = [

@@ -30,7 +30,7 @@ export class ShapeChoice {
     if (isChosen) this.#showUsual();
     const { signal } = this.#begin();
     try {
-      const files = await this.#source.characters?.(signal) ?? [];
+      const files = await this.#source?.characters?.(signal) ?? [];
       if (signal.aborted) return;
       this.#offer(files);
       if (isChosen) await this.choose(files.length > 0 ? "character" : this.#usual);

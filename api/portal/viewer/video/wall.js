@@ -10,7 +10,10 @@ const WIDEST_LARGE = 0.6;
 export class Wall {
   #enlarged = null;
 
-  constructor(store, player, source, { onthrough, isShown }) {
+  constructor(viewer, source) {
+    const { store, player } = viewer;
+    const onthrough = (number) => viewer.see(viewer.seen === number ? null : number);
+    const isShown = (person) => viewer.shown[person];
     this.tiles = store.description.cameras.map((camera, number) => new Tile(camera, number, store, player, { onthrough, isShown, onenlarge: (tile) => this.#enlarge(tile) }));
     this.element = el("div", { class: "look-wall", role: "group", "aria-label": "Videos" }, this.tiles.map((tile) => tile.element));
     for (const tile of this.tiles) this.#load(tile, source);

@@ -4,16 +4,18 @@ import cv2
 import numpy as np
 
 from pipeline.core.joints import COCO_17
-from pipeline.export.report.motion import ReportMotion
-from pipeline.export.report.pictures import LONG_SIDE_PX, Moment, draw_picture, moments_of
+from pipeline.export.quality.views import views_of
+from pipeline.export.report.pictures import LONG_SIDE_PX, Moment, choose_moments, draw_picture, presence
 from tests.pipeline.export.test_overlay import CAMERA, standing
 from tests.pipeline.export.test_overlay_video import LARGE
+from tests.pipeline.export.viewer.takes import take
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 NAN = np.nan
 
 
 def moments(num_people: list[int], error_px: list[float], num_cameras: int = 4) -> list[Moment]:
-    return moments_of(ReportMotion({}, 1, np.array(num_people), np.array(error_px)), num_cameras)
+    return choose_moments(np.array(num_people), np.array(error_px), num_cameras)
 
 
 def test_moments() -> None:
@@ -25,6 +27,20 @@ def test_moments() -> None:
     assert [one.frame for one in moments([0, 1, 2, 2, 2, 1], errors, num_cameras=17)] == [3]
     assert [one.frame for one in moments([0, 0, 0, 0], [NAN] * 4)] == [2]
     assert [one.frame for one in moments([1, 1, 1], [1.0, 5.0, 1.0])] == [1]
+
+
+def test_presence_counts_people_and_takes_the_worst_error() -> None:
+    people = take(track_of(walker(60), 1, 7), track_of(walker(30) + 1.0, 2, 50))
+    num_people, error_px = presence(people, views_of(people))
+    assert num_people.tolist() == [0] * 7 + [1] * 43 + [2] * 17 + [1] * 13 + [0] * 20
+    assert np.isnan(error_px[:7]).all()
+
+
+def test_presence_of_nobody_is_zero() -> None:
+    nobody = take(num_frames=10)
+    num_people, error_px = presence(nobody, views_of(nobody))
+    assert num_people.tolist() == [0] * 10
+    assert np.isnan(error_px).all()
 
 
 def test_pictures_are_small_and_show_the_people() -> None:
