@@ -1,13 +1,10 @@
 // Frame of the page: signing in, navigation, the view of the address.
 
-import { announce } from "./shared/announce.js";
-import { call, RequestProblem, signedOut, useLink } from "./shared/api.js";
-import { persistently, reached } from "./shared/away.js";
-import { feed } from "./shared/feed.js";
-import { html, nothing, render } from "./shared/lit.js";
-import { problemBox } from "./shared/problem.js";
-import { currentRoute, replace } from "./shared/router.js";
 import { sending } from "./send/sending.js";
+import { call, persistently, reached, RequestProblem, signedOut, useLink } from "./shared/api.js";
+import { feed } from "./shared/feed.js";
+import { html, nothing, problemBox, render } from "./shared/lit.js";
+import { announce, currentRoute, replace } from "./shared/page.js";
 
 const NEW_MS = 10_000;
 const [KEY_PREFIX, KEY_LENGTH] = ["mc_", 43];
@@ -70,7 +67,6 @@ async function load(name) {
   }
 }
 
-// Say that a view can't be loaded yet.
 function showAway(name, problem) {
   view?.close();
   view = null;
@@ -80,7 +76,6 @@ function showAway(name, problem) {
   document.title = `${label} · Multicap`;
 }
 
-// Fill the page anew.
 function showPlace(fill) {
   const place = document.createElement("div");
   place.className = "view";
@@ -88,7 +83,7 @@ function showPlace(fill) {
   fill(place);
 }
 
-function linkOf(route) {
+function linkSecret(route) {
   return route.name === "jobs" ? route.query.get("link") : null;
 }
 
@@ -188,7 +183,7 @@ async function enterByLink(route, secret) {
 
 async function enter() {
   const route = currentRoute();
-  const secret = linkOf(route);
+  const secret = linkSecret(route);
   if (secret !== null) return enterByLink(route, secret);
   try {
     const away = (problem) => showPlace((place) => render(problemBox(problem), place));
@@ -207,7 +202,7 @@ async function enter() {
   for (const open of Object.values(VIEWS)) open().catch(() => null);
 }
 
-const openedBy = linkOf(currentRoute());
+const openedBy = linkSecret(currentRoute());
 signedOut.addEventListener("signedout", () => {
   if (caller === GUEST) showEndedLink();
   else if (caller !== null) showEntrance();
@@ -216,7 +211,7 @@ feed.addEventListener("change", showStatus);
 sending.addEventListener("change", showStatus);
 addEventListener("hashchange", () => {
   // What a link opened is not mixed with what a key opens.
-  if (linkOf(currentRoute()) !== openedBy) location.reload();
+  if (linkSecret(currentRoute()) !== openedBy) location.reload();
   else navigate();
 });
 document.querySelector(".skip").addEventListener("click", (event) => {

@@ -35,7 +35,7 @@ BEYOND = "pictures/beyond.png"
 
 MOUNT = """async (job) => {
   const { mount } = await import("/portal/viewer/mount.js");
-  const { ApiSource } = await import("/portal/viewer/source.js");
+  const { ApiSource } = await import("/portal/viewer/mount.js");
   const place = document.createElement("div");
   for (const child of document.body.children) child.hidden = true;
   document.body.prepend(place);

@@ -310,9 +310,9 @@ def test_the_keyboard_reaches_everything_in_order(page: Page) -> None:
 def test_zips_are_told_apart(page: Page, keypoints: dict[str, Path], tmp_path: Path) -> None:
     """A zip of images is a camera's video, one of keypoints its keypoints, one of other files a calibration."""
     script = """async () => {
-      const { kindOf } = await import("/portal/send/files.js");
+      const { detectKind } = await import("/portal/send/files.js");
       const files = document.querySelector("#probe").files;
-      return Promise.all(Array.from(files, kindOf));
+      return Promise.all(Array.from(files, detectKind));
     }"""
     paths = [keypoints["cam_00.zip"]]
     for name, entries in (("images", ["a/0001.PNG", "a/0002.PNG"]), ("colmap", ["cameras.txt", "images.txt"])):

@@ -25,7 +25,7 @@ BITS, BIT_PX, HEIGHT_PX = 8, 40, 180
 
 MOUNT = """async ({ jobs, clock, video, clocks, person }) => {
   const { mount, mountPair } = await import("/portal/viewer/mount.js");
-  const { ApiSource } = await import("/portal/viewer/source.js");
+  const { ApiSource } = await import("/portal/viewer/mount.js");
   const place = document.createElement("div");
   for (const child of document.body.children) child.hidden = true;
   document.body.prepend(place);
@@ -219,7 +219,7 @@ def test_a_take_without_people_draws_none(shown: Shown) -> None:
     shown.page.evaluate(
         """async (job) => {
           const { mount } = await import("/portal/viewer/mount.js");
-          const { ApiSource } = await import("/portal/viewer/source.js");
+          const { ApiSource } = await import("/portal/viewer/mount.js");
           const place = document.createElement("div");
           for (const child of document.body.children) child.hidden = true;
           document.body.prepend(place);
@@ -278,13 +278,13 @@ def test_seeing_through_a_camera_shows_people_where_the_camera_sees_them(shown: 
     # A point in the picture, by three.js' projection and by the lens: the first camera has no distortion.
     off_px = shown.page.evaluate(
         """async () => {
-          const { lensOf } = await import("/portal/viewer/video/lens.js");
+          const { prepareLens } = await import("/portal/viewer/video/overlay.js");
           const { view, description } = globalThis.viewer;
           const { stage, people } = view;
           for (let count = 0; count < 3; count++) await new Promise(requestAnimationFrame); // drawn
           const camera = description.cameras[0];
           const point = people.anchors[0];
-          const seen = lensOf(camera).project(point.x, point.y, point.z, [0, 0]);
+          const seen = prepareLens(camera).project(point.x, point.y, point.z, [0, 0]);
           const onScreen = point.clone();
           stage.toScreen(point, onScreen);
           const { clientWidth: width, clientHeight: height } = stage.canvas;
@@ -448,7 +448,7 @@ def test_a_missing_motion_is_told(shown: Shown) -> None:
     told = shown.page.evaluate(
         """async (job) => {
           const { mount } = await import("/portal/viewer/mount.js");
-          const { ApiSource } = await import("/portal/viewer/source.js");
+          const { ApiSource } = await import("/portal/viewer/mount.js");
           const source = new ApiSource(job);
           source.description = async () => { throw new Error("The job has no motion to look at."); };
           const place = document.createElement("div");

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.benchmark
 
 MEASURE = """async (job) => {
   const { mount } = await import("/portal/viewer/mount.js");
-  const { ApiSource } = await import("/portal/viewer/source.js");
+  const { ApiSource } = await import("/portal/viewer/mount.js");
   const place = document.createElement("div");
   for (const child of document.body.children) child.hidden = true;
   document.body.prepend(place);
@@ -46,7 +46,7 @@ MEASURE = """async (job) => {
 # Plays at once, and again when the pictures are kept; then moves the play head 40 times and waits for all pictures.
 WITH_VIDEOS = """async ({ job, cameras }) => {
   const { mount } = await import("/portal/viewer/mount.js");
-  const { ApiSource } = await import("/portal/viewer/source.js");
+  const { ApiSource } = await import("/portal/viewer/mount.js");
   const place = document.createElement("div");
   for (const child of document.body.children) child.hidden = true;
   document.body.prepend(place);

@@ -126,16 +126,16 @@ def test_the_time_of_a_take_is_estimated_from_its_frames(page: Page, served: Ser
     expect(page.get_by_role("region", name="Send")).to_contain_text(re.compile("Takes .*, estimated from "))
     counts = page.evaluate(
         """async () => {
-          const { numFramesOf } = await import("/portal/send/frame_count.js");
+          const { countFrames } = await import("/portal/shared/mp4.js");
           const { sending } = await import("/portal/send/sending.js");
-          return Promise.all(sending.rows.map(({ file }) => numFramesOf(file)));
+          return Promise.all(sending.rows.map(({ file }) => countFrames(file)));
         }"""
     )
     assert counts == [num_frames(path) for path in videos]
     # Ten times as many frames take ten times as long; the pace is that of jobs of this service.
     minutes = page.evaluate(
         """async () => {
-          const { estimateOf } = await import("/portal/shared/estimate.js");
+          const { estimateTime } = await import("/portal/shared/jobs.js");
           const { sending } = await import("/portal/send/sending.js");
           const { options } = sending;
           const spec = { profile: "balanced" };
@@ -146,7 +146,7 @@ def test_the_time_of_a_take_is_estimated_from_its_frames(page: Page, served: Ser
           };
           const frameS = Object.fromEntries(options.profiles.map(({ name, joints, default_joints: usual }) =>
             [name, joints.find((one) => one.joints === usual).camera_frame_s]));
-          const texts = [[6000, [job]], [60000, [job]], [60000, []]].map(([frames, jobs]) => estimateOf(spec, frames, jobs, options).text);
+          const texts = [[6000, [job]], [60000, [job]], [60000, []]].map(([frames, jobs]) => estimateTime(spec, frames, jobs, options).text);
           return [texts, frameS];
         }"""  # noqa: E501
     )

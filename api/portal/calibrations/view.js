@@ -1,14 +1,11 @@
 // View Calibrations: the stored ones to look at, download, rename and delete; a form to add one.
 
-import { announce } from "../shared/announce.js";
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
-import { distinct, readCalibrations } from "../shared/calibrations.js";
-import { confirm } from "../shared/dialog.js";
+import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
-import { html, nothing, render, repeat } from "../shared/lit.js";
-import { problemBox, warningList } from "../shared/problem.js";
+import { confirm, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
+import { announce } from "../shared/page.js";
+import { distinct, readCalibrations } from "../shared/resources.js";
 import { AddForm } from "./add.js";
 
 const POLL_MS = 2000;
@@ -96,14 +93,14 @@ export function open(place, route, caller) {
 
   function cameraTable({ name, cameras, report, source }) {
     const errors = new Map((report?.cameras ?? []).map((camera) => [camera.name, camera.reprojection_error_px]));
-    const errorOf = (camera) => (errors.get(camera.name) == null ? "" : `${errors.get(camera.name).toFixed(2)} px`);
+    const describeError = (camera) => (errors.get(camera.name) == null ? "" : `${errors.get(camera.name).toFixed(2)} px`);
     return html`<details class="cameras"><summary>Cameras</summary>
       <p class="quiet">${report?.world ?? [source.format, source.axes].filter(Boolean).join("; ")}</p>
       <div class="scroll" role="group" aria-label="Cameras of ${name}" tabindex="0"><table>
         <thead><tr><th scope="col">Camera</th><th scope="col">Picture</th><th scope="col">Focal length</th><th scope="col">Position, m</th><th scope="col">Error</th></tr></thead>
         <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th>
           <td>${camera.size_px ? camera.size_px.join(" × ") : "unknown"}</td><td>${camera.matrix[0][0].toFixed(1)} px</td>
-          <td>${camera.position_m.map((value) => value.toFixed(2)).join(", ")}</td><td>${errorOf(camera)}</td></tr>`)}</tbody>
+          <td>${camera.position_m.map((value) => value.toFixed(2)).join(", ")}</td><td>${describeError(camera)}</td></tr>`)}</tbody>
       </table></div></details>`;
   }
 

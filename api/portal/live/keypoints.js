@@ -1,9 +1,8 @@
 // Keypoints in OpenPose's form as frames of cameras: zips or folders of a camera each, and their times.
 
+import { isPassedOver, readPath } from "../send/files.js";
 import { matchCameras } from "../send/matching.js";
-import { isPassedOver, pathOf } from "../send/files.js";
 import { stem } from "../shared/format.js";
-import { entriesOf, textOf } from "./zip.js";
 
 const FRAME = /^(?:.*\D)?(\d{1,15})(?:_keypoints)?\.json$/;
 const COLUMNS = ["camera", "frame", "time_s"];
@@ -11,7 +10,7 @@ const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26,
 const FORM = "The page plays keypoints in OpenPose's form: a JSON file of each frame, with people and pose_keypoints_2d.";
 
 /** Reason for which nothing can be played, as `problemBox` shows it. */
-export class PlaybackProblem extends Error {
+class PlaybackProblem extends Error {
   constructor(message, hint = null) {
     super(message);
     this.hint = hint;
@@ -20,7 +19,7 @@ export class PlaybackProblem extends Error {
 }
 
 const numberOf = (path) => FRAME.exec(path.split("/").at(-1))?.[1];
-const extensionOf = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).toLowerCase();
+const fileExtension = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).toLowerCase();
 
 /**
  * Sort dropped files: `{ views, timestamps, calibration, others }`.
@@ -31,10 +30,10 @@ export async function sortedFiles(files) {
   const views = new Map();
   const found = { timestamps: null, calibration: null, others: [] };
   const viewOf = (name) => views.get(name) ?? views.set(name, { name, frames: new Map() }).get(name);
-  for (const file of [...files].filter((each) => !isPassedOver(pathOf(each)))) {
-    const folders = pathOf(file).split("/").slice(0, -1);
+  for (const file of [...files].filter((each) => !isPassedOver(readPath(each)))) {
+    const folders = readPath(file).split("/").slice(0, -1);
     const isFrame = file.name.endsWith("_keypoints.json") || (folders.length > 0 && numberOf(file.name) !== undefined);
-    const extension = extensionOf(file);
+    const extension = fileExtension(file);
     if (extension === "zip") await addZip(file, viewOf, found);
     else if (extension === "csv") found.timestamps = file;
     else if (extension === "json" && isFrame) viewOf(folders.at(-1) ?? "").frames.set(Number(numberOf(file.name)), () => file.text());
@@ -45,13 +44,13 @@ export async function sortedFiles(files) {
 }
 
 async function addZip(file, viewOf, found) {
-  const entries = (await entriesOf(file)).filter(({ name }) => !isPassedOver(name) && numberOf(name) !== undefined);
+  const entries = (await listEntries(file)).filter(({ name }) => !isPassedOver(name) && numberOf(name) !== undefined);
   if (entries.length === 0) found.others.push(file.name);
-  for (const entry of entries) viewOf(stem(file.name)).frames.set(Number(numberOf(entry.name)), () => textOf(file, entry));
+  for (const entry of entries) viewOf(stem(file.name)).frames.set(Number(numberOf(entry.name)), () => readText(file, entry));
 }
 
 /** Times in seconds by camera and frame, of a file of timestamps. */
-export async function readTimes(file) {
+async function readTimes(file) {
   const [head = "", ...rows] = (await file.text()).replace(/^\uFEFF/, "").split(/\r?\n/).filter((row) => row.trim() !== "");
   const cells = (row) => row.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1"));
   const columns = COLUMNS.map((name) => cells(head).indexOf(name));
@@ -72,7 +71,7 @@ export async function readTimes(file) {
  * `frames` are in the order of their times: `{ camera, timeS, read }`, where `camera` is a name and `read` gives a promise of
  * the people, x, y and score of each point in a row. Throws a `PlaybackProblem`.
  */
-export async function recordingOf({ views, timestamps }, cameras, frameRateHz) {
+export async function openRecording({ views, timestamps }, cameras, frameRateHz) {
   const paired = matchCameras(views.map(({ name }) => `${name}.zip`), cameras);
   const stray = views.filter(({ name }) => !paired.has(`${name}.zip`));
   if (stray.length) throw new PlaybackProblem(`No camera's name is in ${stray.map(({ name }) => name || "files without a folder").join(", ")}.`, `The cameras are ${cameras.join(", ")}.`);
@@ -80,7 +79,7 @@ export async function recordingOf({ views, timestamps }, cameras, frameRateHz) {
   const times = timestamps ? await readTimes(timestamps) : null;
   const frames = views.flatMap((view) => framesOf(view, paired.get(`${view.name}.zip`), times, frameRateHz));
   frames.sort((one, other) => one.timeS - other.timeS);
-  return { frames, cameras: [...new Set(frames.map(({ camera }) => camera))], ...await layoutOf(frames), rateHz: times ? measuredRateHz(frames) : frameRateHz };
+  return { frames, cameras: [...new Set(frames.map(({ camera }) => camera))], ...await findLayout(frames), rateHz: times ? measuredRateHz(frames) : frameRateHz };
 }
 
 function framesOf({ frames }, camera, times, frameRateHz) {
@@ -101,7 +100,7 @@ export function peopleOf(text) {
 }
 
 /** Layout of the points, by the first frame with people. */
-async function layoutOf(frames) {
+async function findLayout(frames) {
   for (const { read } of frames) {
     const [row] = await read();
     if (row === undefined) continue;
@@ -142,4 +141,68 @@ function measuredRateHz(frames) {
     return steps[steps.length >> 1];
   }).filter((stepS) => stepS > 0);
   return Math.min(1000, Math.max(1, Math.round(1000 / Math.min(...medians)) / 1000 || 25));
+}
+
+// Zip archives in the browser: their entries, and the content of one.
+
+// Records of the format (APPNOTE.TXT of PKWARE, sections 4.3.12 to 4.3.16) by their first four bytes.
+const [ENTRY, END, END_64, LOCATOR_64] = [0x02014b50, 0x06054b50, 0x06064b50, 0x07064b50];
+const [END_BYTES, LOCATOR_BYTES, ENTRY_BYTES, LOCAL_BYTES] = [22, 20, 46, 30];
+const MAX_COMMENT_BYTES = 0xffff;
+const [STORED, DEFLATED] = [0, 8];
+const MAX_CONTENT_BYTES = 4 * 2 ** 20; // as the service allows a frame
+
+const viewOf = async (blob, start, end) => new DataView(await blob.slice(start, end).arrayBuffer());
+
+/** Entries of an archive, a Blob: `{ name, start, method, packedBytes, numBytes }` each; throws if it is none. */
+export async function listEntries(blob) {
+  const { start, numBytes } = await findDirectory(blob);
+  const view = await viewOf(blob, start, start + numBytes);
+  const decoder = new TextDecoder();
+  const entries = [];
+  for (let at = 0; at + ENTRY_BYTES <= view.byteLength && view.getUint32(at, true) === ENTRY;) {
+    const [nameBytes, extraBytes, commentBytes] = [28, 30, 32].map((offset) => view.getUint16(at + offset, true));
+    entries.push({
+      name: decoder.decode(new Uint8Array(view.buffer, at + ENTRY_BYTES, nameBytes)), method: view.getUint16(at + 10, true),
+      packedBytes: view.getUint32(at + 20, true), numBytes: view.getUint32(at + 24, true), start: view.getUint32(at + 42, true),
+    });
+    at += ENTRY_BYTES + nameBytes + extraBytes + commentBytes;
+  }
+  return entries;
+}
+
+export async function readText(blob, { name, start, method, packedBytes, numBytes }) {
+  if (numBytes > MAX_CONTENT_BYTES || ![STORED, DEFLATED].includes(method)) throw new Error(`${name} in the zip is too large, or packed in an unusual way.`);
+  const head = await viewOf(blob, start, start + LOCAL_BYTES);
+  const first = start + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
+  const content = blob.slice(first, first + packedBytes);
+  if (method === STORED) return content.text();
+  return new Response(content.stream().pipeThrough(new DecompressionStream("deflate-raw")).pipeThrough(limited(name, numBytes))).text();
+}
+
+/** Stream that breaks off where there are more bytes than the archive states. */
+function limited(name, numBytes) {
+  let left = numBytes;
+  return new TransformStream({
+    transform(chunk, controller) {
+      left -= chunk.byteLength;
+      if (left < 0) throw new Error(`${name} in the zip is larger than it states.`);
+      controller.enqueue(chunk);
+    },
+  });
+}
+
+/** Place of the list of entries. */
+async function findDirectory(blob) {
+  const from = Math.max(0, blob.size - END_BYTES - MAX_COMMENT_BYTES - LOCATOR_BYTES);
+  const tail = await viewOf(blob, from, blob.size);
+  for (let at = tail.byteLength - END_BYTES; at >= 0; at--) {
+    if (tail.getUint32(at, true) !== END) continue;
+    const locator = at - LOCATOR_BYTES;
+    if (locator < 0 || tail.getUint32(locator, true) !== LOCATOR_64) return { numBytes: tail.getUint32(at + 12, true), start: tail.getUint32(at + 16, true) };
+    const place = Number(tail.getBigUint64(locator + 8, true));
+    const end = await viewOf(blob, place, place + 56);
+    if (end.byteLength === 56 && end.getUint32(0, true) === END_64) return { numBytes: Number(end.getBigUint64(40, true)), start: Number(end.getBigUint64(48, true)) };
+  }
+  throw new Error("The file is no zip.");
 }

@@ -21,7 +21,7 @@ export class Playback extends EventTarget {
   #sentMs = []; // time of each frame that was sent, as [timeS, milliseconds], of the last seconds
   #latencies = [];
 
-  /** `client` is a `LiveClient` that is ready, `recording` as of `recordingOf`, `cameras` the names of `ready`. */
+  /** `client` is a `LiveClient` that is ready, `recording` as of `openRecording`, `cameras` the names of `ready`. */
   constructor(client, recording, cameras) {
     super();
     this.#client = client;
@@ -29,7 +29,6 @@ export class Playback extends EventTarget {
     this.#places = new Map(cameras.map((name, place) => [name, place]));
   }
 
-  /** Length in seconds. */
   get lengthS() {
     const { frames } = this.#recording;
     return frames.at(-1).timeS - frames[0].timeS;

@@ -2,7 +2,7 @@
 
 import { count, length } from "../shared/format.js";
 import { html, nothing, ref, render } from "../shared/lit.js";
-import { unpackInstant } from "./packets.js";
+import { unpackInstant } from "./client.js";
 import { LiveScene } from "./scene.js";
 
 const AGAIN_MS = 2000;

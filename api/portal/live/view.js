@@ -1,17 +1,13 @@
 // View Live: keypoints of files played into a live capture, and people in 3D as they come back.
 
-import { announce } from "../shared/announce.js";
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
-import { readCalibrations } from "../shared/calibrations.js";
+import { calibrationPart, ChosenCalibration } from "../send/calibration.js";
+import { droppedFiles } from "../send/files.js";
+import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, length } from "../shared/format.js";
-import { html, nothing, ref, render, typed } from "../shared/lit.js";
-import { problemBox } from "../shared/problem.js";
-import { go } from "../shared/router.js";
-import { calibrationPart } from "../send/calibration.js";
-import { droppedFiles } from "../send/files.js";
-import { ChosenCalibration } from "../send/rig.js";
+import { html, nothing, problemBox, ref, render, typed } from "../shared/lit.js";
+import { announce, go } from "../shared/page.js";
+import { readCalibrations } from "../shared/resources.js";
 
 const DRAW_MS = 250;
 const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
@@ -99,9 +95,9 @@ class LiveView {
     this.#go("opening");
     try {
       // The player is large: it is loaded when it is needed.
-      const [{ recordingOf }, ...modules] = await Promise.all([import("./keypoints.js"), import("./client.js"), import("./playback.js"), import("./scene.js")]);
+      const [{ openRecording }, ...modules] = await Promise.all([import("./keypoints.js"), import("./client.js"), import("./playback.js"), import("./scene.js")]);
       const names = this.rig.record.cameras.map(({ name }) => name);
-      const recording = await recordingOf(this.files, names, this.frameRateHz);
+      const recording = await openRecording(this.files, names, this.frameRateHz);
       if (!this.#isClosed) await this.#open(recording, ...modules);
     } catch (problem) {
       this.#over(problem);

@@ -1,13 +1,11 @@
 // Motion of a job in the view Look: the viewer, and another job of the capture beside it.
 
-import { addressed, call, RequestProblem } from "../shared/api.js";
-import { persistently, reached } from "../shared/away.js";
-import { html, nothing, render } from "../shared/lit.js";
-import { readOptions } from "../shared/options.js";
-import { problemBox } from "../shared/problem.js";
-import { EditedStore } from "../viewer/motion/edited.js";
-import { about } from "../viewer/motion/nearby.js";
-import { titlesOf } from "./titles.js";
+import { addressed, call, persistently, reached, RequestProblem } from "../shared/api.js";
+import { html, nothing, problemBox, render } from "../shared/lit.js";
+import { readOptions } from "../shared/resources.js";
+import { about } from "../viewer/motion/records.js";
+import { EditedStore, MotionStore } from "../viewer/motion/store.js";
+import { titleJobs } from "./titles.js";
 
 // Event `time`: the play head has moved, or another viewer is shown.
 export class JobMotion extends EventTarget {
@@ -46,7 +44,7 @@ export class JobMotion extends EventTarget {
     if (isGuest) return;
     const { jobs } = await call(`/v1/sessions/${session.id}/jobs?state=succeeded`);
     this.#others = jobs.filter((other) => other.id !== job.id && other.kind === "reconstruction");
-    this.#titles = titlesOf([job, ...this.#others], await readOptions());
+    this.#titles = titleJobs([job, ...this.#others], await readOptions());
     this.#drawChoice();
   }
 
@@ -73,7 +71,6 @@ export class JobMotion extends EventTarget {
     const isOver = () => number !== this.#number;
     const origin = this.#viewer.description.origin_m;
     const read = async () => {
-      const { MotionStore } = await import("../viewer/motion/store.js");
       const description = about(await this.#source.description(), origin);
       return new MotionStore(description, this.#source);
     };
@@ -127,7 +124,7 @@ export class JobMotion extends EventTarget {
   // Viewer of the job, or of it and another one.
   #mounted(other) {
     return orAway(async () => {
-      const [{ mount, mountPair }, { ApiSource }] = await Promise.all([import("../viewer/mount.js"), import("../viewer/source.js")]);
+      const { ApiSource, mount, mountPair } = await import("../viewer/mount.js");
       const { cameras } = this.session.preflight;
       const sourceOf = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character) });
       this.#source = sourceOf(this.job);

@@ -1,10 +1,8 @@
 // Public links to look at a job: made, copied, listed, revoked.
 
-import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
-import { confirm } from "../shared/dialog.js";
-import { html, nothing, render, repeat } from "../shared/lit.js";
-import { problemBox } from "../shared/problem.js";
+import { confirm, html, nothing, problemBox, render, repeat } from "../shared/lit.js";
+import { announce } from "../shared/page.js";
 
 const HOUR_S = 3600;
 const DURATIONS = [["1 hour", HOUR_S], ["1 day", 24 * HOUR_S], ["7 days", 7 * 24 * HOUR_S], ["30 days", 30 * 24 * HOUR_S]];
@@ -50,7 +48,7 @@ export class Sharing {
   }
 
   #item(link, number) {
-    const [made, ends] = [link.created_at, link.expires_at].map(momentOf);
+    const [made, ends] = [link.created_at, link.expires_at].map(formatMoment);
     return html`<li><span>Link ${number} ends ${ends}${link.id === this.made?.id ? " (the new one)" : ""} <span class="quiet">made ${made}</span></span>
       <button type="button" class="button small danger-quiet" aria-label="Revoke link ${number}" @click=${() => this.#revoke(link)}>Revoke</button></li>`;
   }
@@ -116,6 +114,6 @@ export class Sharing {
   }
 }
 
-function momentOf(text) {
+function formatMoment(text) {
   return new Date(text).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 }

@@ -1,10 +1,10 @@
 // Titles of the jobs of a capture, by what tells them apart.
 
 import { moment } from "../shared/format.js";
-import { valueOf } from "../shared/options.js";
+import { valueOf } from "../shared/resources.js";
 
 /** Title of each job by its id: the choices in which they differ, the revision, and the time where that is not enough. */
-export function titlesOf(jobs, { choices }) {
+export function titleJobs(jobs, { choices }) {
   const isVaried = ({ name }) => new Set(jobs.map(({ spec }) => JSON.stringify(spec[name] ?? null))).size > 1;
   const varied = choices.filter(isVaried);
   const wordsOf = ({ spec, revision }) => [

@@ -1,13 +1,11 @@
 // View Look: one job, its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
 
-import { announce } from "../shared/announce.js";
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
+import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
-import { html, nothing, render } from "../shared/lit.js";
-import { readOptions } from "../shared/options.js";
-import { problemBox, warningList } from "../shared/problem.js";
+import { html, nothing, problemBox, render, warningList } from "../shared/lit.js";
+import { announce } from "../shared/page.js";
+import { readOptions } from "../shared/resources.js";
 import { choiceList, errorBox, stageList, waitingBox } from "../watch/job.js";
 import { downloads } from "./downloads.js";
 import { JobMotion } from "./motion.js";
@@ -166,9 +164,9 @@ class Look {
 }
 
 // The same people object for the same people, so that the viewer is changed only when they are.
-const coloredOf = new WeakMap();
+const coloredPeople = new WeakMap();
 
 function colored(people) {
-  if (!coloredOf.has(people)) coloredOf.set(people, { ...people, people: people.people.map((person) => ({ ...person, color: colorOf(person.id) })) });
-  return coloredOf.get(people);
+  if (!coloredPeople.has(people)) coloredPeople.set(people, { ...people, people: people.people.map((person) => ({ ...person, color: colorOf(person.id) })) });
+  return coloredPeople.get(people);
 }

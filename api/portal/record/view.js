@@ -1,12 +1,10 @@
 // View Record: phones as cameras. The list of recordings; one of them is loaded when it is opened.
 
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
+import { call, persistently } from "../shared/api.js";
 import { count, moment } from "../shared/format.js";
-import { html, nothing, render } from "../shared/lit.js";
-import { problemBox } from "../shared/problem.js";
-import { address, go } from "../shared/router.js";
-import { keepJoin } from "./join_links.js";
+import { html, nothing, problemBox, render } from "../shared/lit.js";
+import { address, go } from "../shared/page.js";
+import { keepJoin } from "./room.js";
 
 /** List of recordings, and the form of a new one. */
 class RecordingList {

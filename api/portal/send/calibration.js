@@ -1,9 +1,9 @@
 // Part of the view Send that chooses the calibration of the cameras: a stored one, or a file.
 
-import { dated, usable } from "../shared/calibrations.js";
-import { count } from "../shared/format.js";
-import { html, live, nothing } from "../shared/lit.js";
-import { problemBox, warningList } from "../shared/problem.js";
+import { call, jsonPart, persistently } from "../shared/api.js";
+import { count, stem } from "../shared/format.js";
+import { html, live, nothing, problemBox, warningList } from "../shared/lit.js";
+import { dated, usable } from "../shared/resources.js";
 import { ACCEPTED_CALIBRATIONS, AXES } from "./files.js";
 
 const UNITS = [["", "as the file states, or metres"], ["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
@@ -48,4 +48,101 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
       ${choice("Unit of length", UNITS, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
       ${choice("Axis that points up", AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div>` : nothing}
     <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
+}
+
+// Calibration files as stored calibrations: a file whose content is stored already is not sent again.
+
+const KNOWN_KEY = "multicap.calibrations";
+const MOST_KNOWN = 50;
+
+function knownCalibrations() {
+  try {
+    return JSON.parse(localStorage.getItem(KNOWN_KEY)) ?? {};
+  } catch {
+    return {};
+  }
+}
+
+function remember(name, id) {
+  const entries = Object.entries({ ...knownCalibrations(), [name]: id }).slice(-MOST_KNOWN);
+  try {
+    localStorage.setItem(KNOWN_KEY, JSON.stringify(Object.fromEntries(entries)));
+  } catch { /* storage is off or full: the file is sent again next time */ }
+}
+
+// Digest of 53 bits (cyrb53) that tells a user's own files apart. Browsers offer SHA-256 only where pages come encrypted.
+function digest(bytes) {
+  let [high, low] = [0xdeadbeef, 0x41c6ce57];
+  for (const byte of bytes) {
+    high = Math.imul(high ^ byte, 2654435761);
+    low = Math.imul(low ^ byte, 1597334677);
+  }
+  high = Math.imul(high ^ (high >>> 16), 2246822507) ^ Math.imul(low ^ (low >>> 13), 3266489909);
+  low = Math.imul(low ^ (low >>> 16), 2246822507) ^ Math.imul(high ^ (high >>> 13), 3266489909);
+  return (4294967296 * (2097151 & low) + (high >>> 0)).toString(36);
+}
+
+// A calibration that was deleted since is sent again.
+function unlessAway(problem) {
+  if (problem.isAway) throw problem;
+  return null;
+}
+
+// Stored calibration of a file, which the service checks.
+async function storedCalibration(file, units, up) {
+  const name = [digest(new Uint8Array(await file.arrayBuffer())), file.size, file.name.split(".").pop(), units, ...(up ? [up] : [])].join("|");
+  const id = knownCalibrations()[name];
+  const earlier = id ? await call(`/v1/calibrations/${id}`).catch(unlessAway) : null;
+  if (earlier?.state === "ready") return earlier;
+  const form = new FormData();
+  form.append("spec", jsonPart({ method: "file", name: stem(file.name), units, ...(up && { up }) }));
+  form.append("calibration", file, file.name); // a file of a chosen folder would have its path as its name
+  const calibration = await call("/v1/calibrations", { method: "POST", form });
+  remember(name, calibration.id);
+  return calibration;
+}
+
+// The calibration of the capture. One that is being read takes the place of the one before at once, so that neither the page
+// nor a request speaks of the former one.
+
+const NO_CALIBRATION = { id: null, name: null, file: null, units: null, up: null, record: null, problem: null, isReading: false };
+
+export class ChosenCalibration {
+  #number = 0; // of the last choice, so that a slow answer does not take the place of a later one
+
+  // `changed` is called after each change.
+  constructor(changed) {
+    Object.assign(this, NO_CALIBRATION, { changed });
+  }
+
+  // Choose a stored calibration; null: none.
+  choose(id, name = null) {
+    if (id) return this.#read({ id, name }, () => call(`/v1/calibrations/${encodeURIComponent(id)}`));
+    this.#number += 1;
+    Object.assign(this, NO_CALIBRATION);
+    this.changed();
+    return Promise.resolve();
+  }
+
+  // Store a calibration file, which checks it; the capture names it by its id.
+  readFile(file, units = null, up = null) {
+    return this.#read({ name: file.name, file, units, up }, () => storedCalibration(file, units, up));
+  }
+
+  async #read(wanted, read) {
+    const number = ++this.#number;
+    Object.assign(this, NO_CALIBRATION, wanted, { isReading: true });
+    this.changed();
+    let result;
+    try {
+      const isOver = () => number !== this.#number;
+      const record = await persistently(read, { isOver, away: (problem) => { this.problem = problem; this.changed(); } });
+      result = { record, id: record.id, name: record.name, problem: null };
+    } catch (problem) {
+      result = { problem, ...(problem.status === 404 && { id: null }) };
+    }
+    if (number !== this.#number) return;
+    Object.assign(this, result, { isReading: false });
+    this.changed();
+  }
 }

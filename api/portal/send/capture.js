@@ -1,16 +1,16 @@
-// The capture that the page shows, and the requests that send it: both come from `captureOf` alone.
+// The capture that the page shows, and the requests that send it: both come from `planCapture` alone.
 
 import { stem } from "../shared/format.js";
 import { shownSpec } from "./choices.js";
-import { naturalOrder } from "./matching.js";
-import { recordingsOf } from "./parts.js";
+import { needsCamera } from "./files.js";
+import { naturalOrder, groupRecordings } from "./matching.js";
 
 // Start of the cameras that nobody knows: the service measures their clocks.
 export const MEASURED = "measured";
 
 // Description of a draft with its calibration and the choices that the service offers. What the page does not ask for
 // has no value here, whatever the draft keeps for the next capture.
-export function captureOf({ draft, rig, options }) {
+export function planCapture({ draft, rig, options }) {
   const files = draft.rows.filter(({ isUsed }) => isUsed);
   const has = (kind) => files.some((row) => row.kind === kind);
   const hasPoints = has("keypoints") || has("array");
@@ -31,21 +31,20 @@ export function captureOf({ draft, rig, options }) {
 }
 
 // Rows of files by the recordings that they are parts of by their names; most recordings are one file.
-export function recordingsOfRows(rows) {
+export function groupRows(rows) {
   const byName = new Map();
   for (const row of rows) byName.set(byName.has(stem(row.name)) ? row.name : stem(row.name), row);
-  return recordingsOf([...byName.keys()]).map((names) => names.map((name) => byName.get(name)));
+  return groupRecordings([...byName.keys()]).map((names) => names.map((name) => byName.get(name)));
 }
 
 // Rows with the video of a camera in order, if they are the parts of one recording: by their names, or as was said; else
 // null.
 export function partsOf(rows) {
-  const recordings = recordingsOfRows(rows);
+  const recordings = groupRows(rows);
   if (recordings.length < 2) return recordings[0] ?? null;
   return rows.every(({ isJoined }) => isJoined) ? [...rows].sort((one, other) => naturalOrder(one.name, other.name)) : null;
 }
 
-// Rows of videos by their camera.
 export function videosByCamera(rows) {
   const groups = new Map();
   for (const row of rows.filter(({ kind, camera }) => kind === "video" && camera)) {
@@ -79,3 +78,37 @@ export function sessionBody({ name, files, calibration, clock, frameRate_hz, lay
 
 // Request that reconstructs it.
 export const jobBody = ({ spec }) => spec;
+
+// What keeps a capture from being sent, as sentences.
+
+const MIN_CAMERAS = 2;
+
+const asksForUnit = (problem) => problem.items?.some(({ code }) => code === "calibration_units_unstated");
+// Files of cameras that have several which are no parts of one recording.
+export function findDoubled(views) {
+  const joined = [...videosByCamera(views).values()].filter((rows) => partsOf(rows) !== null).flat();
+  return views.filter((row) => row.camera && !joined.includes(row) && views.some((other) => other !== row && other.camera === row.camera));
+}
+
+const listed = (rows) => rows.map(({ name }) => name).join(", ");
+
+export function findFaults({ files, views, calibration, needsFrameRate, frameRate_hz }, rig) {
+  const faults = [];
+  const missing = files.filter((row) => row.file === null && !row.isSent);
+  const arrays = views.filter(({ kind }) => kind === "array");
+  if (arrays.length && views.length > 1) faults.push(`${arrays[0].name} has the keypoints of all cameras: leave out the other files, or it.`);
+  if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
+  if (rig.problem && asksForUnit(rig.problem)) faults.push(`State the unit of length of ${rig.name}.`);
+  else if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
+  else if (!calibration) faults.push("Choose or add the calibration of the cameras.");
+  if (missing.length) faults.push(`Choose again: ${listed(missing)}.`);
+  if (needsFrameRate && !(frameRate_hz >= 1)) faults.push("State the frame rate of the keypoints, or add their timestamps, a CSV file.");
+  const images = views.filter(({ kind, name, rate }) => kind === "video" && /\.zip$/i.test(name) && !rate);
+  if (images.length) faults.push(`State the frame rate of the images: ${listed(images)}.`);
+  if (!calibration) return faults;
+  const without = views.filter((row) => needsCamera(row) && row.camera === null);
+  if (without.length) faults.push(`Give a camera to ${listed(without)}, or leave it out.`);
+  const twice = findDoubled(views);
+  if (twice.length) faults.push(`One camera has two files: ${listed(twice)}.`);
+  return faults;
+}

@@ -1,7 +1,8 @@
 // Form of a job's choices, made from what the service lists: first what an animator thinks of, the rest folded.
 
-import { html, live, nothing, prose, typed } from "../shared/lit.js";
-import { characterField } from "./character.js";
+import { count, size } from "../shared/format.js";
+import { html, live, nothing, problemBox, prose, svg, typed } from "../shared/lit.js";
+import { characters } from "../shared/resources.js";
 
 const GROUPS = [["purpose", "What for"], ["people", "Who"], ["quality", "How well"]];
 const MOST_TILES = 6;
@@ -12,12 +13,12 @@ function offered(choice, spec, options) {
   const lacks = new Map();
   if (choice.name === "detector") options.detectors.forEach(({ name, installed }) => lacks.set(name, installed === false));
   const networks = (profile, joints) => profile?.joints.find((entry) => entry.joints === joints);
-  const profileOf = (name) => options.profiles.find((profile) => profile.name === name);
+  const findProfile = (name) => options.profiles.find((profile) => profile.name === name);
   if (choice.name === "profile") {
     for (const profile of options.profiles) lacks.set(profile.name, networks(profile, profile.default_joints)?.installed === false);
   }
   if (choice.name === "joints") {
-    const profile = profileOf(spec.profile ?? options.choices.find(({ name }) => name === "profile")?.default);
+    const profile = findProfile(spec.profile ?? options.choices.find(({ name }) => name === "profile")?.default);
     for (const entry of profile?.joints ?? []) lacks.set(entry.joints, entry.installed === false);
   }
   return choice.values.filter(({ name }) => !lacks.get(name));
@@ -33,11 +34,11 @@ export function shownSpec(spec, options) {
     if (choice.kind === "several") shown[choice.name] = value.filter((name) => names.includes(name));
     else if (choice.kind !== "one" || names.includes(value)) shown[choice.name] = value;
   }
-  return { ...shown, ...characterOf(spec) };
+  return { ...shown, ...pickCharacter(spec) };
 }
 
 // Character of a spec, which is none of the listed choices.
-export const characterOf = ({ character }) => (character ? { character } : {});
+export const pickCharacter = ({ character }) => (character ? { character } : {});
 
 // Value that a choice has in a spec: the default if it is not set.
 export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
@@ -50,13 +51,13 @@ export function choicesForm({ id, options, spec, onChange, hidden = [], noteOf =
   const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, noteOf, set: (value) => set(choice, value) }) ?? nothing;
   // One value of few comes before several: the application before its files.
   const shown = options.choices.filter(({ name }) => !hidden.includes(name));
-  const choicesOf = (group) => shown.filter((choice) => choice.group === group)
+  const groupChoices = (group) => shown.filter((choice) => choice.group === group)
     .sort((one, other) => (one.kind === "several") - (other.kind === "several"));
   const rest = shown.filter((choice) => !GROUPS.some(([group]) => group === choice.group));
   const numChanged = rest.filter(({ name }) => name in spec).length;
   return html`
     ${GROUPS.map(([group, title]) => html`<div class="group" data-group=${group}><h3>${title}</h3>
-      <div class="fields">${group === "purpose" ? purposeField({ id, options, spec, onChange }) : nothing}${choicesOf(group).map(draw)}</div></div>`)}
+      <div class="fields">${group === "purpose" ? purposeField({ id, options, spec, onChange }) : nothing}${groupChoices(group).map(draw)}</div></div>`)}
     <details class="advanced">
       <summary>More options${numChanged ? html` <span class="badge">${numChanged} changed</span>` : nothing}</summary>
       <div class="fields grid">${rest.map(draw)}</div>
@@ -78,10 +79,10 @@ const isOfPurposes = ({ name }, { purposes }) => name in purposes[0].spec;
 
 // What a take is for, which sets several choices at once; none is checked if they were set otherwise.
 function purposeField({ id, options, spec, onChange }) {
-  const choiceOf = (name) => options.choices.find((choice) => choice.name === name);
-  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(valueOf(choiceOf(name), spec), value)));
+  const findChoice = (name) => options.choices.find((choice) => choice.name === name);
+  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(valueOf(findChoice(name), spec), value)));
   const pick = (purpose) => {
-    for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, choiceOf(name).default) ? undefined : value);
+    for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, findChoice(name).default) ? undefined : value);
   };
   const tiles = options.purposes.map((purpose) => tile({
     id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label, note: purpose.note,
@@ -171,3 +172,77 @@ const FIELDS = {
       })}</label>`)}</div><span class="quiet">${prose(choice.description)}</span></fieldset>`;
   },
 };
+
+// Character of one's own that moves as the people of a take: a stored one or a file, and its bones to correct.
+
+const FINGER = /Hand(Thumb|Index|Middle|Ring|Pinky)/;
+const FIGURE_PX = 220;
+
+// The field of a form. `set(id)` gets undefined for no character.
+function characterField({ id, chosen, set }) {
+  const list = characters.list ?? [];
+  const character = characters.opened.get(chosen);
+  const choose = (value) => { set(value || undefined); characters.load({ character: value }); };
+  const add = async (event) => {
+    const [file] = event.target.files;
+    event.target.value = "";
+    const added = file && await characters.add(file);
+    if (added) set(added.id);
+  };
+  return html`<fieldset class="choice character"><legend>Character</legend>
+    <p class="quiet">A figure with a skeleton, from a GLB, VRM or FBX file. Its bones are recognised; each person moves it in a file of its own.</p>
+    <div class="pair">
+      <label class="field"><span>Stored character</span>
+        <select name="${id}-character" @change=${(event) => choose(event.target.value)}>
+          <option value="" .selected=${live(!chosen)}>${characters.list === null ? "Loading …" : "None"}</option>
+          ${list.map(({ id: one, name }) => html`<option value=${one} .selected=${live(one === chosen)}>${name}</option>`)}
+        </select></label>
+      <label class="field"><span>Or a file</span><input type="file" accept=".glb,.vrm,.fbx" ?disabled=${characters.reading !== null} @change=${add}></label>
+    </div>
+    ${characters.reading === null ? nothing : html`<p class="chosen" role="status"><b>${characters.reading}</b> <span class="quiet">Reading the character …</span></p>`}
+    ${problemBox(characters.problem)}
+    ${character ? boneList(character, id) : nothing}
+  </fieldset>`;
+}
+
+function boneList(character, id) {
+  const isFinger = ({ joint }) => FINGER.test(joint);
+  const missing = character.joints.filter(({ bone, joint }) => bone === null && !FINGER.test(joint)).map(({ joint }) => joint);
+  const table = (joints) => html`<div class="bones">${joints.map((joint) => boneField(character, joint, id))}</div>`;
+  return html`<p class="chosen"><b>${character.name}</b>
+      <span class="quiet">${character.format} · ${size(character.num_bytes)} · ${count(character.num_bones, "bone")}</span></p>
+    <details .open=${characters.showsBones} @toggle=${(event) => { if (event.target === event.currentTarget) characters.showsBones = event.target.open; }}>
+      <summary>Bones${missing.length ? ` (without: ${missing.join(", ")})` : ""}</summary>
+      ${characters.showsBones ? html`
+        <div class="figure-and-bones">${figure(character)}${table(character.joints.filter((joint) => !isFinger(joint)))}</div>
+        <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
+        ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}` : nothing}
+    </details>
+    ${character.notes.map((note) => html`<p class="quiet">${note}</p>`)}`;
+}
+
+function boneField(character, { joint, bone, is_required: isRequired }, id) {
+  return html`<label class="field"><span>${joint}</span>
+    <select name="${id}-bone-${joint}" @change=${(event) => characters.correct(character, joint, event.target.value || null)}>
+      ${isRequired ? nothing : html`<option value="" .selected=${live(bone === null)}>none</option>`}
+      ${character.skeleton.map(({ bone: name }) => html`<option value=${name} .selected=${live(name === bone)}>${name}</option>`)}
+    </select></label>`;
+}
+
+// The bones from the front: those that move with a joint, and those at rest.
+function figure({ skeleton, joints }) {
+  const places = new Map(skeleton.map(({ bone, position: [x, , z] }) => [bone, [x, -z]]));
+  const moved = new Set(joints.map(({ bone }) => bone));
+  const [xs, ys] = [0, 1].map((axis) => [...places.values()].map((place) => place[axis]));
+  const [left, top] = [Math.min(...xs), Math.min(...ys)];
+  const scale = FIGURE_PX / Math.max(Math.max(...xs) - left, Math.max(...ys) - top, Number.MIN_VALUE);
+  const at = (bone) => places.get(bone).map((value, axis) => 10 + (value - [left, top][axis]) * scale);
+  const line = ({ bone, parent }) => {
+    const [[x1, y1], [x2, y2]] = [at(parent), at(bone)];
+    return svg`<line x1=${x1} y1=${y1} x2=${x2} y2=${y2} class=${moved.has(parent) ? "moved" : "at-rest"}></line>`;
+  };
+  return html`<svg class="figure" viewBox="0 0 ${FIGURE_PX + 20} ${FIGURE_PX + 20}" role="img" aria-label="The character's bones from the front">
+    ${skeleton.filter(({ parent }) => parent !== null).map(line)}
+    ${skeleton.map(({ bone }) => svg`<circle cx=${at(bone)[0]} cy=${at(bone)[1]} r="2.5" class=${moved.has(bone) ? "moved" : "at-rest"}><title>${bone}</title></circle>`)}
+  </svg>`;
+}

@@ -1,6 +1,7 @@
 // Files of a capture: what they are, by their names.
 
 import { RequestProblem } from "../shared/api.js";
+import { countFrames } from "../shared/mp4.js";
 
 const KINDS = {
   video: ["mp4", "mov", "m4v", "mkv", "webm", "avi", "ts", "mts", "m2ts", "mpg", "mpeg"],
@@ -28,29 +29,29 @@ const BESIDE = /^(\._.*|__macosx|desktop\.ini|thumbs\.db|.*\.(lrv|lrf|thm|insv))
 
 const paths = new WeakMap(); // of dropped files, with their folders
 
-export const pathOf = (file) => paths.get(file) ?? (file.webkitRelativePath || file.name);
+export const readPath = (file) => paths.get(file) ?? (file.webkitRelativePath || file.name);
 export const isPassedOver = (path) => path.split("/").some((name) => BESIDE.test(name));
 
-const foldersOf = (file) => pathOf(file).split("/").slice(0, -1);
+const readFolders = (file) => readPath(file).split("/").slice(0, -1);
 
 // Names of files, by file; each once where folders tell files of one name apart: `left_DCIM_GX010042.MP4`.
-export function namesOf(files) {
+export function uniqueNames(files) {
   const all = [...files];
-  const isOther = (one, other) => one.name === other.name && pathOf(one) !== pathOf(other) && foldersOf(one).length > 0 && foldersOf(other).length > 0;
+  const isOther = (one, other) => one.name === other.name && readPath(one) !== readPath(other) && readFolders(one).length > 0 && readFolders(other).length > 0;
   const alike = all.filter((file) => all.some((other) => isOther(file, other)));
-  const folders = alike.map(foldersOf);
+  const folders = alike.map(readFolders);
   let shared = 0;
   while (folders.length && folders.every((path) => shared < path.length && path[shared] === folders[0][shared])) shared += 1;
-  return new Map(all.map((file) => [file, alike.includes(file) ? pathOf(file).split("/").slice(shared).join("_") : file.name]));
+  return new Map(all.map((file) => [file, alike.includes(file) ? readPath(file).split("/").slice(shared).join("_") : file.name]));
 }
 
 const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
 // Files that belong to one camera, by their kinds.
-export const isOfCamera = ({ kind }) => kind === "video" || kind === "keypoints";
+export const needsCamera = ({ kind }) => kind === "video" || kind === "keypoints";
 
 // Kind of a file; null for a file that belongs to no capture.
-export async function kindOf(file) {
+export async function detectKind(file) {
   const ending = endingOf(file.name);
   if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
   if (ARRAY.test(file.name)) return "array";
@@ -99,3 +100,109 @@ async function walk(entry, files) {
     for (const child of piece) await walk(child, files);
   }
 }
+
+// Files that were dropped or chosen, as rows of a draft.
+
+const MOST_SHOWN = 6;
+
+const pick = ({ camera, isUsed, isJoined, offset_s, rate, url, sent, isSent }) => ({ camera, isUsed, isJoined, offset_s, rate, url, sent, isSent });
+
+// Add files to a draft, and return the calibration file among them, or null. Sentences about files that are left out or
+// replaced are added to `notes`, `forget(row)` hears of a row that another file replaces, and nothing is added once
+// `isOver()`.
+export async function addFiles(draft, chosen, { notes, forget, isOver }) {
+  const [beside, files] = [true, false].map((isBeside) => [...chosen].filter((file) => isPassedOver(readPath(file)) === isBeside));
+  const kinds = await Promise.all(files.map(detectKind));
+  const counts = await Promise.all(files.map((file, index) => (kinds[index] === "video" ? countFrames(file) : null)));
+  if (isOver()) return null;
+  const filesOf = (kind) => files.filter((file, index) => kinds[index] === kind);
+  const names = uniqueNames([...draft.rows.map(({ file }) => file).filter(Boolean), ...files]);
+  for (const row of draft.rows) if (row.file && !row.url && !row.isActive) row.name = names.get(row.file);
+  const [calibrations, others] = [filesOf("calibration"), filesOf(null)];
+  const added = new Set();
+  files.forEach((file, index) => {
+    const [kind, name] = [kinds[index], names.get(file)];
+    if (kind === null || kind === "calibration") return;
+    if (added.has(name)) notes.push(`Two files have the name ${name}. Rename one of them.`);
+    else addRow(draft, file, { name, kind, numFrames: counts[index] }, { notes, forget });
+    added.add(name);
+  });
+  if (calibrations.length > 1) {
+    notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
+  }
+  if (others.length) {
+    notes.push(`Left out: ${others.map(({ name }) => name).join(", ")}. A capture has videos, or zips of images or of keypoints, and a calibration.`);
+  }
+  if (beside.length) {
+    const shown = beside.slice(0, MOST_SHOWN).map(({ name }) => name).join(", ");
+    notes.push(`Passed over, as systems and cameras put them beside videos: ${shown}${beside.length > MOST_SHOWN ? ", …" : ""}.`);
+  }
+  if (!draft.name && draft.rows.length) draft.name = folderName(files) ?? "";
+  return calibrations[0] ?? null;
+}
+
+// A file goes on with its own upload, and takes the place of another file of its name.
+function addRow(draft, file, known, { notes, forget }) {
+  // A file that is chosen again may come without its folders.
+  const isAgain = (row) => row.file === null && isSame(row, file) && row.name.endsWith(`_${file.name}`);
+  const at = draft.rows.findIndex((row) => row.name === known.name || isAgain(row));
+  const facts = { size: file.size, modified: file.lastModified, ...known, name: draft.rows[at]?.name ?? known.name };
+  if (at < 0) {
+    draft.rows.push(makeRow(facts, file));
+    return;
+  }
+  const row = draft.rows[at];
+  if (isSame(row, file) && row.file !== null) return;
+  if (!isSame(row, file)) {
+    forget(row);
+    notes.push(`${facts.name} takes the place of the file of this name.`);
+  }
+  draft.rows[at] = makeRow({ ...facts, ...pick(row) }, file);
+}
+
+// Name of the folder that the files were dropped or chosen with.
+function folderName(files) {
+  const [path] = [...files].map((file) => file.webkitRelativePath).filter(Boolean);
+  return path?.split("/")[0] ?? null;
+}
+
+// The capture that is being put together, kept over a reload: all but the files, which the browser does not keep.
+
+const DRAFT_KEY = "multicap.draft";
+
+export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "isJoined", "offset_s", "rate", "url", "sent", "isSent"];
+
+export function emptyDraft(kept = {}) {
+  return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, layout: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
+}
+
+export function loadDraft() {
+  const stored = storedDraft();
+  return stored?.rows ? { ...emptyDraft(), ...stored, rows: stored.rows.map((row) => makeRow(row)) } : emptyDraft();
+}
+
+function storedDraft() {
+  try {
+    return JSON.parse(localStorage.getItem(DRAFT_KEY));
+  } catch {
+    return null; // storage is off, or holds something else
+  }
+}
+
+export function saveDraft(draft) {
+  const rows = draft.rows.map((row) => Object.fromEntries(FACTS.map((fact) => [fact, row[fact]])));
+  try {
+    localStorage.setItem(DRAFT_KEY, JSON.stringify({ ...draft, rows }));
+  } catch { /* storage is off or full: the draft does not outlive the page */ }
+}
+
+// Row of the table of files. `file` is null after a reload, until the same file is chosen again.
+export function makeRow(facts, file = null) {
+  return {
+    camera: null, isUsed: true, isJoined: false, offset_s: 0, rate: null, url: null, sent: 0, isSent: false, ...facts,
+    file, preview: facts.kind === "video" && file?.type.startsWith("video/") ? URL.createObjectURL(file) : null, hasFailed: false, isActive: false,
+  };
+}
+
+// A row may have the name of a file with its folders before.
+export const isSame = (row, file) => row.name.endsWith(file.name) && row.size === file.size && row.modified === file.lastModified;

@@ -1,6 +1,7 @@
 // Cameras' names in the names of files: the rule of pipeline/capture/names.py. The same table of cases tests both.
 
 import { stem } from "../shared/format.js";
+import { isPassedOver, readPath } from "./files.js";
 
 const isNumber = (run) => /^[0-9]/.test(run);
 const runsOf = (text) => text.match(/[0-9]+|[^0-9]+/g) ?? [];
@@ -36,7 +37,7 @@ function* keysFrom(words, start, mostRuns, { withZeros }) {
 }
 
 // Places of cameras' names among the words of a file's name, without those inside a longer name.
-function spansOf(words, cameras, options) {
+function findSpans(words, cameras, options) {
   const known = new Map();
   let mostRuns = 0;
   for (const camera of cameras) {
@@ -66,7 +67,7 @@ function numShared(names) {
   return [count(names), count(names.map((words) => [...words].reverse()))];
 }
 
-const camerasOf = (spans) => [...new Set(spans.map(({ camera }) => camera))];
+const listCameras = (spans) => [...new Set(spans.map(({ camera }) => camera))];
 
 // Cameras whose names are whole words in the name of each file, by the file's name: one, none, or several if the name is
 // ambiguous.
@@ -77,11 +78,11 @@ export function camerasInNames(names, cameras) {
     const exact = cameras.find((camera) => camera.normalize("NFC") === stem(name).normalize("NFC"));
     if (exact !== undefined) return [name, [exact]];
     const words = split[index];
-    const strict = spansOf(words, cameras, { withZeros: true });
-    const spans = strict.length ? strict : spansOf(words, cameras, { withZeros: false });
-    const found = camerasOf(spans);
+    const strict = findSpans(words, cameras, { withZeros: true });
+    const spans = strict.length ? strict : findSpans(words, cameras, { withZeros: false });
+    const found = listCameras(spans);
     if (found.length < 2) return [name, found];
-    const telling = camerasOf(spans.filter(({ start, stop }) => stop > numLeft && start < words.length - numRight));
+    const telling = listCameras(spans.filter(({ start, stop }) => stop > numLeft && start < words.length - numRight));
     return [name, telling.length ? telling : found];
   }));
 }
@@ -97,4 +98,64 @@ export function inOrder(names, cameras) {
   const sorted = [...cameras].sort(naturalOrder);
   const order = [...names].sort((one, other) => naturalOrder(stem(one), stem(other)));
   return new Map(order.map((name, index) => [name, sorted[index]]));
+}
+
+// Files that are the parts of one recording, by their names: the rule of pipeline/capture/parts.py. The same table of
+// cases tests both.
+
+// Runs of ASCII letters and digits; all else ends a word, as it does for the service.
+const PATTERNS = [
+  /(?<kind>g[hxls])(?<part>\d\d)(?<file>\d{4})/,
+  /(?<kind>gopr|gp(?<part>\d\d))(?<file>\d{4})/,
+  /(?<kind>g[hx][a-z]{2})(?<part>\d{4})/,
+  /(?<kind>part|pt)[ _.-]*(?<part>\d{1,4})/,
+].map(({ source }) => new RegExp(`^(?<head>(?:.*[^a-z0-9])?)${source}(?<tail>(?:[^a-z0-9].*)?)$`, "s"));
+
+// Place of a file in its recording; null if its name tells of no recording in parts.
+function partOf(name) {
+  const folded = name.normalize("NFC").toLowerCase();
+  for (const [index, pattern] of PATTERNS.entries()) {
+    const found = pattern.exec(folded)?.groups;
+    if (!found) continue;
+    const kind = found.kind.startsWith("gp") ? "gopr" : found.kind;
+    return { recording: JSON.stringify([index, found.head, kind, found.file ?? "", found.tail]), number: Number(found.part ?? 0) };
+  }
+  return null;
+}
+
+// Names of files, without endings, sorted into recordings, each with its parts in order; most recordings are one file.
+export function groupRecordings(names) {
+  const found = new Map();
+  const alone = [];
+  for (const name of [...names].sort(naturalOrder)) {
+    const part = partOf(name);
+    const parts = part && (found.get(part.recording) ?? new Map());
+    if (part === null || parts.has(part.number)) alone.push([name]);
+    else found.set(part.recording, parts.set(part.number, name));
+  }
+  const recordings = [...found.values()].map((parts) => [...parts].sort(([a], [b]) => a - b).map(([, name]) => name));
+  return [...alone, ...recordings].sort(([one], [other]) => naturalOrder(one, other));
+}
+
+// Folders of dropped files: whether they are takes.
+
+const VIEWS = ["video", "keypoints"];
+const MIN_RECORDINGS = 2;
+
+// Takes among files, in the natural order of their folders, and the files beside these folders; null if no two folders
+// have videos of several cameras. `kinds` are the kinds of the files.
+export function takesIn(files, kinds) {
+  const kept = files.map((file, index) => ({ file, kind: kinds[index], folders: readPath(file).split("/").slice(0, -1) })).filter(({ file }) => !isPassedOver(readPath(file)));
+  let depth = 0;
+  while (kept.length && kept.every(({ folders }) => depth < folders.length && folders[depth] === kept[0].folders[depth])) depth += 1;
+  const groups = new Map();
+  for (const one of kept) groups.set(one.folders[depth], [...(groups.get(one.folders[depth]) ?? []), one]);
+  const numRecordings = (group) => groupRecordings(group.filter(({ kind }) => VIEWS.includes(kind)).map(({ file }) => stem(file.name))).length;
+  const named = [...groups].filter(([name]) => name !== undefined).sort(([one], [other]) => naturalOrder(one, other));
+  if (named.filter(([, group]) => numRecordings(group) >= MIN_RECORDINGS).length < 2) return null;
+  const takes = named.filter(([, group]) => numRecordings(group) > 0).map(([name, group]) => ({
+    name, files: group.map(({ file }) => file), hasCalibration: group.some(({ kind }) => kind === "calibration"),
+  }));
+  const used = new Set(takes.flatMap((take) => take.files));
+  return { takes, beside: kept.map(({ file }) => file).filter((file) => !used.has(file)) };
 }

@@ -1,8 +1,7 @@
 // Table of a capture's files: the camera of each, its timing, and how much of it is sent.
 
-import { percent, size } from "../shared/format.js";
-import { html, live, nothing, repeat, typed } from "../shared/lit.js";
-import { findingList, pictureOf } from "./findings.js";
+import { count, percent, size } from "../shared/format.js";
+import { html, live, nothing, problemBox, repeat, typed, warningList } from "../shared/lit.js";
 
 function stateOf(row) {
   if (row.isSent) return "sent";
@@ -55,7 +54,7 @@ export function fileTable({ sending, change, remove }) {
         <td><input type="checkbox" aria-label="Use ${row.name}" .checked=${live(row.isUsed)} ?disabled=${isLocked}
           @change=${(event) => change(row, { isUsed: event.target.checked })}></td>
         <td class="file"><div>
-          ${sending.cameraOf(row)?.thumbnails?.length ? pictureOf(sending.cameraOf(row)) : row.preview ? html`<video class="thumb" src="${row.preview}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>` : nothing}
+          ${sending.findCamera(row)?.thumbnails?.length ? cameraPicture(sending.findCamera(row)) : row.preview ? html`<video class="thumb" src="${row.preview}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>` : nothing}
           <span><b>${row.name}</b><br><span class="quiet">${size(row.size)}</span></span>
         </div></td>
         <td>${cameraField(row, sending, change, isLocked)}</td>
@@ -67,7 +66,105 @@ export function fileTable({ sending, change, remove }) {
         <td><button type="button" class="button ghost icon" aria-label="Remove ${row.name}" title="Remove" ?disabled=${isLocked}
           @click=${(event) => remove(row, event.target)}>✕</button></td>
       </tr>
-      ${findingList(sending.findingsOf(row), sending.session?.preflight.cameras, (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
+      ${findingList(sending.rowFindings(row), sending.session?.preflight.cameras, (list) => html`<tr class="of-camera"><td></td><td colspan="6">${list}</td></tr>`)}
     `)}</tbody>
   </table></div>`;
+}
+
+// Part of the view Send that sends: what is sent, how far it is, what the check found, and the buttons.
+
+function summary(sending) {
+  const { files, calibration } = sending.capture;
+  if (files.length === 0) return html`<p class="quiet">No files yet.</p>`;
+  const total = files.reduce((sum, row) => sum + row.size, 0);
+  const estimate = sending.estimate();
+  return html`<p class="quiet">${count(files.length, "file")}, ${size(total)}${calibration ? ` · ${calibration.name}` : ""}</p>
+    ${estimate ? html`<p class="quiet">Takes ${estimate.text}, ${estimate.source}.</p>` : nothing}`;
+}
+
+function progressPart(sending) {
+  const [sent, total] = sending.used.reduce(([a, b], row) => [a + row.sent, b + row.size], [0, 0]);
+  const text = {
+    waiting: `Sent as soon as this is read: ${sending.unread.join(", ")}`, sending: `${size(sent)} of ${size(total)} sent`,
+    paused: `Paused at ${percent(sending.fraction)}`, restoring: "Looking for the capture that was sent …",
+    checking: "Sent. Checking the files …", starting: "Starting the job …",
+  }[sending.phase];
+  if (!text) return nothing;
+  return html`<div class="upload"><progress max="1" .value=${sending.fraction} aria-label="Upload"></progress><p class="quiet" role="status">${text}</p></div>`;
+}
+
+function buttons({ sending, numTakes, send, failed, change }) {
+  if (sending.phase === "checked") {
+    return html`<button type="button" class="button primary" @click=${() => sending.start()}>Reconstruct</button>
+      <button type="button" class="button" title="The files are sent again." @click=${() => sending.reopen().then(change, failed)}>Change the files</button>
+      <button type="button" class="button" @click=${() => sending.discardSession().catch(failed)}>Discard the capture</button>`;
+  }
+  if (sending.phase === "paused") return html`<button type="submit" class="button primary">Go on</button>`;
+  return html`<button type="submit" class="button primary" aria-disabled=${sending.isBusy ? "true" : nothing}>${numTakes > 1 ? `Send and reconstruct ${numTakes} takes` : "Send and reconstruct"}</button>
+    ${["waiting", "sending"].includes(sending.phase) ? html`<button type="button" class="button" @click=${() => sending.pause()}>Pause</button>` : numTakes ? nothing
+    : html`<button type="button" class="button" aria-disabled=${sending.isBusy ? "true" : nothing} @click=${() => send({ isCheckOnly: true })}>Send and check only</button>`}`;
+}
+
+function checkPart(sending) {
+  if (sending.session === null) return nothing;
+  const { preflight } = sending.session;
+  const general = (preflight.findings ?? []).filter(({ camera }) => !sending.rows.some((row) => row.camera === camera && camera));
+  const known = new Set((preflight.findings ?? []).map(({ message }) => message));
+  const isFine = preflight.warnings.length === 0 && !preflight.findings?.length;
+  return html`<div class="checked"><h2>The check</h2>
+    ${isFine ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
+    ${preflight.findings?.length && general.length === 0 ? html`<p>See the findings beside the files.</p>` : nothing}
+    ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
+}
+
+// `numTakes` is the number of takes that wait. `send(options)` sends, `failed(problem)` hears of what could not be done,
+// `change()` of files that are to be changed.
+export function goPanel({ sending, numTakes, send, failed, change }) {
+  const { rig } = sending;
+  return html`<section class="panel go" aria-label="Send">
+    <div class="notes">
+      ${checkPart(sending)}
+      ${rig.problem ? problemBox({ ...rig.problem, message: `${rig.name ?? "The calibration"}: ${rig.problem.message}` }) : nothing}
+      ${problemBox(sending.problem)}
+    </div>
+    ${progressPart(sending)}
+    ${summary(sending)}
+    <div class="actions">${buttons({ sending, numTakes, send, failed, change })}</div>
+  </section>`;
+}
+
+// Findings of the check of a capture's files.
+
+const TONES = { error: "bad", warning: "warn", info: "note" };
+const WORDS = { error: "Error", warning: "Warning", info: "Note" };
+// Findings that tell of the load of the service rather than of the files.
+const OF_LOAD = ["pictures_left_out"];
+
+// Picture in the middle of a camera's time; nothing for keypoints.
+export function cameraPicture(camera) {
+  const { thumbnails = [] } = camera ?? {};
+  if (thumbnails.length === 0) return nothing;
+  return html`<img class="thumb" src=${thumbnails[Math.floor(thumbnails.length / 2)].link} alt="" loading="lazy">`;
+}
+
+// Pictures that a finding names, with their cameras and times; beside a copy the camera that it repeats.
+function describeEvidence({ code, camera, evidence }, cameras) {
+  const names = code === "same_video" ? [camera, evidence?.other_camera] : [camera];
+  const shown = names.flatMap((name) => {
+    const { thumbnails = [] } = cameras.find((camera) => camera.name === name) ?? {};
+    return (evidence?.pictures ?? []).map((number) => ({ name, ...thumbnails[number] })).filter(({ link }) => link);
+  });
+  if (shown.length === 0) return nothing;
+  return html`<div class="pictures">${shown.map(({ name, link, time_s: time }) => html`<figure>
+    <img class="evidence" src=${link} alt="Picture of ${name} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${name}, ${time.toFixed(1)} s</figcaption>
+  </figure>`)}</div>`;
+}
+
+// `wrap` puts the list where it belongs; nothing without findings. `cameras` are those of the check, with their pictures.
+export function findingList(findings, cameras = [], wrap = (list) => list) {
+  if (findings.length === 0) return nothing;
+  return wrap(html`<ul class="findings">${findings.map((finding) => html`<li data-tone=${TONES[finding.severity] ?? "note"}>
+    <b>${OF_LOAD.includes(finding.code) ? "The service was busy" : WORDS[finding.severity] ?? "Note"}</b>
+    <div><p>${finding.message}${finding.hint ? html` <span class="hint">${finding.hint}</span>` : nothing}</p>${describeEvidence(finding, cameras)}</div>
+  </li>`)}</ul>`);
 }

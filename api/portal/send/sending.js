@@ -1,20 +1,16 @@
 // State of the view Send: the draft, its uploads, the check of its files. It outlives the view, so that an upload goes on
 // while another view is open.
 
-import { announce } from "../shared/announce.js";
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
-import { cameraFramesOf, estimateOf } from "../shared/estimate.js";
+import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
-import { readOptions } from "../shared/options.js";
-import { captureOf, jobBody, partsOf, recordingsOfRows, sessionBody, videosByCamera } from "./capture.js";
-import { addFiles } from "./chosen_files.js";
-import { emptyDraft, loadDraft, saveDraft } from "./draft.js";
-import { faultsOf } from "./faults.js";
-import { isOfCamera } from "./files.js";
+import { countCameraFrames, estimateTime } from "../shared/jobs.js";
+import { announce } from "../shared/page.js";
+import { readOptions } from "../shared/resources.js";
+import { ChosenCalibration } from "./calibration.js";
+import { planCapture, findFaults, jobBody, partsOf, groupRows, sessionBody, videosByCamera } from "./capture.js";
+import { addFiles, emptyDraft, needsCamera, loadDraft, saveDraft } from "./files.js";
 import { inOrder, matchCameras } from "./matching.js";
-import { ChosenCalibration } from "./rig.js";
 import { UploadQueue } from "./uploads.js";
 
 const SAVE_MS = 300;
@@ -68,7 +64,7 @@ class Sending extends EventTarget {
   }
 
   get rows() { return this.draft.rows; }
-  get capture() { return captureOf(this); }
+  get capture() { return planCapture(this); }
   get used() { return this.capture.files; }
   get isBusy() { return BUSY.includes(this.phase); }
   get isLocked() { return LOCKED.includes(this.phase); }
@@ -77,8 +73,8 @@ class Sending extends EventTarget {
   // Files that were being sent when the page was closed, and have to be chosen again.
   get missing() { return this.used.filter((row) => row.file === null && !row.isSent); }
   // Files whose names don't tell their camera, once there is a calibration, and the cameras that no file has.
-  get unpaired() { return this.cameraNames.length ? this.used.filter((row) => isOfCamera(row) && row.camera === null) : []; }
-  get unpairedRecordings() { return recordingsOfRows(this.unpaired); }
+  get unpaired() { return this.cameraNames.length ? this.used.filter((row) => needsCamera(row) && row.camera === null) : []; }
+  get unpairedRecordings() { return groupRows(this.unpaired); }
   get freeCameras() { return this.cameraNames.filter((name) => !this.used.some(({ camera }) => camera === name)); }
 
   // What Send waits for, as words.
@@ -93,7 +89,7 @@ class Sending extends EventTarget {
     const checked = this.session?.preflight.cameras;
     const counts = checked ? checked.map(({ num_frames: number }) => number) : views.map(({ numFrames }) => numFrames);
     const wanted = { ...spec, ...choices };
-    return estimateOf(wanted, cameraFramesOf(counts, wanted), feed.newest(), this.options);
+    return estimateTime(wanted, countCameraFrames(counts, wanted), feed.newest(), this.options);
   }
 
   // Text about a running upload for other views; null without one.
@@ -138,7 +134,6 @@ class Sending extends EventTarget {
     return promise;
   }
 
-  // Read the choices that the service offers.
   loadOptions() {
     const load = async () => {
       this.options = await persistently(readOptions, { away: (problem) => this.#show(problem) });
@@ -203,9 +198,9 @@ class Sending extends EventTarget {
   assignCameras() {
     const names = this.cameraNames;
     if (names.length === 0 || this.isLocked) return;
-    const matched = this.#byRecording(matchCameras, this.rows.filter(isOfCamera), names);
+    const matched = this.#byRecording(matchCameras, this.rows.filter(needsCamera), names);
     for (const row of this.rows) {
-      if (!isOfCamera(row)) continue;
+      if (!needsCamera(row)) continue;
       if (!names.includes(row.camera)) row.camera = null;
       const camera = matched.get(row);
       const others = this.rows.filter((other) => other !== row && other.camera === camera);
@@ -221,7 +216,7 @@ class Sending extends EventTarget {
 
   // Camera of each row by a rule for names, which sees the first part of each recording.
   #byRecording(rule, rows, cameras) {
-    const recordings = recordingsOfRows(rows);
+    const recordings = groupRows(rows);
     const found = rule(recordings.map(([first]) => first.name), cameras);
     return new Map(recordings.flatMap((parts) => parts.map((row) => [row, found.get(parts[0].name) ?? null])));
   }
@@ -253,7 +248,6 @@ class Sending extends EventTarget {
     if (record && !isReading) announce(`Calibration with ${count(record.cameras.length, "camera")}`);
   }
 
-  // Change a file's camera, timing or use.
   assign(row, facts) {
     // A zip of keypoints has the name of its camera from the start of its upload.
     if (row.kind === "keypoints" && "camera" in facts && (row.url || row.isActive)) this.#uploads.forget(row);
@@ -267,7 +261,7 @@ class Sending extends EventTarget {
   }
 
   #isComplete() {
-    const faults = faultsOf(this.capture, this.rig);
+    const faults = findFaults(this.capture, this.rig);
     if (!this.options) faults.push("The choices could not be loaded. Reload the page.");
     if (faults.length === 0) return true;
     this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
@@ -332,7 +326,6 @@ class Sending extends EventTarget {
     }
   }
 
-  // Reconstruct the session whose files are checked.
   async start() {
     this.problem = null;
     this.#go("starting");
@@ -351,7 +344,7 @@ class Sending extends EventTarget {
   }
 
   // Problems of the last answer and findings of the check that concern a file.
-  findingsOf(row) {
+  rowFindings(row) {
     if (this.partOf(row)) return (this.problem?.items ?? []).filter(({ file }) => file === row.name).map((item) => ({ ...item, severity: "error" }));
     const isOf = (item) => (item.file ? item.file === row.name : Boolean(item.camera) && item.camera === row.camera);
     const refused = (this.problem?.items ?? []).filter(isOf).map((item) => ({ ...item, severity: "error" }));
@@ -359,7 +352,7 @@ class Sending extends EventTarget {
   }
 
   // Camera of the check to which a file belongs.
-  cameraOf(row) {
+  findCamera(row) {
     return this.session?.preflight.cameras.find(({ file }) => file === row.name);
   }
 

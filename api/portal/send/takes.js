@@ -1,18 +1,17 @@
 // Takes of a dropped folder: captures by the same cameras, which are sent one after another with one calibration and the
 // same choices. The draft has one take at a time; those that can't be sent wait until somebody mends them.
 
-import { announce } from "../shared/announce.js";
 import { count } from "../shared/format.js";
-import { isSame } from "./draft.js";
-import { kindOf } from "./files.js";
-import { takesIn } from "./folders.js";
+import { announce } from "../shared/page.js";
+import { isSame, detectKind } from "./files.js";
+import { takesIn } from "./matching.js";
 import { sending } from "./sending.js";
 
 const KEY = "multicap.takes"; // jobs of takes that were sent, so that a folder that is chosen again goes on
 const MOST_KNOWN = 2000;
 
 // The same files in a folder of the same name have the same text, which is short enough to keep many.
-function fingerprintOf({ name, files }) {
+function makeFingerprint({ name, files }) {
   const sum = (fact) => files.reduce((total, file) => total + file[fact], 0);
   return JSON.stringify([name, files.length, sum("size"), sum("lastModified")]);
 }
@@ -27,12 +26,12 @@ function knownJobs() {
 
 // State of a take of a folder that may have been sent before.
 function stateOf(take, known) {
-  const id = known.get(fingerprintOf(take));
+  const id = known.get(makeFingerprint(take));
   return { state: id ? "before" : "waiting", problem: null, job: id ? { id } : null };
 }
 
 function remember(take) {
-  const known = [...knownJobs().set(fingerprintOf(take), take.job.id)].slice(-MOST_KNOWN);
+  const known = [...knownJobs().set(makeFingerprint(take), take.job.id)].slice(-MOST_KNOWN);
   try {
     localStorage.setItem(KEY, JSON.stringify(known));
   } catch { /* storage is off or full: a folder that is chosen again is sent again */ }
@@ -56,7 +55,7 @@ class Takes {
   async add(read) {
     const files = [...await sending.reading("the chosen files", Promise.resolve(read))];
     if (this.waiting.length === 0 && !this.list.includes(this.#shown)) this.list = [];
-    const offered = this.list.length ? null : takesIn(files, await Promise.all(files.map(kindOf)));
+    const offered = this.list.length ? null : takesIn(files, await Promise.all(files.map(detectKind)));
     if (offered === null) return sending.add(files);
     this.offered = { ...offered, files };
     announce(`${count(offered.takes.length, "folder")} may be takes.`);

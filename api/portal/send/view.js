@@ -1,24 +1,19 @@
 // View Send: a new capture, from dropped files to its job.
 
-import { persistently } from "../shared/away.js";
-import { characters } from "../shared/characters.js";
+import { call, persistently, RequestProblem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { readCalibrations } from "../shared/calibrations.js";
-import { percent } from "../shared/format.js";
-import { html, live, nothing, render, typed } from "../shared/lit.js";
-import { go } from "../shared/router.js";
+import { count, percent } from "../shared/format.js";
+import { hasEnded, stateOf } from "../shared/jobs.js";
+import { html, live, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
+import { address, go } from "../shared/page.js";
+import { characters, readCalibrations } from "../shared/resources.js";
 import { calibrationPart } from "./calibration.js";
-import { MEASURED } from "./capture.js";
+import { MEASURED, findDoubled } from "./capture.js";
 import { choicesForm } from "./choices.js";
 import { ACCEPTED, droppedFiles } from "./files.js";
-import { twiceOf } from "./faults.js";
-import { goPanel } from "./go.js";
-import { recentJobs } from "./recent.js";
-import { fileTable } from "./rows.js";
-import { sampleButton } from "./sample.js";
+import { fileTable, goPanel } from "./rows.js";
 import { sending } from "./sending.js";
 import { takes } from "./takes.js";
-import { takesPanel } from "./takes_panel.js";
 
 const HIDDEN = ["sync"]; // stands with the start of the videos
 const MEASURE = [MEASURED, "I don't know: measure their clocks from people and sound"];
@@ -132,7 +127,7 @@ export function open(place) {
 
   // Videos of cameras that have several, which may be the parts of a recording.
   function joining(isLocked) {
-    const twice = twiceOf(sending.capture.views).filter(({ kind }) => kind === "video");
+    const twice = findDoubled(sending.capture.views).filter(({ kind }) => kind === "video");
     if (twice.length === 0) return nothing;
     return html`<p class="notice">One camera has two files: ${twice.map(({ name }) => name).join(", ")}.
       <button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.join(twice)}>They are parts of one recording, in the order of their names</button></p>`;
@@ -179,4 +174,108 @@ export function open(place) {
       characters.removeEventListener("change", draw);
     },
   };
+}
+
+// Part of the view Send that lists the takes of a folder.
+
+const TAKE_WORDS = { waiting: "waits", sent: "sent", before: "sent before", failed: "not sent" };
+const TAKE_TONES = { sent: "good", before: "good", failed: "bad" };
+const AGAIN = { before: "Send again", failed: "Show" };
+
+function takesOffer(takes, failed) {
+  const names = takes.offered.takes.map(({ name }) => name);
+  return html`<section class="panel" aria-labelledby="takes-title"><h2 id="takes-title">${count(names.length, "folder")}</h2>
+    <p>${names.join(", ")}: is each a take of all cameras?</p>
+    <div class="actions">
+      <button type="button" class="button primary" @click=${() => takes.accept().catch(failed)}>They are ${names.length} takes</button>
+      <button type="button" class="button" @click=${() => takes.decline().catch(failed)}>All files are one capture</button>
+    </div></section>`;
+}
+
+function takeRow(take, takes, failed) {
+  const { name, files, state, problem, job } = take;
+  const tools = takes.isRunning ? nothing : html`
+    ${state in AGAIN ? html`<button type="button" class="button ghost" aria-label="${AGAIN[state]} ${name}" @click=${() => takes.again(take).catch(failed)}>${AGAIN[state]}</button>` : nothing}
+    ${state === "sent" ? nothing : html`<button type="button" class="button ghost icon" aria-label="Leave out ${name}" title="Leave out" @click=${() => takes.remove(take)}>✕</button>`}`;
+  return html`<li>
+    <b>${job ? html`<a href=${address("jobs", job.id)}>${name}</a>` : name}</b>
+    <span class="quiet">${count(files.length, "file")}</span>
+    <span class="state" data-tone=${TAKE_TONES[state] ?? nothing}>${TAKE_WORDS[state]}</span>
+    <span class="tools">${tools}</span>
+    ${problemBox(problem)}</li>`;
+}
+
+function takesPanel(takes, failed) {
+  if (takes.offered) return takesOffer(takes, failed);
+  if (takes.list.length === 0) return nothing;
+  const numSent = takes.list.filter(({ job }) => job).length;
+  return html`<section class="panel" aria-labelledby="takes-title">
+    <h2 id="takes-title">${count(takes.list.length, "take")}, ${numSent} sent</h2>
+    <p class="quiet">All get the calibration and the choices below. A take that can't be sent does not stop the others.</p>
+    <ol class="takes" aria-label="Takes">${repeat(takes.list, ({ name }) => name, (take) => takeRow(take, takes, failed))}</ol></section>`;
+}
+
+// The latest jobs in short, beside the form.
+
+const SHOWN_JOBS = 4;
+
+function recentJobs(feed) {
+  const jobs = feed.newest().slice(0, SHOWN_JOBS);
+  if (jobs.length === 0) return nothing;
+  return html`<section class="panel recent" aria-labelledby="recent-title">
+    <h2 id="recent-title">Latest</h2>
+    <ol>${repeat(jobs, ({ id }) => id, (job) => {
+      const { words, tone } = stateOf(job);
+      return html`<li>
+        <a href=${address("jobs", job.id)}>${job.kind === "calibration" ? "Calibration: " : ""}${job.session_name}</a>
+        <span class="state" data-tone=${tone}>${words}</span>
+        ${hasEnded(job) ? nothing : html`<progress max="1" .value=${job.progress} aria-label="Progress of ${job.session_name}"></progress>`}
+      </li>`;
+    })}</ol>
+    <a class="all" href="#/captures">All captures</a>
+  </section>`;
+}
+
+// One click to try the service: the sample capture, if the machine of the service has it.
+
+let isSampleLoading = false;
+
+async function fetchFile({ name, link, media_type: type }) {
+  const response = await fetch(link);
+  if (!response.ok) throw new RequestProblem(await response.json().catch(() => null), response.status);
+  return new File([await response.blob()], name, { type, lastModified: 0 });
+}
+
+async function fetchSample() {
+  const sample = await call("/v1/sample");
+  if (!sample.installed) {
+    throw new RequestProblem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
+  }
+  return { ...sample, files: await Promise.all(sample.files.map(fetchFile)) };
+}
+
+// Add the sample to the capture; false if other files were chosen meanwhile.
+async function addSample(sending) {
+  const { files, attribution } = await fetchSample();
+  if (sending.rows.length) return false;
+  sending.draft.name ||= "Sample capture";
+  await sending.add(files);
+  sending.notes.push(attribution);
+  return true;
+}
+
+function sampleButton({ sending, draw, failed }) {
+  const load = async () => {
+    isSampleLoading = true;
+    draw();
+    try {
+      if (await sending.reading("the sample capture", addSample(sending))) await sending.send();
+    } catch (problem) {
+      failed(problem);
+    } finally {
+      isSampleLoading = false;
+      draw();
+    }
+  };
+  return html`<button type="button" class="button ghost" ?disabled=${isSampleLoading} @click=${load}>${isSampleLoading ? "Loading the sample …" : "Try the sample capture"}</button>`;
 }

@@ -1,9 +1,10 @@
 // Templates of the page (lit-html). A value in a template becomes text, never markup: names come from clients.
 
-import { html, noChange } from "../vendor/lit-html/lit-html.js";
 import { Directive, directive } from "../vendor/lit-html/directive.js";
+import { html, noChange, nothing, render } from "../vendor/lit-html/lit-html.js";
 
-export { html, nothing, render, svg } from "../vendor/lit-html/lit-html.js";
+export { html, nothing, render };
+export { svg } from "../vendor/lit-html/lit-html.js";
 export { live } from "../vendor/lit-html/directives/live.js";
 export { ref } from "../vendor/lit-html/directives/ref.js";
 export { repeat } from "../vendor/lit-html/directives/repeat.js";
@@ -35,3 +36,49 @@ export const styled = directive(Styled);
 
 // Text of the service, with `code` in backticks.
 export const prose = (text) => text.split("`").map((part, index) => (index % 2 ? html`<code>${part}</code>` : part));
+
+// A question before something is lost. The focus returns to where it was.
+
+export function confirm({ title, text, action, refusal = "Keep" }) {
+  return new Promise((resolve) => {
+    const dialog = document.createElement("dialog");
+    dialog.setAttribute("aria-labelledby", "dialog-title");
+    dialog.className = "dialog";
+    document.body.append(dialog);
+    render(html`<form method="dialog">
+      <h2 id="dialog-title">${title}</h2>
+      <p>${text}</p>
+      <div class="actions end">
+        <button class="button" value="no" autofocus>${refusal}</button>
+        <button class="button danger" value="yes">${action}</button>
+      </div>
+    </form>`, dialog);
+    dialog.addEventListener("close", () => {
+      resolve(dialog.returnValue === "yes");
+      dialog.remove();
+    });
+    dialog.showModal();
+  });
+}
+
+// What went wrong, and what to do.
+
+function where(item) {
+  return [item.file, item.camera, item.field].filter(Boolean).join(", ") || item.pointer || "";
+}
+
+// Box with a problem and its parts; nothing without a problem.
+export function problemBox(problem) {
+  if (!problem) return nothing;
+  return html`<div class="problem" role="alert">
+    <p>${problem.message ?? problem.detail}${problem.hint ? html` <span class="hint">${problem.hint}</span>` : nothing}</p>
+    ${problem.items?.length ? html`<ul>${problem.items.map((item) => html`<li>
+      ${where(item) ? html`<b>${where(item)}:</b> ` : nothing}${item.message}
+      ${item.hint ? html`<span class="hint">${item.hint}</span>` : nothing}</li>`)}</ul>` : nothing}
+  </div>`;
+}
+
+export function warningList(warnings, label = "Warnings") {
+  if (!warnings?.length) return nothing;
+  return html`<ul class="warnings" aria-label=${label}>${warnings.map((warning) => html`<li>${warning}</li>`)}</ul>`;
+}

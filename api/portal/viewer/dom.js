@@ -38,7 +38,6 @@ export function iconButton(name, label, onclick, attributes = {}) {
   return el("button", { type: "button", class: "look-button look-icon", "aria-label": label, title: label, onclick, ...attributes }, icon(name));
 }
 
-/** Time as minutes, seconds and hundredths. */
 export function clockText(seconds) {
   const hundredths = Math.max(0, Math.round(seconds * 100));
   const [minutes, rest] = [Math.floor(hundredths / 6000), hundredths % 6000];
@@ -48,4 +47,24 @@ export function clockText(seconds) {
 /** Number with so many decimals, or a dash for none. */
 export function figure(value, decimals = 1, unit = "") {
   return value === null || Number.isNaN(value) ? "–" : `${value.toFixed(decimals)}${unit}`;
+}
+
+// What the browser draws with.
+
+let found = null;
+
+/** `hasWebGL`: whether it draws in 3D. `isSoftware`: whether it does so without a graphics card. */
+export function graphics() {
+  found ??= probe();
+  return found;
+}
+
+function probe() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (context === null) return { hasWebGL: false, isSoftware: true };
+  const about = context.getExtension("WEBGL_debug_renderer_info");
+  const name = about ? context.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
+  // Browsers keep few contexts alive.
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return { hasWebGL: true, isSoftware: /swiftshader|llvmpipe|software/i.test(name) };
 }

@@ -1,23 +1,23 @@
 // Entry of the viewer: `mount(element, source)` shows a job's motion, `mountPair` two jobs on the same clock.
 
+import { transport } from "./controls.js";
 import { el } from "./dom.js";
-import { about, originOf } from "./motion/nearby.js";
+import { FigureTabs } from "./figures.js";
+import { about, chooseOrigin } from "./motion/records.js";
 import { MotionStore } from "./motion/store.js";
-import { Figures } from "./panels/figures.js";
-import { transport } from "./panels/transport.js";
-import { Player, rangeOf } from "./player.js";
+import { Player, frameRange } from "./player.js";
 import { Wall } from "./video/wall.js";
 import { Viewer } from "./viewer.js";
 
 /**
  * Show a job's motion in an element.
  *
- * `source` is described in source.js. Returns a promise of the viewer, which has `player` and `close()`; it is rejected,
+ * `source` has the methods of `ApiSource`. Returns a promise of the viewer, which has `player` and `close()`; it is rejected,
  * and the element tells why, if the motion can't be read.
  */
 export async function mount(element, source) {
   const [description] = await describe(element, [source]);
-  return viewJob(element, source, description, new Player(rangeOf([description])));
+  return viewJob(element, source, description, new Player(frameRange([description])));
 }
 
 /**
@@ -27,7 +27,7 @@ export async function mount(element, source) {
  */
 export async function mountPair(element, sources, titles) {
   const descriptions = await describe(element, sources);
-  const player = new Player(rangeOf(descriptions));
+  const player = new Player(frameRange(descriptions));
   const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
   // One play head, one row of buttons: above both, so that they are in sight with the pictures.
   element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared" }, transport(player)), places));
@@ -41,7 +41,7 @@ export async function mountPair(element, sources, titles) {
 
 function viewJob(element, source, description, player, options) {
   return new Viewer(element, new MotionStore(description, source), player, {
-    source, videos: (viewer) => new Wall(viewer, source), figures: (viewer, shown) => new Figures(viewer, shown), ...options,
+    source, videos: (viewer) => new Wall(viewer, source), figures: (viewer, shown) => new FigureTabs(viewer, shown), ...options,
   });
 }
 
@@ -49,7 +49,7 @@ async function describe(element, sources) {
   element.replaceChildren(el("p", { class: "look-loading", role: "status" }, "Loading the motion …"));
   try {
     const descriptions = await Promise.all(sources.map((source) => source.description()));
-    const origin = originOf(descriptions[0]);
+    const origin = chooseOrigin(descriptions[0]);
     return descriptions.map((description) => about(description, origin));
   } catch (error) {
     element.replaceChildren(el("p", { class: "look-problem", role: "alert" }, error.message));
@@ -69,4 +69,77 @@ function linkOrbits(viewers) {
       isCopying = false;
     });
   }
+}
+
+// Source of a viewer's data by the web API. Anything with the same methods will do, such as data embedded in a report.
+
+/**
+ * A source has
+ * - `description()`: promise of the description of the motion, as of GET /v1/jobs/{id}/motion/description;
+ * - `frames(from, to, signal)`: promise of an `ArrayBuffer` as of GET /v1/jobs/{id}/motion;
+ * - `video(camera)`: promise of `{ url, startS }`, the address of a camera's video that a browser can play and the time of
+ *   its first frame on the video's own clock; null if there is none;
+ * - `characters(signal)`, if it has files of a character in motion: promise of those, one a person, `{ id, name, numBytes, read }`.
+ *   `read(from, to, { signal, onbytes })` is a promise of an `ArrayBuffer` with bytes of the file; `onbytes` is told of bytes that came.
+ */
+export class ApiSource {
+  #videos;
+  #hasCharacter;
+
+  /**
+   * `cameras` are those of the session, which link their videos; `addressed` completes addresses, as by the secret of a link;
+   * `hasCharacter`: the job moves a character.
+   */
+  constructor(jobId, cameras = [], addressed = (address) => address, { hasCharacter = false } = {}) {
+    this.job = `/v1/jobs/${encodeURIComponent(jobId)}`;
+    this.address = `${this.job}/motion`;
+    this.addressed = addressed;
+    this.#hasCharacter = hasCharacter;
+    this.#videos = new Map(cameras.map(({ name, video_link: url, media_start_s: startS }) => [name, url ? { url: addressed(url), startS: startS ?? 0 } : null]));
+  }
+
+  async video(camera) {
+    return this.#videos.get(camera.name) ?? null;
+  }
+
+  async description() {
+    return (await get(this.addressed(`${this.address}/description`))).json();
+  }
+
+  async frames(from, to, signal) {
+    return (await get(this.addressed(`${this.address}?from=${from}&to=${to}`), signal)).arrayBuffer();
+  }
+
+  async characters(signal) {
+    if (!this.#hasCharacter) return [];
+    const { results } = await (await get(this.addressed(`${this.job}/results`), signal)).json();
+    const isShown = ({ kind, person, media_type: type }) => kind === "character" && person !== null && type === "model/gltf-binary";
+    return results.filter(isShown).map(({ person, name, link, num_bytes: numBytes }) => {
+      // The page may ask its own service alone, not a store of files.
+      const address = this.addressed(`${link}?redirect=false`);
+      return { id: Number(person.split("-").at(-1)), name, numBytes, read: (from, to, how) => part(address, from, to, how) };
+    });
+  }
+}
+
+/** Bytes `from` to `to` of a file. */
+async function part(address, from, to, { signal, onbytes = () => {} }) {
+  const answer = await get(address, signal, { Range: `bytes=${from}-${to - 1}` });
+  const bytes = new Uint8Array(to - from);
+  const reader = answer.body.getReader();
+  let place = 0;
+  for (let { done, value } = await reader.read(); !done; { done, value } = await reader.read()) {
+    if (place + value.length <= bytes.length) bytes.set(value, place);
+    place += value.length;
+    onbytes(value.length);
+  }
+  if (place !== bytes.length) throw new Error("The service sent another part of the file than it was asked for.");
+  return bytes.buffer;
+}
+
+async function get(address, signal, headers = {}) {
+  const answer = await fetch(address, { signal, headers });
+  if (answer.ok) return answer;
+  const problem = await answer.json().catch(() => ({}));
+  throw new Error([problem.detail ?? `The service answers with ${answer.status}.`, problem.hint].filter(Boolean).join(" "));
 }

@@ -40,7 +40,6 @@ export class Player extends EventTarget {
     return this.startS + (this.numFrames - 1) / this.rateHz;
   }
 
-  /** Output frame at the play head. */
   get frame() {
     return this.frameAt(this.#timeS);
   }
@@ -49,7 +48,6 @@ export class Player extends EventTarget {
     return Math.min(this.numFrames - 1, Math.max(0, Math.round((timeS - this.startS) * this.rateHz)));
   }
 
-  /** Move to a frame. */
   seek(frame) {
     this.seekTime(this.startS + Math.min(this.numFrames - 1, Math.max(0, frame)) / this.rateHz);
   }
@@ -59,7 +57,6 @@ export class Player extends EventTarget {
     this.dispatchEvent(new Event("time"));
   }
 
-  /** Pause and move by frames. */
   step(frames) {
     this.pause();
     this.seek(this.frame + frames);
@@ -109,7 +106,7 @@ export class Player extends EventTarget {
 }
 
 /** Frames of takes on the session's clock, from the first to the last. */
-export function rangeOf(descriptions) {
+export function frameRange(descriptions) {
   const rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz));
   const startS = Math.min(...descriptions.map((take) => take.start_time_s));
   const { first_source_frame: firstSourceFrame } = descriptions.find((take) => take.start_time_s === startS);

@@ -1,12 +1,12 @@
 // Script of a report: 3D view and time line of the take whose data are in the page. vendor.mjs bundles it.
 
-import { EmbeddedStore } from "./motion/embedded.js";
-import { Player, rangeOf } from "./player.js";
+import { EmbeddedStore } from "./motion/store.js";
+import { Player, frameRange } from "./player.js";
 import { Viewer } from "./viewer.js";
 
 const store = new EmbeddedStore(JSON.parse(document.getElementById("take").textContent));
 const { people } = store.description;
-const player = new Player(rangeOf([store.description]));
+const player = new Player(frameRange([store.description]));
 player.setLooping(false);
 player.seek(Math.round(people.reduce((sum, { start_frame: first, num_frames: length }) => sum + (first + length / 2) / people.length, 0)));
 const element = document.getElementById("viewer");

@@ -1,14 +1,10 @@
 // Viewer of one take: 3D view and time line around a play head, and what a page puts beside them: videos and figures.
 
-import { el } from "./dom.js";
-import { graphics } from "./graphics.js";
-import { listenToKeys } from "./keys.js";
-import { ShapeChoice } from "./panels/shape_choice.js";
-import { Strips } from "./panels/strips.js";
-import { transport } from "./panels/transport.js";
-import { viewControls } from "./panels/view_controls.js";
-import { rangeOf, SPEEDS } from "./player.js";
+import { listenToKeys, ShapeChoice, transport, viewControls } from "./controls.js";
+import { el, graphics } from "./dom.js";
+import { frameRange, SPEEDS } from "./player.js";
 import { SceneView } from "./scene/view.js";
+import { Strips } from "./timeline.js";
 
 export class Viewer {
   #isOpen = true;
@@ -67,7 +63,7 @@ export class Viewer {
     this.shown.forEach((isShown, person) => { if (!isShown) this.view?.setShown(person, false); });
     if (hadFocus && !hadFocus.isConnected) this.figures?.focus();
     this.#listenToStore();
-    this.player.setRange(rangeOf([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
+    this.player.setRange(frameRange([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
     this.#show(true);
     this.wall?.redraw();
     if (hasNewFiles) this.shapes.renew();
@@ -126,7 +122,6 @@ export class Viewer {
     this.controls.showSeen(this.seen);
   }
 
-  /** Play faster or slower by a step. */
   changeSpeed(step) {
     const place = SPEEDS.indexOf(this.player.speed) + step;
     this.player.setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, Math.max(0, place))]);

@@ -1,19 +1,15 @@
 // Card of a capture: its facts, its cameras, its jobs, and what can be done with it.
 
-import { announce } from "../shared/announce.js";
+import { pickCharacter, choicesForm } from "../send/choices.js";
+import { findingList, cameraPicture } from "../send/rows.js";
 import { call } from "../shared/api.js";
-import { readCalibrations, usable } from "../shared/calibrations.js";
-import { characters } from "../shared/characters.js";
-import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
 import { count, length, moment, size } from "../shared/format.js";
-import { hasEnded } from "../shared/jobs.js";
-import { html, nothing, repeat } from "../shared/lit.js";
-import { problemBox, warningList } from "../shared/problem.js";
-import { findingList, pictureOf } from "../send/findings.js";
+import { countCameraFrames, estimateTime, hasEnded } from "../shared/jobs.js";
+import { confirm, html, nothing, problemBox, repeat, warningList } from "../shared/lit.js";
+import { announce } from "../shared/page.js";
+import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
 import { jobRow } from "./job.js";
-import { otherCalibrationForm } from "./other_calibration.js";
-import { runAgainForm, specOf } from "./run_again.js";
 
 function factsOf(session) {
   const { cameras, timebase } = session.preflight;
@@ -29,7 +25,7 @@ function factsOf(session) {
 }
 
 function thumbnail(camera) {
-  if (camera.thumbnails?.length) return pictureOf(camera);
+  if (camera.thumbnails?.length) return cameraPicture(camera);
   if (!camera.video_link) return nothing;
   return html`<video class="thumb" src="${camera.video_link}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>`;
 }
@@ -180,4 +176,86 @@ export function captureCard(view, session) {
       : html`<p class="quiet">No job yet.</p>`}
     ${cameraTable(view, session)}
   </li>`;
+}
+
+// Form for another run of a capture with other choices; nothing is uploaded.
+
+// Choices that a session states for its jobs.
+const OF_SESSION = ["sync", "timeline"];
+
+// Choices of a job that differ from the defaults; without a job those of its session.
+export function specOf(job, options, session) {
+  const stated = job?.spec ?? Object.fromEntries(OF_SESSION.map((name) => [name, session[name]]));
+  const differs = ({ name, default: usual }) => (job || OF_SESSION.includes(name))
+    && JSON.stringify(stated[name] ?? null) !== JSON.stringify(usual ?? null);
+  return { ...Object.fromEntries(options.choices.filter(differs).map(({ name }) => [name, stated[name]])), ...pickCharacter(stated) };
+}
+
+function runAgainForm(view, session) {
+  const spec = view.opened.get(session.id);
+  const close = () => {
+    view.opened.delete(session.id);
+    view.draw();
+    view.place.querySelector(`#run-${session.id}`)?.focus();
+  };
+  const change = (name, value) => {
+    if (value === undefined) delete spec[name]; else spec[name] = value;
+    view.draw();
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    // What the form shows counts, also against what the session states.
+    const usual = Object.fromEntries(view.options.choices.filter(({ name }) => OF_SESSION.includes(name)).map((choice) => [choice.name, choice.default]));
+    return view.act(session.id, async () => {
+      const job = await call(session.links.jobs, { method: "POST", body: { ...usual, ...spec } });
+      feed.put(job);
+      close();
+      announce(`Another job of ${session.name} waits.`);
+    });
+  };
+  const { preflight } = session;
+  const counts = preflight.cameras.map(({ num_frames: number }) => number);
+  const isVideo = session.files.some(({ kind }) => kind === "video");
+  const noteOf = (choice, value) => {
+    const wanted = { ...spec, profile: value };
+    return isVideo && choice.name === "profile" ? estimateTime(wanted, countCameraFrames(counts, wanted), feed.newest(), view.options)?.text : null;
+  };
+  return html`<form class="again" id="again-${session.id}" aria-label="Run ${session.name} again" @submit=${submit}>
+    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, noteOf })}
+    <div class="actions"><button class="button primary">Reconstruct without uploading</button>
+      <button type="button" class="button" @click=${close}>Close</button></div>
+  </form>`;
+}
+
+// Form that makes a capture of the footage of another one, with another calibration; nothing is uploaded.
+
+function otherCalibrationForm(view, session) {
+  const calibrations = view.recalibrated.get(session.id);
+  const close = () => {
+    view.recalibrated.delete(session.id);
+    view.draw();
+    view.place.querySelector(`#recalibrate-${session.id}`)?.focus();
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    const { name, calibration } = event.target.elements;
+    return view.act(session.id, async () => {
+      const body = { session_id: session.id, calibration_id: calibration.value, manifest: { name: name.value.trim() || session.name } };
+      const made = await call("/v1/sessions", { method: "POST", body });
+      close();
+      await view.load();
+      announce(`${made.name} is there. Reconstruct it.`);
+      view.place.querySelector(`#run-${made.id}`)?.focus();
+    });
+  };
+  return html`<form class="again" aria-label="Other calibration for ${session.name}" @submit=${submit}>
+    <div class="pair">
+      <label class="field"><span>Calibration</span><select name="calibration" required>
+        ${calibrations.map((calibration) => html`<option value=${calibration.id}>${dated(calibration)}</option>`)}</select></label>
+      <label class="field"><span>Name of the new capture</span><input name="name" maxlength="200" value=${session.name} autocomplete="off"></label>
+    </div>
+    ${calibrations.length ? "" : html`<p class="quiet">No calibration is stored. <a href="#/calibrations">Add one.</a></p>`}
+    <div class="actions"><button class="button primary" ?disabled=${calibrations.length === 0}>Make a capture of the same footage</button>
+      <button type="button" class="button" @click=${close}>Close</button></div>
+  </form>`;
 }

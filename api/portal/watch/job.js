@@ -1,20 +1,17 @@
 // Row of a job: its state, stages, choices, warnings, and what can be done with it.
 
-import { announce } from "../shared/announce.js";
 import { call } from "../shared/api.js";
-import { confirm } from "../shared/dialog.js";
 import { feed } from "../shared/feed.js";
-import { countOf, factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
-import { html, nothing } from "../shared/lit.js";
-import { describeSpec } from "../shared/options.js";
-import { problemBox, warningList } from "../shared/problem.js";
-import { address } from "../shared/router.js";
+import { describeProgress, factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
+import { confirm, html, nothing, problemBox, warningList } from "../shared/lit.js";
+import { address, announce } from "../shared/page.js";
+import { describeSpec } from "../shared/resources.js";
 
 export function stageList(job) {
   return html`<ol class="stages">${job.stages.map((stage) => html`<li class="stage" data-state=${stage.state}>
     <span class="label">${stage.label}</span>
     <progress max="1" .value=${stage.fraction} aria-label=${stage.label}></progress>
-    <span class="count quiet">${countOf(stage)}</span>
+    <span class="count quiet">${describeProgress(stage)}</span>
   </li>`)}</ol>`;
 }
 

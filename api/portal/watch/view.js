@@ -1,14 +1,11 @@
 // View Watch: the captures with their jobs.
 
-import { announce } from "../shared/announce.js";
-import { call } from "../shared/api.js";
-import { persistently } from "../shared/away.js";
-import { characters } from "../shared/characters.js";
+import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { stateOf } from "../shared/jobs.js";
-import { html, nothing, render, repeat, typed } from "../shared/lit.js";
-import { readOptions } from "../shared/options.js";
-import { problemBox } from "../shared/problem.js";
+import { html, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
+import { announce } from "../shared/page.js";
+import { characters, readOptions } from "../shared/resources.js";
 import { captureCard } from "./capture.js";
 
 const PAGE = 20;

@@ -213,7 +213,7 @@ def test_the_page_is_small(live: Live) -> None:
     # The views before the viewer, what plays live and a recording, which are loaded when they are needed.
     folders = (PORTAL / "live", PORTAL / "record")
     later = {path.relative_to(PORTAL).as_posix() for folder in folders for path in folder.rglob("*.js")}
-    later -= {"live/view.js", "record/view.js", "record/join_links.js"}
+    later -= {"live/view.js", "record/view.js", "record/room.js"}
     others = ("vendor/three", "vendor/uPlot", "viewer/", "record/phone", "record/board")
     first = [name for name in sizes if not name.startswith(others)]
     assert sum(sizes[name] for name in first if name not in later) <= 141_000

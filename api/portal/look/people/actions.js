@@ -1,9 +1,8 @@
 // What can be done with the chosen person and with the take, at the play head.
 
-import { announce } from "../../shared/announce.js";
-import { confirm } from "../../shared/dialog.js";
 import { count } from "../../shared/format.js";
-import { html, nothing, typed } from "../../shared/lit.js";
+import { confirm, html, nothing, typed } from "../../shared/lit.js";
+import { announce } from "../../shared/page.js";
 import { framesOf, sharedFrames } from "./words.js";
 
 const MAX_NAME = 100;

@@ -1,10 +1,9 @@
 // Edits of a job's people: shown at once, sent one after the other, undone, redone, and told when somebody else has changed them.
 
-import { announce } from "../../shared/announce.js";
-import { call, readTagged } from "../../shared/api.js";
-import { persistently } from "../../shared/away.js";
+import { call, persistently, readTagged } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { hasEnded } from "../../shared/jobs.js";
+import { announce } from "../../shared/page.js";
 import { describe } from "./words.js";
 
 // Event `change`: something that is shown has changed.

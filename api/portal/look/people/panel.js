@@ -1,16 +1,14 @@
 // Panel Put right: the identity timeline, what can be done at the play head, and the list of edits.
 
-import { announce } from "../../shared/announce.js";
 import { call } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { count, percent } from "../../shared/format.js";
 import { hasEnded } from "../../shared/jobs.js";
-import { html, nothing, render } from "../../shared/lit.js";
-import { problemBox } from "../../shared/problem.js";
+import { html, nothing, problemBox, render, repeat, styled } from "../../shared/lit.js";
+import { announce } from "../../shared/page.js";
 import { actions } from "./actions.js";
 import { Editing } from "./editing.js";
-import { lanes } from "./lanes.js";
-import { describe, isNumbering, nameOf } from "./words.js";
+import { colorOf, describe, isNumbering, nameOf } from "./words.js";
 
 export class PeoplePanel {
   selected = null; // id of the person whom actions are for
@@ -173,4 +171,48 @@ export class PeoplePanel {
   get lengthText() {
     return count(this.people.stop_frame - this.people.start_frame, "frame");
   }
+}
+
+// Identity timeline: a lane a person with their frames, the cut, and the play head.
+
+// Lanes of all people. `panel` has `people`, `selected`, `select(id)`, and `seek(frame)` of the whole reconstruction.
+export function lanes(panel) {
+  const { people } = panel;
+  const cut = [people.start_frame, people.num_frames - people.stop_frame];
+  return html`<fieldset class="lanes">
+    <legend>Person</legend>
+    <div class="lanes-rows">
+      ${repeat(people.people, ({ id }) => id, (person) => lane(panel, person))}
+      <div class="lanes-over" aria-hidden="true">
+        ${cut[0] ? html`<span class="cut-off" ${styled({ "--from": 0, "--share": cut[0] / people.num_frames })}></span>` : nothing}
+        ${cut[1] ? html`<span class="cut-off" ${styled({ "--from": people.stop_frame / people.num_frames, "--share": cut[1] / people.num_frames })}></span>` : nothing}
+        <span class="lanes-head"></span>
+      </div>
+    </div>
+  </fieldset>`;
+}
+
+function lane(panel, person) {
+  const { people } = panel;
+  const { id, name, pieces } = person;
+  const [first, last] = [pieces[0].start_frame, pieces.at(-1).stop_frame - 1];
+  const go = (event) => {
+    const { left, width } = event.currentTarget.getBoundingClientRect();
+    panel.select(id);
+    panel.seek(Math.floor(((event.clientX - left) / width) * people.num_frames));
+  };
+  return html`<div class="lane">
+    <label class="lane-name">
+      <input type="radio" name="edited-person" .checked=${panel.selected === id} @change=${() => panel.select(id)}>
+      <span class="look-swatch" ${styled({ "--tint": colorOf(id) })}></span>
+      <span class="lane-text"><b>${name}</b> <span class="quiet">frames ${first} to ${last}</span></span>
+    </label>
+    <div class="lane-track" aria-hidden="true" @click=${go}>${pieces.map((piece) => bar(id, piece, people))}</div>
+  </div>`;
+}
+
+// Frames of a person in their one colour; hatched where they were another person's as found.
+function bar(id, { person, start_frame: start, stop_frame: stop }, { num_frames: numFrames }) {
+  const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": colorOf(id) };
+  return html`<span class="bar-of ${person === id ? "" : "of-other"}" title="Frames ${start} to ${stop - 1}: person ${person} as found" ${styled(place)}></span>`;
 }

@@ -1,12 +1,10 @@
 // A recording as its host sees it: phones with their pictures, takes with their clips.
 
-import { announce } from "../../shared/announce.js";
-import { call } from "../../shared/api.js";
-import { persistently } from "../../shared/away.js";
+import { call, persistently } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
+import { announce } from "../../shared/page.js";
 import { ServerClock } from "../clock.js";
-import { RoomConnection } from "../room.js";
-import { joinOf, keepJoin } from "../join_links.js";
+import { keptJoin, keepJoin, RoomConnection } from "../room.js";
 
 const PING_MS = 2000;
 const HEAD_BYTES = 2; // number of the phone, before its picture
@@ -29,7 +27,7 @@ export class HostedRecording extends EventTarget {
   constructor(id) {
     super();
     this.id = id;
-    this.join = joinOf(id);
+    this.join = keptJoin(id);
     this.path = `/v1/recordings/${encodeURIComponent(id)}`;
   }
 

@@ -1,19 +1,15 @@
 // Part of the view Record with the takes: start and stop, clips of the phones, and what is made of them.
 
-import { dated } from "../../shared/calibrations.js";
-import { confirm } from "../../shared/dialog.js";
+import { choicesForm } from "../../send/choices.js";
 import { feed } from "../../shared/feed.js";
 import { clock, count } from "../../shared/format.js";
 import { stateOf } from "../../shared/jobs.js";
-import { html, live as held, nothing, repeat, typed } from "../../shared/lit.js";
-import { warningList } from "../../shared/problem.js";
-import { address } from "../../shared/router.js";
-import { choicesForm } from "../../send/choices.js";
+import { confirm, html, live as held, nothing, repeat, typed, warningList } from "../../shared/lit.js";
+import { address } from "../../shared/page.js";
+import { dated } from "../../shared/resources.js";
 import { errorBox } from "../../watch/job.js";
-import { cleanName } from "../names.js";
-import { slate } from "./slate.js";
-import { clipLosses, clipState, takeDurationS } from "./take_words.js";
-import { videoWords } from "./video_settings.js";
+import { cleanName } from "../room.js";
+import { clipLosses, clipState, takeDurationS, videoWords } from "./words.js";
 
 const READY = ["ready", "sending"];
 
@@ -155,4 +151,38 @@ export function takesPart(view, recording) {
   return html`<section class="panel" aria-labelledby="takes-title"><h2 id="takes-title">Takes</h2>
     ${takes.length ? html`<ol class="record-takes" aria-label="Takes">${repeat(takes, ({ number }) => number, (take) => takeCard(view, recording, take))}</ol>`
     : html`<p class="quiet">Nothing is recorded yet.</p>`}</section>`;
+}
+
+// Slate: the screen flashes white and beeps, so that all phones see and hear the same moment.
+
+const FLASHES_MS = [300, 900]; // fewer than three a second
+const FLASH_MS = 120;
+const END_MS = 1500;
+const [BEEP_HZ, VOLUME] = [1000, 0.8];
+
+function beep(audio, atS) {
+  const tone = new OscillatorNode(audio, { frequency: BEEP_HZ });
+  const volume = new GainNode(audio, { gain: VOLUME });
+  tone.connect(volume).connect(audio.destination);
+  tone.start(atS);
+  tone.stop(atS + FLASH_MS / 1000);
+}
+
+/** Show the slate over the whole page; resolves when it is over. */
+export async function slate() {
+  const dialog = Object.assign(document.createElement("dialog"), { className: "slate", ariaLabel: "Slate" });
+  document.body.append(dialog);
+  dialog.showModal();
+  await dialog.requestFullscreen?.().catch(() => null);
+  const audio = new AudioContext();
+  const beginS = audio.currentTime;
+  for (const atMs of FLASHES_MS) {
+    beep(audio, beginS + atMs / 1000);
+    setTimeout(() => dialog.classList.add("lit"), atMs);
+    setTimeout(() => dialog.classList.remove("lit"), atMs + FLASH_MS);
+  }
+  await new Promise((resolve) => { setTimeout(resolve, END_MS); });
+  if (document.fullscreenElement === dialog) await document.exitFullscreen().catch(() => null);
+  dialog.remove();
+  await audio.close();
 }

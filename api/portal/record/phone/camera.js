@@ -1,6 +1,6 @@
 // Camera of the phone: opened at a size and rate, its exposure, focus and white balance held still.
 
-import { cleanName } from "../names.js";
+import { cleanName } from "../room.js";
 
 // Sound as it is: what makes calls pleasant would take the claps and beeps out that clocks are measured by.
 const SOUND = { echoCancellation: false, noiseSuppression: false, autoGainControl: false };
@@ -10,7 +10,7 @@ const STILL = ["manual", "none"]; // browsers name it by one or the other
 const USUAL_RATE_HZ = 30;
 
 /** Constraints of a size and rate that a camera reaches as closely as it can. */
-export function videoConstraints({ width, height, frame_rate_hz: rateHz }, facing) {
+function videoConstraints({ width, height, frame_rate_hz: rateHz }, facing) {
   return { facingMode: facing, width: { ideal: width }, height: { ideal: height }, frameRate: { ideal: rateHz } };
 }
 
@@ -91,4 +91,133 @@ export function cameraProblem({ name }) {
   if (name === "NotAllowedError") return { message: "The camera is not allowed.", hint: "Allow it in the settings of the browser for this page, and try again." };
   if (name === "NotFoundError") return { message: "This device has no camera.", hint: null };
   return { message: "The camera can't be opened.", hint: "Close other apps that use it, and try again." };
+}
+
+// Times at which the camera took its frames, by the callbacks of the picture that the phone shows.
+
+// Standard deviations of a frame's time, by what the browser tells.
+const KNOWN_STD_S = 0.004; // the time at which the camera took it
+const SHOWN_STD_S = 0.02; // the time at which it was shown
+const MAX_LATE_FRAMES = 0.6;
+
+/** Time in seconds at which a frame was taken, with its standard deviation, from the facts of its callback. */
+export function frameTime({ captureTime, presentationTime }) {
+  return captureTime === undefined ? { timeS: presentationTime / 1000, stdS: SHOWN_STD_S } : { timeS: captureTime / 1000, stdS: KNOWN_STD_S };
+}
+
+/** Rate and lateness of the frames of a `<video>`, and functions to be called at one of the next frames. */
+export class PreviewFrames {
+  #video;
+  #waiting = [];
+  #intervals = [];
+  #lastS = null;
+  #lateS = 0;
+  #handle = 0;
+  #presented = null;
+  numFrames = 0; // that were shown
+  numMissing = 0; // that the camera took and nobody saw, by the times of the others
+
+  constructor(video) {
+    this.#video = video;
+    if (this.isOffered) this.#next();
+  }
+
+  get isOffered() {
+    return "requestVideoFrameCallback" in this.#video;
+  }
+
+  /** Median time between two frames; null while unknown. */
+  get intervalS() {
+    const sorted = [...this.#intervals].sort((one, other) => one - other);
+    return sorted.length < 5 ? null : sorted[sorted.length >> 1];
+  }
+
+  /** Whether frames come later to the page than the next ones are taken: nothing else should be done then. */
+  get isLate() {
+    return this.intervalS !== null && this.#lateS > MAX_LATE_FRAMES * this.intervalS;
+  }
+
+  /**
+   * Promise of the next frame whose facts satisfy `wanted`, as `{ timeS, stdS, lateS }`; null after `timeoutS`, as the browser
+   * tells of no frames while nobody sees the page.
+   */
+  frame(wanted, timeoutS) {
+    return new Promise((resolve) => {
+      const entry = { wanted, resolve: (frame) => { clearTimeout(timer); resolve(frame); } };
+      const timer = setTimeout(() => {
+        this.#waiting = this.#waiting.filter((other) => other !== entry);
+        resolve(null);
+      }, 1000 * timeoutS);
+      this.#waiting.push(entry);
+    });
+  }
+
+  close() {
+    if (this.isOffered) this.#video.cancelVideoFrameCallback(this.#handle);
+    for (const { resolve } of this.#waiting.splice(0)) resolve(null);
+  }
+
+  #next() {
+    this.#handle = this.#video.requestVideoFrameCallback((now, facts) => {
+      this.#next();
+      const numShown = this.#presented === null ? 1 : Math.max(1, facts.presentedFrames - this.#presented);
+      this.#presented = facts.presentedFrames;
+      this.#take({ ...frameTime(facts), arrivedS: facts.presentationTime / 1000, lateS: (performance.now() - facts.presentationTime) / 1000 }, numShown);
+    });
+  }
+
+  // The browser may show several frames between two callbacks.
+  #take(frame, numShown) {
+    this.numFrames += numShown;
+    this.#lateS = frame.lateS;
+    const passedS = this.#lastS === null ? 0 : frame.timeS - this.#lastS;
+    if (this.intervalS !== null) this.numMissing += Math.max(0, Math.round(passedS / this.intervalS) - numShown);
+    if (passedS > 0) this.#intervals = [...this.#intervals, passedS / numShown].slice(-60);
+    this.#lastS = frame.timeS;
+    const ready = this.#waiting.filter(({ wanted }) => wanted(frame));
+    this.#waiting = this.#waiting.filter((entry) => !ready.includes(entry));
+    // At once, not in a later task: a recorder that is started here gets the next frame as its first.
+    for (const { resolve } of ready) resolve(frame);
+  }
+}
+
+// Small pictures of the phone's camera for the host, which never hold up the recording.
+
+const EVERY_MS = 700;
+const LONG_SIDE_PX = 240;
+const QUALITY = 0.55;
+const MAX_BYTES = 30_000;
+
+export function smallSize(width, height) {
+  const scale = LONG_SIDE_PX / Math.max(width, height);
+  return [Math.max(1, Math.round(scale * width)), Math.max(1, Math.round(scale * height))];
+}
+
+/** Sends pictures of a `<video>` until it is stopped. `send(blob)` may refuse one; it is then left out. */
+export class Thumbnails {
+  #timer = 0;
+  #canvas = document.createElement("canvas");
+  numSkipped = 0;
+
+  constructor(video, frames, send) {
+    Object.assign(this, { video, frames, send });
+    this.#timer = setInterval(() => this.#take(), EVERY_MS);
+  }
+
+  stop() {
+    clearInterval(this.#timer);
+  }
+
+  #take() {
+    const { videoWidth: width, videoHeight: height } = this.video;
+    if (width === 0 || document.hidden) return;
+    if (this.frames.isLate) {
+      this.numSkipped += 1;
+      return;
+    }
+    const [across, down] = smallSize(width, height);
+    if (this.#canvas.width !== across || this.#canvas.height !== down) Object.assign(this.#canvas, { width: across, height: down });
+    this.#canvas.getContext("2d").drawImage(this.video, 0, 0, across, down);
+    this.#canvas.toBlob((blob) => { if (blob && blob.size <= MAX_BYTES) this.send(blob); }, "image/jpeg", QUALITY);
+  }
 }

@@ -22,7 +22,7 @@ export function readJoin(hash) {
  *
  * A page that is opened again without the link goes on with the last one.
  */
-export function identityOf(hash) {
+export function readIdentity(hash) {
   const entries = kept();
   const join = readJoin(hash) ?? entries.at(-1);
   if (!join) return null;
@@ -39,9 +39,45 @@ export function keepIdentity(identity) {
 }
 
 /** Short name of the browser and the device, from its user agent. */
-export function deviceOf(userAgent) {
+export function describeDevice(userAgent) {
   const browsers = [["Edg", "Edge"], ["OPR", "Opera"], ["SamsungBrowser", "Samsung Internet"], ["Firefox", "Firefox"], ["FxiOS", "Firefox"], ["CriOS", "Chrome"], ["Chrome", "Chrome"], ["Safari", "Safari"]];
   const systems = [["iPhone", "iPhone"], ["iPad", "iPad"], ["Android", "Android"], ["CrOS", "ChromeOS"], ["Windows", "Windows"], ["Mac OS X", "Mac"], ["Linux", "Linux"]];
   const named = (names) => names.find(([part]) => userAgent.includes(part))?.[1];
   return [named(browsers) ?? "Browser", named(systems)].filter(Boolean).join(" on ");
+}
+
+// Reserves of the phone: its battery, its storage, and a screen that stays on.
+
+/** Charge of the battery, where the browser tells of it. */
+export async function readBattery() {
+  const battery = await navigator.getBattery?.().catch(() => null);
+  return battery ? { battery: battery.level, charging: battery.charging } : {};
+}
+
+/** Bytes that the browser may still keep; null if it does not say. */
+export async function readFreeBytes() {
+  const estimate = await navigator.storage?.estimate?.().catch(() => null);
+  return estimate?.quota === undefined ? null : Math.max(0, Math.floor(estimate.quota - estimate.usage));
+}
+
+/** Keeps the screen on as long as the page is seen. */
+export class WakeLock {
+  #lock = null;
+  isHeld = false;
+
+  constructor() {
+    document.addEventListener("visibilitychange", this.#take);
+    this.#take();
+  }
+
+  close() {
+    document.removeEventListener("visibilitychange", this.#take);
+    this.#lock?.release().catch(() => null);
+  }
+
+  #take = async () => {
+    if (document.hidden || this.#lock?.released === false) return;
+    this.#lock = await navigator.wakeLock?.request("screen").catch(() => null) ?? null;
+    this.isHeld = this.#lock !== null;
+  };
 }

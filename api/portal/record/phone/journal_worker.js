@@ -3,7 +3,7 @@
 // A part of a take is a folder with `video`, the bytes so far, and `journal`, a line of JSON a fact. Handles for synchronous access
 // write in place and flush: what was appended is there after the tab was killed. Pages have no such handles, workers have.
 
-import { parseJournal } from "./journal_lines.js";
+import { parseJournal } from "./journal.js";
 
 const FOLDER = "multicap-takes";
 const open = new Map(); // handles by key, of the parts that are recorded now
@@ -13,7 +13,7 @@ async function root() {
   return (await navigator.storage.getDirectory()).getDirectoryHandle(FOLDER, { create: true });
 }
 
-async function handleOf(folder, name) {
+async function openHandle(folder, name) {
   return (await folder.getFileHandle(name, { create: true })).createSyncAccessHandle();
 }
 
@@ -32,7 +32,7 @@ async function note(key, fact) {
   const line = encoder.encode(`${JSON.stringify(fact)}\n`);
   const handles = open.get(key);
   if (handles) return write(handles.journal, line);
-  const journal = await handleOf(await (await root()).getDirectoryHandle(key), "journal");
+  const journal = await openHandle(await (await root()).getDirectoryHandle(key), "journal");
   try {
     write(journal, line);
   } finally {
@@ -43,7 +43,7 @@ async function note(key, fact) {
 const ACTIONS = {
   async begin({ key, fact }) {
     const folder = await (await root()).getDirectoryHandle(key, { create: true });
-    open.set(key, { video: await handleOf(folder, "video"), journal: await handleOf(folder, "journal") });
+    open.set(key, { video: await openHandle(folder, "video"), journal: await openHandle(folder, "journal") });
     await note(key, fact);
   },
   // The bytes first: a line tells only of bytes that are there.

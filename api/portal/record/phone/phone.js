@@ -1,17 +1,12 @@
 // The phone of a recording: its camera, its clock, what it records when the host says so, and what it sends.
 
-import { RoomConnection } from "../room.js";
-import { adjust, cameraProblem, factsOf, holdStill, openCamera, release } from "./camera.js";
-import { PreviewFrames } from "./camera_frames.js";
 import { ServerClock } from "../clock.js";
-import { cleanName } from "../names.js";
-import { deviceOf, keepIdentity } from "./identity.js";
-import { TakeJournal } from "./journal.js";
-import { fileMessage, lossesOf, stoppedMessage } from "./journal_lines.js";
+import { cleanName, RoomConnection } from "../room.js";
+import { adjust, cameraProblem, factsOf, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
+import { describeDevice, keepIdentity, readBattery, readFreeBytes, WakeLock } from "./identity.js";
+import { fileMessage, lossesOf, stoppedMessage, TakeJournal } from "./journal.js";
 import { ClipSender } from "./sender.js";
-import { readBattery, readFreeBytes, WakeLock } from "./surroundings.js";
 import { recordableTypes, TakeRecorder } from "./take_recorder.js";
-import { Thumbnails } from "./thumbnails.js";
 
 const FIRST_SETTINGS = { width: 1920, height: 1080, frame_rate_hz: 30 };
 const STATUS_MS = 1000;
@@ -59,7 +54,6 @@ export class PhoneCamera extends EventTarget {
     });
   }
 
-  /** Name of the phone. */
   get name() {
     return this.welcome?.name ?? this.identity.name;
   }
@@ -118,7 +112,6 @@ export class PhoneCamera extends EventTarget {
     this.#changed();
   }
 
-  /** Give the phone another name. */
   rename(name) {
     this.identity.name = name;
     keepIdentity(this.identity);
@@ -146,7 +139,7 @@ export class PhoneCamera extends EventTarget {
   #hello() {
     const { phoneId, name } = this.identity;
     const facts = this.track ? factsOf(this.track) : {};
-    this.room.send({ type: "hello", phone_id: phoneId, ...(name && { name }), device: deviceOf(navigator.userAgent), ...facts, mime_types: recordableTypes() });
+    this.room.send({ type: "hello", phone_id: phoneId, ...(name && { name }), device: describeDevice(navigator.userAgent), ...facts, mime_types: recordableTypes() });
   }
 
   async #take(message) {

@@ -80,7 +80,7 @@ export class ClipSender {
   }
 
   async #send(part) {
-    const file = await this.#journal.fileOf(part.key);
+    const file = await this.#journal.openFile(part.key);
     let url = part.uploadUrl;
     return new Promise((resolve, reject) => {
       const task = new Upload(file, {

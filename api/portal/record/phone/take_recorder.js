@@ -1,7 +1,7 @@
 // Recorder of a take: starts and stops at times of the service, and keeps each piece at once.
 
 import { discardedFrames, factsOf } from "./camera.js";
-import { keyOf } from "./journal_lines.js";
+import { partKey } from "./journal.js";
 
 const PIECE_MS = 500; // MP4 comes in pieces of a keyframe's distance
 // Files that all browsers play come first; any of them can be read wherever it was cut.
@@ -30,7 +30,7 @@ export const bitsPerS = ({ width, height, frameRate = 30 }) => Math.round(Math.m
  * A recorder that is started while a frame is told of gets the next one as its first. `before` is the frame that was told of,
  * `first` the next one, both null where the browser tells of none; `startedS` is the time of the start.
  */
-export function firstFrameOf({ before, first, startedS, intervalS }) {
+export function estimateFirstFrame({ before, first, startedS, intervalS }) {
   if (first === null) return { timeS: startedS + (intervalS ?? 0) / 2, stdS: UNSEEN_STD_S };
   const isCertain = before !== null && intervalS !== null && before.lateS < MAX_LATE_SHARE * intervalS;
   return { timeS: first.timeS, stdS: isCertain ? first.stdS : Math.hypot(first.stdS, (intervalS ?? UNSEEN_STD_S) / 2) };
@@ -39,7 +39,6 @@ export function firstFrameOf({ before, first, startedS, intervalS }) {
 const nowS = () => performance.now() / 1000;
 const until = (localS) => new Promise((resolve) => { setTimeout(resolve, Math.max(0, 1000 * (localS - nowS()))); });
 
-/** Recorder of one part of a take. */
 export class TakeRecorder {
   #parts; // stream, track, frames, clock, journal
   #recorder = null;
@@ -55,7 +54,7 @@ export class TakeRecorder {
   constructor({ stream, frames, clock, journal }, { recording, take, part }) {
     const [track] = stream.getVideoTracks();
     this.#parts = { stream, track, frames, clock, journal };
-    Object.assign(this, { take, part, key: keyOf(recording, take, part) });
+    Object.assign(this, { take, part, key: partKey(recording, take, part) });
     this.about = { recording, take, part };
   }
 
@@ -78,7 +77,7 @@ export class TakeRecorder {
     this.#recorder.start(PIECE_MS);
     const startedS = nowS();
     this.#from = this.#counts();
-    const first = firstFrameOf({ before, first: await frames.frame(({ arrivedS }) => arrivedS > startedS, BEGIN_S), startedS, intervalS });
+    const first = estimateFirstFrame({ before, first: await frames.frame(({ arrivedS }) => arrivedS > startedS, BEGIN_S), startedS, intervalS });
     const facts = { at_s: clock.serverS(first.timeS), std_s: Math.hypot(first.stdS, clock.report(first.timeS).std_s) };
     this.#written = this.#written.then(() => journal.note(this.key, "first", facts));
     return { first_frame_s: facts.at_s, std_s: facts.std_s, mime_type: mimeType };
@@ -91,7 +90,6 @@ export class TakeRecorder {
     await this.#parts.journal.end(this.key, { until_s: this.#endS, ...this.counts() });
   }
 
-  /** Stop at a time of the service, or now if it is over. */
   async stop(atServerS) {
     await until(this.#parts.clock.localS(atServerS));
     this.isCanceled = true;

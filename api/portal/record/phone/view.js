@@ -1,11 +1,10 @@
 // View of the phone: its own picture, what it records, what it sends.
 
-import { announce } from "../../shared/announce.js";
 import { clock, count, percent, size } from "../../shared/format.js";
-import { html, nothing, render, typed } from "../../shared/lit.js";
-import { problemBox } from "../../shared/problem.js";
-import { cleanName } from "../names.js";
-import { identityOf } from "./identity.js";
+import { html, nothing, problemBox, render, typed } from "../../shared/lit.js";
+import { announce } from "../../shared/page.js";
+import { cleanName } from "../room.js";
+import { readIdentity } from "./identity.js";
 import { TakeJournal } from "./journal.js";
 import { PhoneCamera } from "./phone.js";
 
@@ -175,9 +174,8 @@ class PhoneView {
   }
 }
 
-/** Open the page of the phone. */
 export async function open(place) {
-  const identity = isSecureContext ? identityOf(location.hash) : null;
+  const identity = isSecureContext ? readIdentity(location.hash) : null;
   const refuse = (title, text) => render(html`<section class="panel entrance" role="alert"><h1>${title}</h1><p>${text}</p></section>`, place);
   if (!isSecureContext) return refuse("This page needs an encrypted connection", "Browsers give the camera to addresses that begin with https alone. Open the link of the host again, or ask the host to start the service with --https.");
   if (identity === null) return refuse("This address has no link", "Scan the code that the host shows, or open the host's link.");

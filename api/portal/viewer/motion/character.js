@@ -38,7 +38,7 @@ function damaged({ name }) {
 }
 
 /** Motion of one person's character: `channels` are `{ node, path, values }`, a row of values for each frame of the file. */
-export class CharacterKeys {
+class CharacterKeys {
   channels = [];
   #present;
   #numRows;

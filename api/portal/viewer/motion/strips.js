@@ -1,6 +1,6 @@
 // Heat strips of people, and the spots in them that deserve a look.
 
-import { integers } from "./base64.js";
+import { integers } from "./records.js";
 
 export const UNKNOWN_ERROR = 255;
 const MIN_IDENTITY = 0.99;

@@ -76,7 +76,6 @@ export class CharacterFigures {
   }
 }
 
-/** Character of one person. */
 class ShownCharacter {
   #channels;
   #next = new THREE.Vector3();

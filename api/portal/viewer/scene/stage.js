@@ -1,8 +1,8 @@
 // The 3D view: renderer, light, ground and orbit. It draws only when something has changed.
 
-import * as THREE from "../../vendor/three/three.module.js";
 import { OrbitControls } from "../../vendor/three/addons/controls/OrbitControls.js";
-import { graphics } from "../graphics.js";
+import * as THREE from "../../vendor/three/three.module.js";
+import { graphics } from "../dom.js";
 
 const BACKGROUND = 0x161b1a;
 const FIELD_OF_VIEW_DEG = 42;
@@ -55,7 +55,6 @@ export class Canvas3D {
     this.#needsDraw = true;
   }
 
-  /** Height of the floor at a place. */
   floorZ(x, y) {
     return this.floor.height_m + this.floor.slope_x * x + this.floor.slope_y * y;
   }
@@ -124,7 +123,6 @@ export class Canvas3D {
     this.invalidate();
   }
 
-  /** Go back to orbiting, from where it was. */
   leaveCamera() {
     if (!this.throughMatrix) return;
     this.throughMatrix = null;

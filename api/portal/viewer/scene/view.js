@@ -1,10 +1,10 @@
 // The 3D view as a whole: ground, cameras, people and names.
 
 import * as THREE from "../../vendor/three/three.module.js";
+import { el } from "../dom.js";
+import { cameraCenter } from "../motion/records.js";
 import { CharacterFigures } from "./characters.js";
-import { Labels } from "./labels.js";
 import { PeopleFigures } from "./people.js";
-import { CameraFrustums } from "./rig.js";
 import { Canvas3D } from "./stage.js";
 
 const OBLIQUE = new THREE.Vector3(0.55, -0.75, 0.42).normalize();
@@ -97,7 +97,6 @@ export class SceneView {
     this.show(this.#frame);
   }
 
-  /** Draw if something has changed. */
   draw(now) {
     if (this.stage.draw(now)) this.labels.draw();
   }
@@ -119,4 +118,94 @@ export class SceneView {
     this.rig.setShown(isShown);
     for (const name of this.cameraNames) name.isShown = isShown;
   }
+}
+
+// Names over the 3D view: elements of the page, so that they stay sharp and can be read aloud.
+
+export class Labels {
+  #items = [];
+  #place = new THREE.Vector3();
+
+  constructor(stage, layer) {
+    this.stage = stage;
+    this.layer = layer;
+    this.isShown = true;
+  }
+
+  /** Add a name at a point that may move; it is hidden while the point is NaN. */
+  add(text, point, { color = null, kind }) {
+    const element = el("span", { class: `look-label look-label-${kind}` }, text);
+    if (color) element.style.setProperty("--tint", color);
+    this.layer.append(element);
+    const item = { element, point, kind, isShown: true };
+    this.#items.push(item);
+    return item;
+  }
+
+  remove(item) {
+    item.element.remove();
+    this.#items = this.#items.filter((other) => other !== item);
+  }
+
+  /** Put all names where their points are in the picture. */
+  draw() {
+    for (const { element, point, isShown } of this.#items) {
+      const isVisible = this.isShown && isShown && Number.isFinite(point.x) && this.stage.toScreen(point, this.#place);
+      element.hidden = !isVisible;
+      if (isVisible) element.style.transform = `translate(-50%, -100%) translate(${this.#place.x.toFixed(1)}px, ${this.#place.y.toFixed(1)}px)`;
+    }
+  }
+}
+
+// Cameras of the capture in 3D: a frustum each, all in one draw call.
+
+const DEPTH_M = 0.45;
+const TINT = [0.56, 0.65, 0.62];
+const CHOSEN_TINT = [0.98, 0.82, 0.35];
+
+class CameraFrustums {
+  #cameras;
+
+  constructor(stage, cameras) {
+    this.stage = stage;
+    this.#cameras = cameras;
+    this.centers = cameras.map(({ cam_from_world }) => new THREE.Vector3(...cameraCenter(cam_from_world)));
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(cameras.flatMap(outline), 3));
+    geometry.setAttribute("color", new THREE.Float32BufferAttribute(new Float32Array(geometry.getAttribute("position").count * 3), 3));
+    this.lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ vertexColors: true }));
+    stage.scene.add(this.lines);
+    this.choose(null);
+  }
+
+  setShown(isShown) {
+    this.lines.visible = isShown;
+    this.stage.invalidate();
+  }
+
+  /** Show a camera in another colour; null for none. */
+  choose(chosen) {
+    const colors = this.lines.geometry.getAttribute("color");
+    const each = colors.count / Math.max(1, this.#cameras.length);
+    for (let vertex = 0; vertex < colors.count; vertex++) {
+      colors.setXYZ(vertex, ...(Math.floor(vertex / each) === chosen ? CHOSEN_TINT : TINT));
+    }
+    colors.needsUpdate = true;
+    this.stage.invalidate();
+  }
+}
+
+/** Lines of a frustum: four edges, the picture's border, and a mark at its upper side. */
+function outline({ matrix, size_px: [width, height], cam_from_world: pose }) {
+  const center = cameraCenter(pose);
+  const { rotation: r } = pose;
+  const world = (u, v) => {
+    const inCam = [((u - matrix[0][2]) / matrix[0][0]) * DEPTH_M, ((v - matrix[1][2]) / matrix[1][1]) * DEPTH_M, DEPTH_M];
+    return [0, 1, 2].map((axis) => center[axis] + r[0][axis] * inCam[0] + r[1][axis] * inCam[1] + r[2][axis] * inCam[2]);
+  };
+  const corners = [[0, 0], [width, 0], [width, height], [0, height]].map(([u, v]) => world(u, v));
+  const lines = corners.flatMap((corner, number) => [center, corner, corner, corners[(number + 1) % 4]]);
+  const tip = world(width / 2, -0.25 * height);
+  lines.push(corners[0], tip, tip, corners[1]);
+  return lines.flat();
 }

@@ -27,13 +27,11 @@ export class FrameClock {
     return Math.round(this.#map(videoS, VIDEO, FRAME));
   }
 
-  /** Time of a frame on the session's clock. */
   timeOf(frame) {
     return this.#map(frame, FRAME, SESSION);
   }
 
-  /** Time of a frame in the video. */
-  videoTimeOf(frame) {
+  frameVideoTime(frame) {
     return this.#map(frame, FRAME, VIDEO);
   }
 
@@ -42,7 +40,6 @@ export class FrameClock {
     return this.#map(timeS, SESSION, VIDEO);
   }
 
-  /** Number of the last frame. */
   get lastFrame() {
     return this.#rows.at(-1)[FRAME];
   }

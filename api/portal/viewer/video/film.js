@@ -1,7 +1,7 @@
 // Decoder of a video that is fed by the page: picture after picture, without the seeking of a player, which decodes anew from
 // the last key for each picture.
 
-import { readIndex } from "./mp4.js";
+import { readIndex } from "../../shared/mp4.js";
 
 const BLOCK_BYTES = 2 ** 20;
 const MAX_BLOCKS = 8;
@@ -32,7 +32,7 @@ export class Film {
     };
     const index = await readIndex(read);
     if (index === null || index.sizes.length !== numFrames) return null;
-    const { supported } = await VideoDecoder.isConfigSupported(configurationOf(index));
+    const { supported } = await VideoDecoder.isConfigSupported(decoderConfiguration(index));
     return supported ? new Film(read, index) : null;
   }
 
@@ -118,7 +118,7 @@ export class Film {
     } else {
       this.#decoder.reset();
     }
-    this.#decoder.configure(configurationOf(this.#index));
+    this.#decoder.configure(decoderConfiguration(this.#index));
     this.#next = this.#keyBefore(frame);
     this.#from = this.#index.frames[this.#next];
     this.#shown = this.#from - 1;
@@ -127,7 +127,7 @@ export class Film {
   async #feed() {
     const sample = this.#next;
     const { frames, isKey } = this.#index;
-    const data = await this.#bytesOf(sample);
+    const data = await this.#readBytes(sample);
     if (!this.#isOpen) return;
     this.#decoder.decode(new EncodedVideoChunk({ type: isKey[sample] ? "key" : "delta", timestamp: frames[sample], data }));
     this.#next = sample + 1;
@@ -139,7 +139,7 @@ export class Film {
     await this.#decoder.flush().catch(() => {}); // closed meanwhile
   }
 
-  async #bytesOf(sample) {
+  async #readBytes(sample) {
     const start = this.#index.offsets[sample];
     const stop = start + this.#index.sizes[sample];
     const numbers = [];
@@ -163,6 +163,6 @@ export class Film {
   }
 }
 
-function configurationOf({ codec, description }) {
+function decoderConfiguration({ codec, description }) {
   return { codec, description, hardwareAcceleration: "prefer-software", optimizeForLatency: true };
 }

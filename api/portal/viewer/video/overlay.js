@@ -1,7 +1,6 @@
 // Skeletons over a camera's picture, by the camera's own lens.
 
-import { graphics } from "../graphics.js";
-import { lensOf } from "./lens.js";
+import { graphics } from "../dom.js";
 
 const OUTLINE = "rgb(0 0 0 / 0.65)";
 
@@ -16,7 +15,7 @@ export class SkeletonDrawing {
     this.canvas = canvas;
     // A canvas that is read often is drawn by the processor: without a graphics card this is many times faster.
     this.#context = canvas.getContext("2d", { willReadFrequently: graphics().isSoftware });
-    this.#lens = lensOf(camera);
+    this.#lens = prepareLens(camera);
     this.#size = camera.size_px;
     this.#bones = description.bones.map((bone) => bone.map((name) => description.joint_names.indexOf(name)));
     this.#pixels = new Float64Array(2 * description.joint_names.length);
@@ -79,4 +78,82 @@ export class SkeletonDrawing {
       return value > -this.#size[axis] && value < 2 * this.#size[axis];
     });
   }
+}
+
+// Projection of world points to pixels, distortion included: the models of pipeline/geometry/camera.py and lenses/fisheye.py.
+
+const MIN_DEPTH_M = 1e-6;
+const MAX_ANGLE_RAD = (85 * Math.PI) / 180;
+const TINY = 1e-9;
+const SCAN_STEPS = 2000;
+const BISECTIONS = 50;
+
+/** Prepared projection of a camera of the description: `project(x, y, z, out)` writes pixels, NaN where it sees nothing. */
+export function prepareLens(camera) {
+  const { rotation: r, translation_m: t } = camera.cam_from_world;
+  const [[fx, skew, cx], [skewY, fy, cy]] = camera.matrix;
+  const bend = camera.lens === "fisheye" ? fisheye(camera.distortion) : standard(camera.distortion);
+  const bent = [0, 0];
+  return {
+    project(x, y, z, out) {
+      const depth = r[2][0] * x + r[2][1] * y + r[2][2] * z + t[2];
+      if (!(depth > MIN_DEPTH_M)) {
+        out[0] = out[1] = NaN;
+        return out;
+      }
+      bend(
+        (r[0][0] * x + r[0][1] * y + r[0][2] * z + t[0]) / depth,
+        (r[1][0] * x + r[1][1] * y + r[1][2] * z + t[1]) / depth,
+        bent,
+      );
+      out[0] = fx * bent[0] + skew * bent[1] + cx;
+      out[1] = skewY * bent[0] + fy * bent[1] + cy;
+      return out;
+    },
+  };
+}
+
+/** OpenCV's standard model with 0, 4, 5, 8 or 12 coefficients: k1, k2, p1, p2, k3, k4, k5, k6, s1 to s4. */
+function standard(coefficients) {
+  const [k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0, s1 = 0, s2 = 0, s3 = 0, s4 = 0] = coefficients;
+  return (x, y, out) => {
+    const r2 = x * x + y * y;
+    const radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+    out[0] = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + s2 * r2);
+    out[1] = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + s4 * r2);
+  };
+}
+
+/** Kannala and Brandt's fisheye with four coefficients; NaN beyond the angle up to which the radius grows. */
+function fisheye([k1, k2, k3, k4]) {
+  const limitRad = angleLimitRad([k1, k2, k3, k4]);
+  return (x, y, out) => {
+    const ideal = Math.hypot(x, y);
+    const angle = Math.atan(ideal);
+    const a2 = angle * angle;
+    const radius = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))));
+    const ratio = angle > limitRad ? NaN : ideal > TINY ? radius / ideal : 1;
+    out[0] = x * ratio;
+    out[1] = y * ratio;
+  };
+}
+
+/** First angle at which the slope of the radius is zero, at most 85 degrees. */
+function angleLimitRad([k1, k2, k3, k4]) {
+  const slope = (angle) => {
+    const a2 = angle * angle;
+    return 1 + a2 * (3 * k1 + a2 * (5 * k2 + a2 * (7 * k3 + a2 * 9 * k4)));
+  };
+  for (let step = 1; step <= SCAN_STEPS; step++) {
+    let high = (MAX_ANGLE_RAD * step) / SCAN_STEPS;
+    if (slope(high) > 0) continue;
+    let low = (MAX_ANGLE_RAD * (step - 1)) / SCAN_STEPS;
+    for (let half = 0; half < BISECTIONS; half++) {
+      const middle = (low + high) / 2;
+      if (slope(middle) > 0) low = middle;
+      else high = middle;
+    }
+    return low;
+  }
+  return MAX_ANGLE_RAD;
 }

@@ -1,7 +1,11 @@
 // All cameras' videos beside the 3D view.
 
-import { el } from "../dom.js";
-import { Tile } from "./tile.js";
+import { el, graphics, iconButton } from "../dom.js";
+import { between } from "../motion/kinematics.js";
+import { FrameClock } from "./clock.js";
+import { Film } from "./film.js";
+import { SkeletonDrawing } from "./overlay.js";
+import { Pictures } from "./pictures.js";
 
 // Largest share of the width that videos take beside the 3D view.
 const WIDEST = 0.44;
@@ -90,5 +94,293 @@ export class Wall {
     }
     this.element.classList.toggle("look-has-large", this.#enlarged !== null);
     this.#arrange();
+  }
+}
+
+// A camera's video with the skeletons over it, in step with the play head.
+
+// A video that is farther behind than this is waited for; farther off, it is set to the play head.
+const WAIT_S = 0.08;
+const JUMP_S = 0.5;
+const PATIENCE_MS = 600;
+const SETTLED_S = 1e-4;
+// While it plays or is moved, a kept picture so near stands for the exact one, which follows when the play head rests.
+const NEAR_S = 1 / 24;
+const REST_MS = 150;
+// Rate of the pictures that are kept; of faster videos some are left out.
+const KEPT_HZ = 30;
+// Pictures are kept ahead of the play head: so far, and no more than this share of what is kept.
+const AHEAD_S = 20;
+const AHEAD_SHARE = 0.8;
+
+export class Tile {
+  #store;
+  #player;
+  #overlay;
+  #clock;
+  #before;
+  #after;
+  #isShowing = false;
+  #shown = null; // time on the session's clock of the picture that the video shows
+  #isShown;
+  #startS = 0; // time of the first frame on the video's own clock
+  #numVideos;
+  #film = null; // decoder of the video; null with a graphics card, where the browser shows the video itself
+  #pictures = null; // that the film has made
+  #shownFrame = null; // frame of the picture that is shown
+  #head = ""; // time of the play head and whether it plays, and since when
+  #restsSince = 0;
+  #drawn = ""; // what the canvas shows
+  #isOpen = true;
+  #waitedMs = 0; // for the video since playing began
+  #askedAt = null;
+
+  constructor(camera, number, store, player, { onenlarge, onthrough, isShown }) {
+    Object.assign(this, { camera, number });
+    this.#player = player;
+    this.#isShown = isShown;
+    this.#clock = new FrameClock(camera.clock);
+    this.video = el("video", { muted: true, playsinline: true, preload: "auto", tabindex: -1, "aria-hidden": "true" });
+    this.video.muted = true;
+    this.canvas = el("canvas", { role: "img", "aria-label": `Picture of ${camera.name} with the skeletons over it` });
+    this.note = el("p", { class: "look-tile-note" }, "No video");
+    this.element = el("figure", { class: "look-tile" },
+      el("div", { class: "look-picture" }, this.video, this.canvas, this.note),
+      el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: `See through ${camera.name} (${number + 1})`, onclick: () => onthrough(number) }, camera.name),
+        iconButton("enlarge", `Enlarge ${camera.name}`, () => onenlarge(this), { "aria-pressed": "false" })));
+    this.element.style.setProperty("--ratio", `${camera.size_px[0]} / ${camera.size_px[1]}`);
+    this.#numVideos = store.description.cameras.length;
+    this.#overlay = new SkeletonDrawing(this.canvas, camera, store.description);
+    this.replace(store);
+    this.#listen();
+  }
+
+  /** Take the people of another store from now on. */
+  replace(store) {
+    this.#store = store;
+    [this.#before, this.#after] = [0, 1].map(() => new Float32Array(3 * store.records.numJoints));
+    this.#drawn = "";
+  }
+
+  /** Time on the session's clock of what the tile shows: that of the video's picture, or the play head without a video. */
+  get shownS() {
+    return this.#shown ?? this.#player.timeS;
+  }
+
+  /** Whether a picture of the video is there and belongs to the play head's time. */
+  get isInTake() {
+    return this.#isShowing && this.#clock.frameAt(this.#player.timeS) !== null;
+  }
+
+  /** Number of pictures that were decoded one by one; 0 if the browser's player shows the video. */
+  get numDecoded() {
+    return this.#film?.numDecoded ?? 0;
+  }
+
+  /** Show a video, `{ url, startS }`; null if there is none. */
+  setVideo(video) {
+    if (video === null || !this.#clock.hasVideo) return;
+    this.note.textContent = "Loading …";
+    this.#startS = video.startS;
+    this.#open(video.url);
+  }
+
+  /** Without a graphics card pictures are decoded one by one and kept; else, and where that is not possible, the video plays. */
+  async #open(url) {
+    const film = graphics().isSoftware ? await Film.open(url, this.#clock.lastFrame + 1).catch(() => null) : null;
+    if (!this.#isOpen) return film?.close();
+    if (film === null) {
+      this.video.src = url;
+      return undefined;
+    }
+    this.#film = film;
+    this.#pictures = new Pictures(this.#numVideos);
+    this.element.classList.add("look-kept");
+    this.resize();
+    try {
+      await film.run(() => this.#missing(), (frame, picture) => this.#take(frame, picture));
+    } catch { // the browser's player may know how to go on
+      if (!this.#isOpen) return undefined;
+      film.close();
+      [this.#film, this.#pictures, this.#shownFrame, this.#isShowing] = [null, null, null, false];
+      this.element.classList.remove("look-kept");
+      this.video.src = url;
+    }
+    return undefined;
+  }
+
+  /** Bring the video to the play head: exactly while it rests, by its speed and by waiting while it plays. */
+  follow() {
+    if (!this.#isShowing && this.#film === null) return this.draw();
+    const frame = this.#clock.frameAt(this.#player.timeS);
+    this.element.classList.toggle("look-out", frame === null);
+    if (!this.#player.isPlaying) this.#waitedMs = 0;
+    if (frame === null) [this.#shown, this.#shownFrame] = [null, null]; // the camera took none
+    if (this.#film !== null) this.#showKept(frame);
+    else if (frame === null) this.video.pause();
+    else if (this.#player.isPlaying) this.#run();
+    else this.#rest(frame);
+    return this.draw();
+  }
+
+  /** Whether the play head must wait for this video. */
+  isBehind(now) {
+    if (!this.isInTake || !this.#player.isPlaying || this.#shown === null) return false;
+    const isBehind = this.#player.timeS - this.#shown > Math.max(WAIT_S * this.#player.speed, 1 / this.#player.rateHz);
+    if (isBehind && this.#askedAt !== null) this.#waitedMs += now - this.#askedAt;
+    this.#askedAt = isBehind ? now : null;
+    // A video that is stuck, or a machine that is too slow, must not hold up everything else for ever.
+    return isBehind && this.#waitedMs < PATIENCE_MS;
+  }
+
+  /** Take the size that the tile has in the page now. */
+  resize() {
+    this.#overlay.measure();
+    this.#drawn = "";
+    // Pictures of a tile that is hidden for a while stay.
+    if (!this.#isHidden && this.#pictures?.resize(...this.#overlay.size)) this.#shownFrame = null;
+    this.follow();
+  }
+
+  /** Draw the skeletons at the time of the picture that is shown, unless they are drawn; `isNew`: other people are shown. */
+  draw(isNew = false) {
+    const { description } = this.#store;
+    const place = (this.shownS - description.start_time_s) * description.frame_rate_hz;
+    const frame = Math.floor(place + 1e-6);
+    const picture = this.#isShowing && this.#shownFrame !== null ? this.#pictures?.get(this.#shownFrame) : null;
+    const state = `${place.toFixed(3)} ${this.#store.has(frame)} ${picture ? this.#shownFrame : ""} ${this.#isShowing}`;
+    if (!isNew && state === this.#drawn) return;
+    this.#drawn = state;
+    // A picture may be still to come, also when the size has changed.
+    if (this.#film !== null) this.note.hidden = Boolean(picture) || this.#clock.frameAt(this.#player.timeS) === null;
+    const scale = this.#overlay.begin(picture);
+    description.people.forEach(({ color }, person) => {
+      if (!this.#isShown(person) || !this.#store.positions(person, frame, "joints", this.#before)) return;
+      const share = place - frame;
+      if (share > 1e-3 && this.#store.positions(person, frame + 1, "joints", this.#after)) {
+        between(this.#before, this.#after, share, this.#before);
+      }
+      this.#overlay.draw(this.#before, color, scale);
+    });
+  }
+
+  close() {
+    this.#isOpen = false;
+    this.#film?.close();
+    this.video.pause();
+    this.video.removeAttribute("src");
+    this.video.load();
+  }
+
+  /** Show the kept picture of a frame, or one near it; without one the last picture stays. */
+  #showKept(frame) {
+    const kept = frame === null ? null : this.#pictures.nearest(frame, this.#nearFrames);
+    if (kept !== null) {
+      this.#shownFrame = kept;
+      this.#shown = this.#clock.timeOf(kept);
+    }
+    // An exact picture is wanted when the play head rests.
+    const head = `${this.#player.timeS} ${this.#player.isPlaying}`;
+    if (this.#head !== head) {
+      [this.#head, this.#restsSince] = [head, performance.now()];
+      if (!this.#player.isPlaying) setTimeout(() => this.#film?.wake(), REST_MS + 1);
+    }
+    this.#film.wake();
+  }
+
+  /** Frame whose picture is wanted next; null if all are kept that are needed soon. */
+  #missing() {
+    const frame = this.#clock.frameAt(this.#player.timeS);
+    if (frame === null || this.#isHidden) return null;
+    const near = this.#nearFrames;
+    if (this.#pictures.firstMissing(frame, frame, near) !== null) return frame;
+    const isAtRest = !this.#player.isPlaying && performance.now() - this.#restsSince >= REST_MS;
+    if (isAtRest && !this.#pictures.has(frame)) return frame;
+    const [first, last] = [this.#player.startS, this.#player.endS].map((timeS) => this.#clock.frameAt(timeS));
+    const stop = last ?? this.#clock.lastFrame;
+    const numAhead = Math.min(AHEAD_S / this.#clock.intervalS, AHEAD_SHARE * this.#pictures.maxCount * this.#stride);
+    const ahead = this.#pictures.firstMissing(frame, Math.min(stop, frame + Math.floor(numAhead)), near);
+    // A take that fits is kept as a whole: it loops, and is scrubbed through in both directions.
+    const isSmall = stop - (first ?? 0) < numAhead;
+    return ahead ?? (isSmall ? this.#pictures.firstMissing(first ?? 0, frame, near) : null);
+  }
+
+  /** Keep a picture of the film, unless it is left out. */
+  async #take(frame, picture) {
+    const isWanted = !this.#pictures.has(frame) && (frame % this.#stride === 0 || frame === this.#missing());
+    if (!isWanted || this.#isHidden) return picture.close();
+    if (!await this.#pictures.take(frame, picture)) return undefined;
+    this.#isShowing = true;
+    return this.follow();
+  }
+
+  get #isHidden() {
+    return this.#overlay.size.includes(0);
+  }
+
+  /** Every so many frames one is kept. */
+  get #stride() {
+    return Math.max(1, Math.floor(1 / (KEPT_HZ * this.#clock.intervalS) + 1e-6));
+  }
+
+  get #nearFrames() {
+    return Math.floor(NEAR_S / this.#clock.intervalS + 1e-6);
+  }
+
+  #run() {
+    const { speed, timeS } = this.#player;
+    const wantedS = this.#startS + this.#clock.videoTimeAt(timeS);
+    const lagS = wantedS - this.video.currentTime;
+    if (this.video.paused) {
+      this.video.currentTime = wantedS;
+      this.#play();
+    } else if (Math.abs(lagS) > JUMP_S && !this.video.seeking) {
+      this.video.currentTime = wantedS;
+    }
+    // A little faster or slower brings it back without a jump that the eye sees.
+    const rate = speed * (1 + Math.max(-0.15, Math.min(0.15, lagS * 2)));
+    if (Math.abs(this.video.playbackRate - rate) > 0.01) this.video.playbackRate = rate;
+  }
+
+  #play() {
+    this.video.play().catch(() => {}); // paused again before it began
+  }
+
+  #rest(frame) {
+    if (!this.video.paused) this.video.pause();
+    // The middle of the frame's time, so that rounding never shows the frame before it.
+    const next = this.#clock.frameVideoTime(frame + 1);
+    const wantedS = this.#startS + this.#clock.frameVideoTime(frame) + Math.max(1e-3, (next - this.#clock.frameVideoTime(frame)) / 2);
+    if (Math.abs(this.video.currentTime - wantedS) > SETTLED_S && !this.video.seeking) this.video.currentTime = wantedS;
+  }
+
+  #listen() {
+    const { video } = this;
+    video.addEventListener("loadeddata", () => {
+      this.#isShowing = true;
+      this.note.hidden = true;
+      this.resize();
+    });
+    video.addEventListener("error", () => {
+      this.#isShowing = false;
+      this.#shown = null;
+      this.note.hidden = false;
+      this.note.textContent = "This video can't be shown here";
+      this.draw();
+    });
+    const onPicture = (mediaTime) => {
+      this.#shown = this.#clock.timeOf(this.#clock.frameAtVideo(mediaTime - this.#startS));
+      this.draw();
+    };
+    if ("requestVideoFrameCallback" in video) {
+      const again = (_, { mediaTime }) => {
+        onPicture(mediaTime);
+        video.requestVideoFrameCallback(again);
+      };
+      video.requestVideoFrameCallback(again);
+    } else {
+      for (const event of ["seeked", "timeupdate"]) video.addEventListener(event, () => onPicture(video.currentTime));
+    }
+    video.addEventListener("seeked", () => { if (!this.#player.isPlaying) this.follow(); });
   }
 }

@@ -3,10 +3,9 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { packKeypoints, unpackInstant } from "../../../../api/portal/live/packets.js";
-import { peopleOf, recordingOf, sortedFiles } from "../../../../api/portal/live/keypoints.js";
-import { LiveStore } from "../../../../api/portal/live/store.js";
-import { entriesOf, textOf } from "../../../../api/portal/live/zip.js";
+import { packKeypoints, unpackInstant } from "../../../../api/portal/live/client.js";
+import { listEntries, peopleOf, openRecording, sortedFiles, readText } from "../../../../api/portal/live/keypoints.js";
+import { LiveStore } from "../../../../api/portal/live/scene.js";
 
 const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
 const expected = JSON.parse(read("expected.json"));
@@ -37,7 +36,7 @@ test("zips of cameras are a recording", async () => {
   const sorted = await sortedFiles([zipOf("cam_1.zip"), zipOf("cam_2.zip"), new File(["{}"], "calibration.json"), times(...EVERY_TIME)]);
   assert.deepEqual(sorted.views.map(({ name, frames }) => [name, [...frames.keys()]]), [["cam_1", [0, 2, 10]], ["cam_2", [0, 2, 10]]]);
   assert.equal(sorted.calibration.name, "calibration.json");
-  const recording = await recordingOf(sorted, ["cam_1", "cam_2", "cam_3"], null);
+  const recording = await openRecording(sorted, ["cam_1", "cam_2", "cam_3"], null);
   assert.deepEqual(recording.frames.map(({ camera, timeS }) => [camera, timeS]), [["cam_1", 0], ["cam_2", 0.01], ["cam_1", 0.08], ["cam_2", 2 / 25 + 1 / 100], ["cam_1", 0.4], ["cam_2", 10 / 25 + 1 / 100]]);
   assert.deepEqual([recording.layout, recording.numPoints], ["coco-17", 17]);
   assert.deepEqual([await recording.frames[0].read(), (await recording.frames[5].read())[0].length], [[], 51]);
@@ -45,18 +44,18 @@ test("zips of cameras are a recording", async () => {
 
 test("what can't be played is named", async () => {
   const sorted = await sortedFiles([zipOf("cam_1.zip"), zipOf("cam_2.zip")]);
-  await assert.rejects(recordingOf(sorted, ["left", "right"], 25), /cam_1, cam_2/);
-  await assert.rejects(recordingOf({ ...sorted, timestamps: times("cam_1,0,0") }, ["cam_1", "cam_2"], null), /Frames of cam_1/);
-  await assert.rejects(recordingOf({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
-  await assert.rejects(entriesOf(new File(["nothing"], "a.zip")), /no zip/);
+  await assert.rejects(openRecording(sorted, ["left", "right"], 25), /cam_1, cam_2/);
+  await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,0,0") }, ["cam_1", "cam_2"], null), /Frames of cam_1/);
+  await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
+  await assert.rejects(listEntries(new File(["nothing"], "a.zip")), /no zip/);
   assert.throws(() => peopleOf("[]"), /OpenPose/);
   assert.deepEqual(peopleOf('{"people": [null, {}, {"pose_keypoints_2d": "x"}, {"pose_keypoints_2d": [1, 2, 0.5]}]}'), [[1, 2, 0.5]]);
 });
 
 test("an entry of a zip that is larger than it states is not read", async () => {
-  const [, entry] = await entriesOf(zipOf("cam_1.zip"));
-  assert.match(await textOf(zipOf("cam_1.zip"), entry), /pose_keypoints_2d/);
-  await assert.rejects(textOf(zipOf("cam_1.zip"), { ...entry, numBytes: 20 }), /larger than it states/);
+  const [, entry] = await listEntries(zipOf("cam_1.zip"));
+  assert.match(await readText(zipOf("cam_1.zip"), entry), /pose_keypoints_2d/);
+  await assert.rejects(readText(zipOf("cam_1.zip"), { ...entry, numBytes: 20 }), /larger than it states/);
 });
 
 test("points of BODY_25B are told from those of BODY_25", async () => {
@@ -66,15 +65,15 @@ test("points of BODY_25B are told from those of BODY_25", async () => {
     Object.defineProperty(file, "webkitRelativePath", { value: `all/${camera}/a_${frame}_keypoints.json` });
     return file;
   }));
-  const layoutOf = async (row) => (await recordingOf(await sortedFiles(framesOf(row)), ["cam_1", "cam_2"], 25)).layout;
+  const findLayout = async (row) => (await openRecording(await sortedFiles(framesOf(row)), ["cam_1", "cam_2"], 25)).layout;
   const both = (x, y) => [[50 + x, y], [50 - x, y]]; // left, right
   const [[lShoulder, rShoulder], [lElbow, rElbow], [lWrist, rWrist], [lHip, rHip], [lKnee, rKnee], [lAnkle, rAnkle]] = [both(18, 30), both(22, 60), both(24, 90), both(10, 95), both(10, 140), both(10, 185)];
   const face = [...both(3, 8), ...both(6, 10)];
   const feet = [...both(12, 190), ...both(14, 190), ...both(9, 188)];
   const body25B = [[50, 10], ...face, lShoulder, rShoulder, lElbow, rElbow, lWrist, rWrist, lHip, rHip, lKnee, rKnee, lAnkle, rAnkle, [50, 26], [50, 0], ...feet];
   const body25 = [[50, 10], [50, 30], rShoulder, rElbow, rWrist, lShoulder, lElbow, lWrist, [50, 95], rHip, rKnee, rAnkle, lHip, lKnee, lAnkle, ...face, ...feet];
-  assert.equal(await layoutOf(body25B), "body-25b");
-  assert.equal(await layoutOf(body25), "body-25");
+  assert.equal(await findLayout(body25B), "body-25b");
+  assert.equal(await findLayout(body25), "body-25");
 });
 
 test("people without bones are shown by their joints, and trails end where people were not there", () => {

@@ -4,8 +4,8 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { robustSlope, ServerClock } from "../../../../api/portal/record/clock.js";
-import { PreviewFrames, frameTime } from "../../../../api/portal/record/phone/camera_frames.js";
-import { firstFrameOf } from "../../../../api/portal/record/phone/take_recorder.js";
+import { PreviewFrames, frameTime } from "../../../../api/portal/record/phone/camera.js";
+import { estimateFirstFrame } from "../../../../api/portal/record/phone/take_recorder.js";
 
 const OFFSET_S = 1_700_000_000;
 
@@ -104,8 +104,8 @@ test("a frame's time is that of the camera where it is told", () => {
 test("the first frame is certain only if the recorder started in time", () => {
   const first = { timeS: 10.04, stdS: 0.004 };
   const at = { startedS: 10.01, intervalS: 0.04 };
-  assert.deepEqual(firstFrameOf({ before: { lateS: 0.002 }, first, ...at }), { timeS: 10.04, stdS: 0.004 });
-  assert.ok(firstFrameOf({ before: { lateS: 0.03 }, first, ...at }).stdS > 0.02);
-  assert.ok(firstFrameOf({ before: null, first, ...at }).stdS > 0.02);
-  assert.deepEqual(firstFrameOf({ before: null, first: null, ...at }), { timeS: 10.03, stdS: 0.05 });
+  assert.deepEqual(estimateFirstFrame({ before: { lateS: 0.002 }, first, ...at }), { timeS: 10.04, stdS: 0.004 });
+  assert.ok(estimateFirstFrame({ before: { lateS: 0.03 }, first, ...at }).stdS > 0.02);
+  assert.ok(estimateFirstFrame({ before: null, first, ...at }).stdS > 0.02);
+  assert.deepEqual(estimateFirstFrame({ before: null, first: null, ...at }), { timeS: 10.03, stdS: 0.05 });
 });

@@ -3,13 +3,13 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { fileMessage, keyOf, lossesOf, parseJournal, partOf, stoppedMessage } from "../../../../api/portal/record/phone/journal_lines.js";
+import { fileMessage, partKey, lossesOf, parseJournal, partOf, stoppedMessage } from "../../../../api/portal/record/phone/journal.js";
 
 const BEGIN = { fact: "begin", recording: "r", take: 3, part: 1, mime_type: "video/webm", at_s: 100 };
 const FIRST = { fact: "first", at_s: 100.02, std_s: 0.004 };
 const PIECES = [{ fact: "piece", until_s: 100.5, num_frames: 12, dropped: 0 }, { fact: "piece", until_s: 101, num_frames: 25, dropped: 1 }];
 const END = { fact: "end", until_s: 101.2, num_frames: 30, dropped: 1 };
-const part = (facts, more = {}) => partOf({ key: keyOf("r", 3, facts[0].part), facts, numBytes: 1000, isOpen: false, ...more });
+const part = (facts, more = {}) => partOf({ key: partKey("r", 3, facts[0].part), facts, numBytes: 1000, isOpen: false, ...more });
 
 test("a torn line ends the journal", () => {
   const text = `${JSON.stringify(BEGIN)}\n${JSON.stringify(FIRST)}\n{"fact": "pie`;

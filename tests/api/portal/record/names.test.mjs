@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { cleanName } from "../../../../api/portal/record/names.js";
+import { cleanName } from "../../../../api/portal/record/room.js";
 import { factsOf } from "../../../../api/portal/record/phone/camera.js";
 
 test("names keep what can be seen", () => {

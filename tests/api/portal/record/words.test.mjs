@@ -4,13 +4,11 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { boardName } from "../../../../api/portal/record/board/charuco.js";
-import { isOfThisMachine } from "../../../../api/portal/record/join_links.js";
-import { clipLosses, clipState, phoneFacts, phoneState, takeDurationS } from "../../../../api/portal/record/host/take_words.js";
-import { bestVideo, commonVideos, videoWords } from "../../../../api/portal/record/host/video_settings.js";
-import { adjust, factsOf, heldConstraints } from "../../../../api/portal/record/phone/camera.js";
-import { deviceOf, readJoin } from "../../../../api/portal/record/phone/identity.js";
+import { isOfThisMachine } from "../../../../api/portal/record/room.js";
+import { bestVideo, clipLosses, clipState, commonVideos, phoneFacts, phoneState, takeDurationS, videoWords } from "../../../../api/portal/record/host/words.js";
+import { adjust, factsOf, heldConstraints, smallSize } from "../../../../api/portal/record/phone/camera.js";
+import { describeDevice, readJoin } from "../../../../api/portal/record/phone/identity.js";
 import { bitsPerS, endingOf } from "../../../../api/portal/record/phone/take_recorder.js";
-import { smallSize } from "../../../../api/portal/record/phone/thumbnails.js";
 
 const can = (width, height, rateHz) => ({ max_width: width, max_height: height, max_frame_rate_hz: rateHz });
 
@@ -56,9 +54,9 @@ test("the link of a phone's page", () => {
 });
 
 test("browsers and devices have short names", () => {
-  assert.equal(deviceOf("Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X) AppleWebKit/605 Version/18.0 Mobile Safari/604.1"), "Safari on iPhone");
-  assert.equal(deviceOf("Mozilla/5.0 (Linux; Android 14; Pixel 8) AppleWebKit/537.36 Chrome/130.0 Mobile Safari/537.36"), "Chrome on Android");
-  assert.equal(deviceOf("curl"), "Browser");
+  assert.equal(describeDevice("Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X) AppleWebKit/605 Version/18.0 Mobile Safari/604.1"), "Safari on iPhone");
+  assert.equal(describeDevice("Mozilla/5.0 (Linux; Android 14; Pixel 8) AppleWebKit/537.36 Chrome/130.0 Mobile Safari/537.36"), "Chrome on Android");
+  assert.equal(describeDevice("curl"), "Browser");
 });
 
 test("sizes of files and of pictures", () => {

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { takesIn } from "../../../../api/portal/send/folders.js";
+import { takesIn } from "../../../../api/portal/send/matching.js";
 
 const KINDS = { mp4: "video", zip: "keypoints", json: "calibration", csv: "timestamps" };
 
@@ -12,7 +12,7 @@ function found(...paths) {
   return takesIn(files, files.map(({ name }) => KINDS[name.split(".").at(-1)] ?? null));
 }
 
-const namesOf = (files) => files.map(({ webkitRelativePath: path }) => path);
+const uniqueNames = (files) => files.map(({ webkitRelativePath: path }) => path);
 
 test("a folder for each take, in natural order, with the calibration beside", () => {
   const { takes, beside } = found(
@@ -21,8 +21,8 @@ test("a folder for each take, in natural order, with the calibration beside", ()
   );
   assert.deepEqual(takes.map(({ name }) => name), ["take 9", "take 10"]);
   assert.deepEqual(takes.map(({ hasCalibration }) => hasCalibration), [true, false]);
-  assert.deepEqual(namesOf(takes[1].files), ["day/take 10/left.mp4", "day/take 10/right.mp4"]);
-  assert.deepEqual(namesOf(beside), ["day/rig.json", "day/notes.txt"]);
+  assert.deepEqual(uniqueNames(takes[1].files), ["day/take 10/left.mp4", "day/take 10/right.mp4"]);
+  assert.deepEqual(uniqueNames(beside), ["day/rig.json", "day/notes.txt"]);
 });
 
 test("folders that are dropped together, and a take with one camera, which its sending refuses", () => {

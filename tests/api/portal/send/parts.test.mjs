@@ -4,22 +4,22 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
 
-import { isPassedOver, kindOf, namesOf } from "../../../../api/portal/send/files.js";
-import { recordingsOf } from "../../../../api/portal/send/parts.js";
+import { isPassedOver, detectKind, uniqueNames } from "../../../../api/portal/send/files.js";
+import { groupRecordings } from "../../../../api/portal/send/matching.js";
 
 const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/parts_cases.json`, "utf8"));
 
 for (const { about, names, recordings } of cases) {
-  test(about, () => assert.deepEqual(recordingsOf(names), recordings));
+  test(about, () => assert.deepEqual(groupRecordings(names), recordings));
 }
 
 test("files of one name have the names of their folders before", () => {
   const file = (path) => ({ name: path.split("/").at(-1), webkitRelativePath: path });
   const files = ["take/left/DCIM/GX010001.MP4", "take/right/DCIM/GX010001.MP4", "take/door.mp4"].map(file);
-  assert.deepEqual([...namesOf(files).values()], ["left_DCIM_GX010001.MP4", "right_DCIM_GX010001.MP4", "door.mp4"]);
-  assert.deepEqual([...namesOf([{ name: "a.mp4" }, { name: "a.mp4" }]).values()], ["a.mp4", "a.mp4"]);
+  assert.deepEqual([...uniqueNames(files).values()], ["left_DCIM_GX010001.MP4", "right_DCIM_GX010001.MP4", "door.mp4"]);
+  assert.deepEqual([...uniqueNames([{ name: "a.mp4" }, { name: "a.mp4" }]).values()], ["a.mp4", "a.mp4"]);
   // A file that is chosen by itself may take the place of one of a folder.
-  assert.deepEqual([...namesOf([file("take/a.mp4"), { name: "a.mp4" }]).values()], ["a.mp4", "a.mp4"]);
+  assert.deepEqual([...uniqueNames([file("take/a.mp4"), { name: "a.mp4" }]).values()], ["a.mp4", "a.mp4"]);
 });
 
 test("files that systems and cameras put beside others", () => {
@@ -29,7 +29,7 @@ test("files that systems and cameras put beside others", () => {
 });
 
 test("an array of the points of all cameras", async () => {
-  const kinds = await Promise.all(["mediapipe_2dData_numCams_pixelXY.npy", "body_3d_xyz.npy"].map((name) => kindOf({ name, type: "" })));
+  const kinds = await Promise.all(["mediapipe_2dData_numCams_pixelXY.npy", "body_3d_xyz.npy"].map((name) => detectKind({ name, type: "" })));
   assert.deepEqual(kinds, ["array", null]);
 });
 
@@ -51,6 +51,6 @@ test("what a zip is, by the names in it", async () => {
     video: [["000001.json", "000001.jpg"]],
   };
   for (const [kind, zips] of Object.entries(kinds)) {
-    for (const names of zips) assert.equal(await kindOf(zipOf(...names)), kind, names.join());
+    for (const names of zips) assert.equal(await detectKind(zipOf(...names)), kind, names.join());
   }
 });

@@ -10,7 +10,7 @@ const bytes = read("character.glb");
 const expected = JSON.parse(read("expected.json"));
 
 /** File of a source with some content; `asked` are the ranges that were read. */
-function fileOf(content) {
+function openFile(content) {
   const asked = [];
   const part = async (from, to) => {
     asked.push([from, to]);
@@ -21,7 +21,7 @@ function fileOf(content) {
 }
 
 test("keys are those that the pipeline wrote", async () => {
-  const file = fileOf(bytes);
+  const file = openFile(bytes);
   const motion = await readCharacter(file);
   motion.fill(await file.read(...motion.range));
   assert.deepEqual([motion.startFrame, motion.rateHz, motion.originM], [expected.start_frame, expected.rate_hz, [100, -50, 0]]);
@@ -37,7 +37,7 @@ test("keys are those that the pipeline wrote", async () => {
 });
 
 test("a person has rows in the frames of the file in which they are there", async () => {
-  const motion = await readCharacter(fileOf(bytes));
+  const motion = await readCharacter(openFile(bytes));
   const rowAt = (frame) => motion.rowAt(frame / expected.rate_hz);
   const [first, stop] = expected.present;
   const start = expected.start_frame;
@@ -55,7 +55,7 @@ test("a long description is read on", async () => {
   const head = Buffer.concat([text, Buffer.alloc(-text.length & 3, " ")]);
   const long = Buffer.concat([bytes.subarray(0, 20), head, bytes.subarray(20 + length)]);
   long.writeUInt32LE(head.length, 12);
-  const file = fileOf(long);
+  const file = openFile(long);
   const motion = await readCharacter(file);
   assert.deepEqual(file.asked, [[0, 65_536], [0, 20 + head.length]]);
   assert.equal(motion.range[1], long.length);
@@ -68,7 +68,7 @@ test("damaged files are refused by name", async () => {
     harmed((copy) => copy.writeUInt32LE(0xffffffff, 12)), harmed((copy) => copy.fill(0, 0, 4)), harmed((copy) => copy.fill(0x20, 20, 60)),
   ];
   for (const [number, content] of files.entries()) {
-    await assert.rejects(readCharacter(fileOf(content)), /person-1\.character\.glb is no character in motion, or is damaged/, `file ${number}`);
+    await assert.rejects(readCharacter(openFile(content)), /person-1\.character\.glb is no character in motion, or is damaged/, `file ${number}`);
   }
 });
 

@@ -4,12 +4,12 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { Film } from "../../../../api/portal/viewer/video/film.js";
-import { readIndex } from "../../../../api/portal/viewer/video/mp4.js";
+import { readIndex } from "../../../../api/portal/shared/mp4.js";
 import { Pictures } from "../../../../api/portal/viewer/video/pictures.js";
 
 const folder = process.env.FIXTURES;
 const expected = JSON.parse(readFileSync(`${folder}/videos.json`, "utf8"));
-const fileOf = (name) => readFileSync(`${folder}/${name}`);
+const openFile = (name) => readFileSync(`${folder}/${name}`);
 
 function reader(bytes, asked = []) {
   return async (start, stop) => {
@@ -21,7 +21,7 @@ function reader(bytes, asked = []) {
 
 for (const name of Object.keys(expected)) {
   test(`index of ${name}`, async () => {
-    const bytes = fileOf(name);
+    const bytes = openFile(name);
     const index = await readIndex(reader(bytes));
     const { codec, samples } = expected[name];
     assert.equal(index.codec, codec);
@@ -34,7 +34,7 @@ for (const name of Object.keys(expected)) {
 
 test("an index is read without the pictures", async () => {
   const asked = [];
-  const bytes = fileOf("keys.mp4");
+  const bytes = openFile("keys.mp4");
   await readIndex(reader(bytes, asked));
   const numRead = asked.reduce((sum, [start, stop]) => sum + Math.min(stop, bytes.length) - start, 0);
   assert.ok(numRead < bytes.length / 2, `${numRead} of ${bytes.length} bytes`);
@@ -42,11 +42,11 @@ test("an index is read without the pictures", async () => {
 
 for (const name of ["h264-fragmented.mp4", "h264-rotated-90.mp4", "hevc-8.mp4", "mpeg4-b-frames.mp4", "vp9.webm"]) {
   test(`${name} is left to the browser's player`, async () => {
-    assert.equal(await readIndex(reader(fileOf(name))), null);
+    assert.equal(await readIndex(reader(openFile(name))), null);
   });
 }
 
-for (const [what, bytes] of [["nothing", Buffer.alloc(0)], ["no MP4", Buffer.from("RIFF....AVI LIST and more of it")], ["half a file", fileOf("keys.mp4").subarray(0, 300)]]) {
+for (const [what, bytes] of [["nothing", Buffer.alloc(0)], ["no MP4", Buffer.from("RIFF....AVI LIST and more of it")], ["half a file", openFile("keys.mp4").subarray(0, 300)]]) {
   test(`${what} has no index`, async () => {
     assert.equal(await readIndex(reader(bytes)), null);
   });
@@ -99,7 +99,7 @@ globalThis.VideoDecoder = FakeDecoder;
 globalThis.EncodedVideoChunk = class { constructor(init) { Object.assign(this, init); } };
 
 async function filmOf(name) {
-  const bytes = fileOf(name);
+  const bytes = openFile(name);
   globalThis.fetch = async (_, { headers: { Range } }) => {
     const [, start, stop] = /bytes=(\d+)-(\d+)/.exec(Range).map(Number);
     const part = bytes.subarray(start, stop + 1);
@@ -131,11 +131,11 @@ test("a film shows frames on the way to the one that is wanted", async () => {
 test("it begins at the key before a frame that is far, and goes back for one that has passed", async () => {
   const film = await filmOf("keys.mp4");
   const keys = expected["keys.mp4"].samples.filter((sample) => sample.is_key).map(({ frame }) => frame);
-  const keyOf = (frame) => keys.findLast((key) => key <= frame);
-  assert.ok(keyOf(40) > 10 && keyOf(31) < 31, `${keys}`);
+  const partKey = (frame) => keys.findLast((key) => key <= frame);
+  assert.ok(partKey(40) > 10 && partKey(31) < 31, `${keys}`);
   const [, far, back, last] = await shownFor(film, [2, 40, 31, 59]);
-  assert.deepEqual([far[0], far.at(-1)], [keyOf(40), 40]);
-  assert.deepEqual([back[0], back.at(-1)], [keyOf(31), 31]);
+  assert.deepEqual([far[0], far.at(-1)], [partKey(40), 40]);
+  assert.deepEqual([back[0], back.at(-1)], [partKey(31), 31]);
   assert.ok(last[0] > 31 && last.at(-1) === 59, "the last frames come out of the decoder");
 });
 

@@ -3,13 +3,13 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { lensOf } from "../../../../api/portal/viewer/video/lens.js";
+import { prepareLens } from "../../../../api/portal/viewer/video/overlay.js";
 
 const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/lenses.json`));
 
 for (const { name, camera, points, pixels } of cases) {
   test(`lens ${name}`, () => {
-    const lens = lensOf(camera);
+    const lens = prepareLens(camera);
     const out = [0, 0];
     let numSeen = 0;
     points.forEach((point, number) => {

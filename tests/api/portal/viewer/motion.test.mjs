@@ -4,10 +4,8 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { angleGroups, bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
-import { FrameRecords, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
-import { about, centerOf, originOf } from "../../../../api/portal/viewer/motion/nearby.js";
-import { EditedStore } from "../../../../api/portal/viewer/motion/edited.js";
-import { MotionStore } from "../../../../api/portal/viewer/motion/store.js";
+import { about, cameraCenter, FrameRecords, chooseOrigin, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
+import { EditedStore, MotionStore } from "../../../../api/portal/viewer/motion/store.js";
 import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
 
 const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
@@ -244,16 +242,16 @@ test("frames that come are told", async () => {
 });
 
 test("a take in survey coordinates is drawn about an origin amid its cameras", () => {
-  assert.deepEqual(originOf(description), [0, 0, 0]);
+  assert.deepEqual(chooseOrigin(description), [0, 0, 0]);
   const away = [500123.25, 5412345.5, 312.75];
   // The world moves the other way: cameras and floor are where a survey has them.
   const { origin_m: _, ...far } = about({ ...description, floor: { height_m: 0.1, slope_x: 0.01, slope_y: -0.02 } }, away.map((value) => -value));
-  const origin = originOf(far);
+  const origin = chooseOrigin(far);
   assert.ok(origin.every((value, axis) => Number.isInteger(value) && Math.abs(value - away[axis]) < 20), `${origin}`);
   const near = about(far, origin);
   near.cameras.forEach(({ cam_from_world }, number) => {
-    const expectedCenter = centerOf(description.cameras[number].cam_from_world);
-    centerOf(cam_from_world).forEach((value, axis) => assert.ok(Math.abs(value - (expectedCenter[axis] + away[axis] - origin[axis])) < 1e-6));
+    const expectedCenter = cameraCenter(description.cameras[number].cam_from_world);
+    cameraCenter(cam_from_world).forEach((value, axis) => assert.ok(Math.abs(value - (expectedCenter[axis] + away[axis] - origin[axis])) < 1e-6));
   });
   const heightAt = ({ height_m, slope_x, slope_y }, [x, y]) => height_m + slope_x * x + slope_y * y;
   const place = [away[0] - origin[0] + 2, away[1] - origin[1] - 3];

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { integers } from "../../../../api/portal/viewer/motion/base64.js";
+import { integers } from "../../../../api/portal/viewer/motion/records.js";
 import { BodyPose, TRANSFORM_VALUES } from "../../../../api/portal/viewer/motion/orientations.js";
 
 const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/bodies.json`));

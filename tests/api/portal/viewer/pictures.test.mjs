@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { canShrink, shrink } from "../../../../api/portal/viewer/video/shrink.js";
+import { canShrink, shrink } from "../../../../api/portal/viewer/video/pictures.js";
 
 /** Frame of four areas in the colours' Y, Cb and Cr, as a decoder gives it. */
 function frameOf(format, colors, { width = 64, height = 32, padding = 6, colorSpace }) {

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Player, rangeOf } from "../../../../api/portal/viewer/player.js";
+import { Player, frameRange } from "../../../../api/portal/viewer/player.js";
 import { FrameClock } from "../../../../api/portal/viewer/video/clock.js";
 
 const player = () => new Player({ startS: 2, rateHz: 25, numFrames: 100 });
@@ -23,9 +23,9 @@ test("numbers of the source begin with the earliest take", () => {
     { start_time_s: 40.2, frame_rate_hz: 25, num_frames: 10, first_source_frame: 1005 },
     { start_time_s: 40, frame_rate_hz: 25, num_frames: 8, first_source_frame: 1000 },
   ];
-  const both = new Player(rangeOf(takes));
+  const both = new Player(frameRange(takes));
   assert.deepEqual([both.firstSourceFrame, both.numFrames], [1000, 15]);
-  both.setRange(rangeOf(takes.slice(0, 1)));
+  both.setRange(frameRange(takes.slice(0, 1)));
   assert.deepEqual([both.firstSourceFrame, both.frame], [1005, 0]);
   assert.equal(player().firstSourceFrame, 0);
 });

@@ -1,7 +1,7 @@
 // Time line: a slider for the play head, and below it heat strips of each person on the same scale.
 
-import { el, iconButton } from "../dom.js";
-import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "../motion/strips.js";
+import { el, iconButton } from "./dom.js";
+import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "./motion/strips.js";
 
 // Heights of the bands in pixels: sources, error, cameras, identity.
 const BANDS = { sources: 12, error: 6, cameras: 6, identity: 6 };
@@ -42,7 +42,6 @@ export class Strips {
     this.draw();
   }
 
-  /** Move the slider and the line to the play head. */
   draw() {
     const { frame, numFrames, rateHz, startS } = this.#player;
     this.#range.value = frame;
@@ -150,7 +149,6 @@ function fill(context, x, y, height, style) {
   context.fillRect(x, y, 1, height);
 }
 
-/** Colour between two others. */
 export function ramp(from, to, share) {
   const clipped = Math.min(1, Math.max(0, share));
   const part = (color, place) => parseInt(color.slice(place, place + 2), 16);

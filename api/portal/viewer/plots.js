@@ -1,8 +1,8 @@
 // Plots around the play head: reprojection error by camera and joint, joint angles, bends, speeds.
 
-import uPlot from "../../vendor/uPlot.esm.js";
-import { el } from "../dom.js";
-import { ANGLES, angleGroups, bendDeg, SPEEDS, speedMS } from "../motion/kinematics.js";
+import uPlot from "../vendor/uPlot.esm.js";
+import { el } from "./dom.js";
+import { angleGroups, ANGLES, bendDeg, speedMS, SPEEDS } from "./motion/kinematics.js";
 
 const HALF_WINDOW_S = 4;
 const HEIGHT_PX = 230;

@@ -1,4 +1,4 @@
-// Index of the pictures in an MP4 or QuickTime file, for a decoder that is fed by the page (ISO/IEC 14496-12 and -15).
+// Index of the pictures in an MP4 or QuickTime file (ISO/IEC 14496-12 and -15): their number, and for a decoder their places.
 
 const HEAD_BYTES = 16;
 const MAX_INDEX_BYTES = 64 * 2 ** 20;
@@ -15,23 +15,31 @@ const IDENTITY = [0x10000, 0, 0, 0, 0x10000, 0];
  * `sizes` in bytes, `isKey`, and `frames`: its number in the order of showing.
  */
 export async function readIndex(read) {
-  const movie = await findMovie(read);
-  const track = movie && boxes(movie).filter(({ type }) => type === "trak").map(({ view }) => view).find(isVideo);
+  const track = videoTrack(await findMovie(read));
   if (!track || !isUpright(path(track, "tkhd"))) return null;
   const table = path(track, "mdia", "minf", "stbl");
-  const codec = table && h264Of(path(table, "stsd"));
-  const sizes = table && sizesOf(path(table, "stsz"));
+  const codec = table && readH264(path(table, "stsd"));
+  const sizes = table && readSizes(path(table, "stsz"));
   if (!codec || !sizes || sizes.length === 0) return null;
-  return { ...codec, sizes, offsets: offsetsOf(table, sizes), isKey: keysOf(path(table, "stss"), sizes.length), frames: framesOf(table, sizes.length) };
+  return { ...codec, sizes, offsets: readOffsets(table, sizes), isKey: readKeys(path(table, "stss"), sizes.length), frames: framesOf(table, sizes.length) };
 }
 
-async function findMovie(read) {
+/** Number of frames of a video file; null of other files, and of videos without an index of all frames. */
+export async function countFrames(file) {
+  const track = videoTrack(await findMovie((start, stop) => file.slice(start, stop).arrayBuffer(), file.size));
+  const table = track && path(track, "mdia", "minf", "stbl", "stsz");
+  return (table?.byteLength >= 12 && table.getUint32(8)) || null;
+}
+
+/** Content of the index, where there is one. The last box of a file of so many bytes may leave its size open. */
+async function findMovie(read, numBytes = 0) {
   for (let start = 0; ;) {
     const head = new DataView(await read(start, start + HEAD_BYTES));
     if (head.byteLength < 8) return null;
     let [size, first] = [head.getUint32(0), 8];
+    if (size === 0) size = numBytes - start;
     if (size === 1 && head.byteLength === HEAD_BYTES) [size, first] = [Number(head.getBigUint64(8)), HEAD_BYTES];
-    if (typeOf(head, 4) === "moov") {
+    if (readType(head, 4) === "moov") {
       if (size > MAX_INDEX_BYTES) return null;
       const movie = await read(start + first, start + size);
       return movie.byteLength === size - first ? new DataView(movie) : null;
@@ -41,7 +49,7 @@ async function findMovie(read) {
   }
 }
 
-function typeOf(view, place) {
+function readType(view, place) {
   return String.fromCharCode(...[0, 1, 2, 3].map((byte) => view.getUint8(place + byte)));
 }
 
@@ -51,7 +59,7 @@ function boxes(view, place = 0) {
   while (place + 8 <= view.byteLength) {
     const size = view.getUint32(place);
     if (size < 8 || place + size > view.byteLength) break;
-    found.push({ type: typeOf(view, place + 4), view: new DataView(view.buffer, view.byteOffset + place + 8, size - 8) });
+    found.push({ type: readType(view, place + 4), view: new DataView(view.buffer, view.byteOffset + place + 8, size - 8) });
     place += size;
   }
   return found;
@@ -62,9 +70,13 @@ function path(view, ...types) {
   return types.reduce((inside, wanted) => inside && boxes(inside).find(({ type }) => type === wanted)?.view, view);
 }
 
+function videoTrack(movie) {
+  return movie && boxes(movie).filter(({ type }) => type === "trak").map(({ view }) => view).find(isVideo);
+}
+
 function isVideo(track) {
   const handler = path(track, "mdia", "hdlr");
-  return handler !== undefined && typeOf(handler, 8) === "vide";
+  return handler?.byteLength >= 12 && readType(handler, 8) === "vide";
 }
 
 function isUpright(header) {
@@ -74,7 +86,7 @@ function isUpright(header) {
   return IDENTITY.every((value, number) => number % 3 === 2 || header.getInt32(start + 4 * number) === value);
 }
 
-function h264Of(descriptions) {
+function readH264(descriptions) {
   if (!descriptions || descriptions.getUint32(4) !== 1) return null;
   const [entry] = boxes(descriptions, 8);
   if (!entry || !["avc1", "avc3"].includes(entry.type)) return null;
@@ -86,14 +98,14 @@ function h264Of(descriptions) {
   return { codec: `${entry.type}.${hex(1)}${hex(2)}${hex(3)}`, description: bytes.slice() };
 }
 
-function sizesOf(table) {
+function readSizes(table) {
   if (!table) return null;
   const [same, count] = [table.getUint32(4), table.getUint32(8)];
   return Uint32Array.from({ length: count }, (_, sample) => same || table.getUint32(12 + 4 * sample));
 }
 
 /** First byte of each sample: samples follow each other within a chunk. */
-function offsetsOf(table, sizes) {
+function readOffsets(table, sizes) {
   const [narrow, wide, runs] = ["stco", "co64", "stsc"].map((type) => path(table, type));
   const chunkAt = (chunk) => (narrow ? narrow.getUint32(8 + 4 * chunk) : Number(wide.getBigUint64(8 + 8 * chunk)));
   const numChunks = (narrow ?? wide).getUint32(4);
@@ -112,7 +124,7 @@ function offsetsOf(table, sizes) {
   return offsets;
 }
 
-function keysOf(table, count) {
+function readKeys(table, count) {
   const isKey = new Uint8Array(count).fill(table ? 0 : 1);
   for (let entry = 0; table && entry < table.getUint32(4); entry++) isKey[table.getUint32(8 + 4 * entry) - 1] = 1;
   return isKey;

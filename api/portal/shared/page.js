@@ -1,3 +1,14 @@
+// What the whole page has: an announcer, and addresses of its views.
+
+let last = "";
+
+export function announce(text) {
+  const place = document.getElementById("announcer");
+  // A message that repeats the last one is read only if the text changes.
+  last = text === last ? `${text}\u00a0` : text;
+  place.textContent = last;
+}
+
 // Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay those of its API.
 
 export function currentRoute() {

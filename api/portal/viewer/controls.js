@@ -1,0 +1,252 @@
+// Controls of the viewer: play head, view, shapes of people, and the keyboard.
+
+import { clockText, el, icon, iconButton } from "./dom.js";
+import { SPEEDS } from "./player.js";
+
+export function transport(player) {
+  const play = iconButton("play", "Play", () => player.toggle(), { class: "look-button look-icon look-play" });
+  const loop = iconButton("loop", "Loop", () => player.setLooping(!player.isLooping), { "aria-pressed": "true" });
+  const speed = el("select", { class: "look-select", "aria-label": "Speed", onchange: () => player.setSpeed(Number(speed.value)) },
+    SPEEDS.map((value) => el("option", { value, selected: value === 1 }, `${value} ×`)));
+  const where = el("output", { class: "look-where" });
+  const element = el("div", { class: "look-transport", role: "group", "aria-label": "Playing" },
+    iconButton("start", "Go to the first frame (Home)", () => { player.pause(); player.seek(0); }),
+    iconButton("back", "One frame back (Left)", () => player.step(-1)),
+    play,
+    iconButton("forward", "One frame forward (Right)", () => player.step(1)),
+    iconButton("end", "Go to the last frame (End)", () => { player.pause(); player.seek(player.numFrames - 1); }),
+    loop, speed, where);
+  const showState = () => {
+    const label = player.isPlaying ? "Pause (Space)" : "Play (Space)";
+    play.replaceChildren(icon(player.isPlaying ? "pause" : "play"));
+    play.setAttribute("aria-label", label);
+    play.title = label;
+    loop.setAttribute("aria-pressed", String(player.isLooping));
+    speed.value = String(player.speed);
+  };
+  const showPlace = () => {
+    const source = player.firstSourceFrame === 0 ? "" : ` (${player.firstSourceFrame + player.frame} of the source)`;
+    where.textContent = `${clockText(player.frame / player.rateHz)} / ${clockText((player.numFrames - 1) / player.rateHz)} · frame ${player.frame} of ${player.numFrames}${source}`;
+  };
+  // Screen readers read a changing output again and again: not while it runs.
+  player.addEventListener("change", () => { showState(); where.setAttribute("aria-live", player.isPlaying ? "off" : "polite"); });
+  player.addEventListener("time", showPlace);
+  showState();
+  showPlace();
+  return element;
+}
+
+// Controls over the 3D view: what is shown, from where, and the keys.
+
+const DIRECTIONS = [["Fit", null], ["Top", "top"], ["Front", "front"], ["Side", "side"]];
+const LAYERS = [["body", "Bodies", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
+
+/** `onoptions` is called with what is to be shown whenever that changes; `shapes` is the choice of what people look like. */
+export function viewControls(viewer, shapes, onoptions) {
+  const options = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
+  const layers = LAYERS.map(([name, label]) => {
+    const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
+    return el("label", {}, box, ` ${label}`);
+  });
+  const directions = directionBar(viewer, { Fit: "Fit the view (F)" });
+  const element = el("div", { class: "look-overlay" }, directions.element,
+    el("div", { class: "look-bar" }, menu("Show", [layers[0], shapes, ...layers.slice(1)]), menu("Keys", keys())));
+  return { element, showSeen: directions.showSeen };
+}
+
+/** Buttons and a choice of where the view is from; `viewer` has `fit`, `see` and `description.cameras`, `titles` are of buttons. */
+export function directionBar(viewer, titles = {}) {
+  const seen = el("select", { class: "look-select", "aria-label": "View", onchange: () => viewer.see(seen.value === "" ? null : Number(seen.value)) },
+    el("option", { value: "" }, "Orbit"),
+    viewer.description.cameras.map(({ name }, number) => el("option", { value: number }, `Through ${name}`)));
+  const element = el("div", { class: "look-bar", role: "group", "aria-label": "View" },
+    DIRECTIONS.map(([label, direction]) => el("button", { type: "button", class: "look-button", title: titles[label] ?? null, onclick: () => viewer.fit(direction) }, label)),
+    seen);
+  return { element, showSeen: (number) => { seen.value = number === null ? "" : String(number); } };
+}
+
+function menu(label, content) {
+  const element = el("details", { class: "look-menu" }, el("summary", { class: "look-button" }, label),
+    // On a small screen the sheet scrolls: the keyboard has to get there.
+    el("div", { class: "look-sheet", tabindex: 0, role: "group", "aria-label": label }, content));
+  element.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape" || !element.open) return;
+    element.open = false;
+    element.firstChild.focus();
+  });
+  element.addEventListener("focusout", (event) => { if (event.relatedTarget && !element.contains(event.relatedTarget)) element.open = false; });
+  return element;
+}
+
+function keys() {
+  return el("dl", { class: "look-keys", id: "look-keys" }, KEYS.flatMap(([key, effect]) => [el("dt", {}, key), el("dd", {}, effect)]));
+}
+
+// Choice of what people look like in the 3D view: humans, capsules, or the job's character, which is loaded when it is chosen.
+
+const LABELS = { human: "Humans", capsule: "Capsules", character: "My character" };
+const MB = 1e6;
+
+export class ShapeChoice {
+  #viewer;
+  #source;
+  #usual; // shape that is shown without the character
+  #files = []; // of the character, one a person
+  #loading = new AbortController();
+
+  constructor(viewer, source) {
+    this.#viewer = viewer;
+    this.#source = source;
+    const shapes = viewer.description.body ? ["human", "capsule"] : ["capsule"];
+    [this.#usual] = shapes;
+    this.select = el("select", { class: "look-select", onchange: () => this.choose(this.select.value) },
+      shapes.map((shape) => el("option", { value: shape }, LABELS[shape])));
+    this.element = el("label", {}, "Bodies as ", this.select);
+    this.progress = el("progress", { class: "look-progress", max: 1, value: 0, "aria-label": "Loading the character" });
+    this.#showState(false);
+  }
+
+  /** Offer the character, if the job has one; if it is shown, load it again: its files are new. */
+  async renew() {
+    const isChosen = this.select.value === "character";
+    if (isChosen) this.#showUsual();
+    const { signal } = this.#begin();
+    try {
+      const files = await this.#source?.characters?.(signal) ?? [];
+      if (signal.aborted) return;
+      this.#offer(files);
+      if (isChosen) await this.choose(files.length > 0 ? "character" : this.#usual);
+    } catch (problem) {
+      if (!signal.aborted) this.#fail(problem);
+    }
+  }
+
+  /** Show people in a shape. Another choice ends the loading of the character, or frees its memory. */
+  async choose(shape) {
+    const { signal } = this.#begin();
+    this.select.value = shape;
+    if (shape !== "character") {
+      this.#usual = shape;
+      this.#showUsual();
+      this.#viewer.view?.characters.clear();
+      this.#viewer.say("");
+      return;
+    }
+    this.#showState(true);
+    this.#viewer.say("Loading the character …");
+    try {
+      await this.#viewer.view.characters.load(this.#files, signal, (share) => { this.progress.value = share; });
+      this.#viewer.view.showAs("character");
+      this.#viewer.say("");
+    } catch (problem) {
+      if (!signal.aborted) this.#fail(problem);
+    } finally {
+      if (!signal.aborted) this.#showState(false);
+    }
+  }
+
+  close() {
+    this.#loading.abort();
+  }
+
+  #begin() {
+    this.#loading.abort();
+    this.#loading = new AbortController();
+    this.#showState(false);
+    return this.#loading;
+  }
+
+  #offer(files) {
+    this.#files = files;
+    this.select.querySelector("[value=character]")?.remove();
+    const numBytes = files.reduce((sum, file) => sum + file.numBytes, 0);
+    const size = `${(numBytes / MB).toFixed(1)} MB`;
+    // The mesh is read once, though each file has it.
+    if (files.length > 0) this.select.append(el("option", { value: "character" }, `${LABELS.character} (${files.length > 1 ? "up to " : ""}${size})`));
+    this.#showState(false);
+  }
+
+  #showUsual() {
+    this.#viewer.view?.showAs(this.#usual);
+  }
+
+  #fail({ message }) {
+    this.select.value = this.#usual;
+    this.#showUsual();
+    this.#viewer.view?.characters.clear();
+    this.#viewer.say(`The character can't be shown: ${message}`);
+  }
+
+  #showState(isLoading) {
+    this.progress.hidden = !isLoading;
+    this.progress.value = 0;
+    this.element.hidden = this.select.options.length < 2;
+  }
+}
+
+// Keyboard of the viewer.
+
+const TURN_RAD = 0.12;
+
+/** Keys for the help of the viewer: key, and what it does. */
+const KEYS = [
+  ["Space", "play or pause"], ["← →", "one frame back or forward, with Shift ten"], ["Home End", "first or last frame"],
+  ["N P", "next or previous spot that deserves a look"], ["1 – 9", "see through a camera, 0 orbit again"], ["F", "fit the view"],
+  ["L", "loop"], ["− +", "slower or faster"], ["A D W S", "turn the view", ], ["Q E", "closer or farther"],
+];
+
+/** Listen to the keys while the focus is in the viewer or nowhere; returns a function that ends it. */
+export function listenToKeys(viewer) {
+  if (!viewer.isLeader) return () => {};
+  const listen = (event) => {
+    const { target } = event;
+    const isElsewhere = target !== document.body && !(viewer.element.closest(".look-pair") ?? viewer.element).contains(target);
+    if (isElsewhere || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+    if (isBusy(target, event.key)) return;
+    if (act(viewer, event)) event.preventDefault();
+  };
+  document.addEventListener("keydown", listen);
+  return () => document.removeEventListener("keydown", listen);
+}
+
+/** Whether a control needs the key itself. */
+function isBusy(target, key) {
+  if (target.matches?.("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]")) return true;
+  if (key === " " || key === "Enter") return target.matches?.("button, input[type=checkbox], a, summary") ?? false;
+  if (target.matches?.("input[type=range]")) return ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"].includes(key);
+  if (target.matches?.("[role=tab], .look-scroll, .look-sheet")) return key.startsWith("Arrow") || key === "Home" || key === "End";
+  return false;
+}
+
+function act(viewer, { key, shiftKey }) {
+  const { player } = viewer;
+  const orbit = (...angles) => viewer.view?.stage.orbit(...angles);
+  const actions = {
+    " ": () => player.toggle(),
+    ArrowLeft: () => player.step(shiftKey ? -10 : -1),
+    ArrowRight: () => player.step(shiftKey ? 10 : 1),
+    Home: () => { player.pause(); player.seek(0); },
+    End: () => { player.pause(); player.seek(player.numFrames - 1); },
+    n: () => viewer.strips.goToSpot(1),
+    p: () => viewer.strips.goToSpot(-1),
+    f: () => viewer.fit(),
+    l: () => player.setLooping(!player.isLooping),
+    "-": () => viewer.changeSpeed(-1),
+    "+": () => viewer.changeSpeed(1),
+    "=": () => viewer.changeSpeed(1),
+    a: () => orbit(-TURN_RAD, 0),
+    d: () => orbit(TURN_RAD, 0),
+    w: () => orbit(0, -TURN_RAD),
+    s: () => orbit(0, TURN_RAD),
+    q: () => orbit(0, 0, 0.88),
+    e: () => orbit(0, 0, 1 / 0.88),
+    0: () => viewer.see(null),
+  };
+  if (/^[1-9]$/.test(key)) {
+    viewer.see(Number(key) - 1);
+    return true;
+  }
+  const action = actions[key.length === 1 ? key.toLowerCase() : key];
+  action?.();
+  return action !== undefined;
+}
