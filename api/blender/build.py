@@ -24,7 +24,7 @@ _MOMENT = (1980, 1, 1, 0, 0, 0)
 def sources() -> dict[str, str]:
     """Text files of the extension by their names in the zip."""
     modules = [*sorted(_SOURCES.glob("*.py")), *(_ROOT / name for name in SHARED)]
-    texts = {path.name: nested(path.read_text(encoding="utf-8")) for path in modules}
+    texts = {path.name: nest_imports(path.read_text(encoding="utf-8")) for path in modules}
     return {
         **texts,
         MANIFEST.name: MANIFEST.read_text(encoding="utf-8"),
@@ -32,12 +32,12 @@ def sources() -> dict[str, str]:
     }
 
 
-def nested(source: str) -> str:
+def nest_imports(source: str) -> str:
     """Source of a module with relative imports of the extension's modules, and of those that it shares.
 
-    >>> nested("from api.blender.extension.client import BlenderClient")
+    >>> nest_imports("from api.blender.extension.client import BlenderClient")
     'from .client import BlenderClient'
-    >>> nested("    from api.blender.extension import scene")
+    >>> nest_imports("    from api.blender.extension import scene")
     '    from . import scene'
     """
     for name in SHARED:

@@ -120,7 +120,8 @@ def settled(page: Page) -> None:
 
 
 def picture(page: Page) -> bytes:
-    """What the 3D view shows, once it is at rest."""
+    """What the 3D view shows, once it is at rest and nothing in it has the focus."""
+    page.evaluate("document.activeElement.blur()")
     settled(page)
     return page.locator(".look-view").screenshot()
 

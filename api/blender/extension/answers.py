@@ -1,13 +1,17 @@
-"""Answers of a service, checked: a service may be of another version, broken, or hostile.
+"""Answers of a service, checked, and errors: a service may be of another version, broken, hostile, or away.
 
 Nothing of an answer becomes a path, and no link of an answer is followed. Texts are cut and lose control characters;
 numbers are finite and bounded; ids have the form of ids.
 """
 
+import http.client
 import json
 import math
 import re
+import socket
+import ssl
 import unicodedata
+import urllib.error
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +24,7 @@ _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z_-]{0,63}")
 _RESULT = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,119}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _MAX_ITEMS = 500
+_MAX_PROBLEM_BYTES = 1 << 18
 _MAX_COUNT = 10**15
 ENDED = frozenset({"succeeded", "failed", "canceled", "expired"})
 _STATES = ENDED | {"queued", "running", "canceling"}
@@ -96,7 +101,7 @@ class FileEntry:
     sha256: str
 
 
-def parsed(content: bytes) -> Mapping[str, Any]:
+def parse(content: bytes) -> Mapping[str, Any]:
     """JSON object of an answer. Raises ``AnswerError`` for anything else."""
     try:
         document = json.loads(content)
@@ -148,7 +153,7 @@ def _items(document: Mapping[str, Any], name: str) -> Sequence[Mapping[str, Any]
     return items[:_MAX_ITEMS]
 
 
-def captures_of(document: Mapping[str, Any]) -> tuple[list[CaptureEntry], str]:
+def read_captures(document: Mapping[str, Any]) -> tuple[list[CaptureEntry], str]:
     """Captures of a page of the list, and the cursor of the next page, empty at the end."""
     captures = [
         CaptureEntry(
@@ -164,7 +169,7 @@ def captures_of(document: Mapping[str, Any]) -> tuple[list[CaptureEntry], str]:
     return captures, "" if cursor is None else identifier(cursor)
 
 
-def job_of(item: Mapping[str, Any]) -> JobEntry:
+def read_job(item: Mapping[str, Any]) -> JobEntry:
     """Job of an answer."""
     stages = item.get("stages")
     running = [
@@ -190,12 +195,14 @@ def job_of(item: Mapping[str, Any]) -> JobEntry:
     )
 
 
-def jobs_of(document: Mapping[str, Any]) -> list[JobEntry]:
+def read_jobs(document: Mapping[str, Any]) -> list[JobEntry]:
     """Reconstructions of a list of jobs, the newest first."""
-    return [job_of(item) for item in _items(document, "jobs") if item.get("kind", "reconstruction") == "reconstruction"]
+    return [
+        read_job(item) for item in _items(document, "jobs") if item.get("kind", "reconstruction") == "reconstruction"
+    ]
 
 
-def files_of(document: Mapping[str, Any]) -> list[FileEntry]:
+def read_files(document: Mapping[str, Any]) -> list[FileEntry]:
     """Result files of a job; files with names of another form are left out, nothing of ours has them."""
     files = []
     for item in _items(document, "results"):
@@ -217,7 +224,7 @@ def files_of(document: Mapping[str, Any]) -> list[FileEntry]:
     return files
 
 
-def bones_of(document: Mapping[str, Any]) -> dict[str, str]:
+def read_bones(document: Mapping[str, Any]) -> dict[str, str]:
     """Bones by joint of a character. They are compared with names of bones alone, so they are taken as they are."""
     items = _items(document, "joints")
     return {
@@ -237,3 +244,61 @@ def sentences(problem: Mapping[str, Any]) -> str:
     ]
     parts = [plain(problem.get("detail"), MAX_TEXT), *items, plain(problem.get("hint"), MAX_TEXT)]
     return plain(" ".join(filter(None, parts)), 3 * MAX_TEXT)
+
+
+class RefusedError(RequestError):
+    """The service refused a request."""
+
+    def __init__(self, status: int, text: str, location: str = "", retry_after_s: float = 0.0) -> None:
+        super().__init__(text)
+        self.status, self.location, self.retry_after_s = status, location, retry_after_s
+
+
+class AwayError(RequestError):
+    """The service does not answer; a later try may succeed."""
+
+
+def refusal(error: urllib.error.HTTPError, host: str, *, has_key: bool) -> RefusedError:
+    """Error with the service's sentences; a proxy answers without any."""
+    try:
+        content = error.read(_MAX_PROBLEM_BYTES)
+        text = sentences(parse(content))
+    except (OSError, http.client.HTTPException, AnswerError):
+        text = ""
+    if error.code == http.client.UNAUTHORIZED:
+        text = (
+            "The service does not know this key, or the key has expired or was revoked. Check the key."
+            if has_key
+            else "The service asks for a key. Put it into the extension's preferences."
+        )
+    after = error.headers.get("Retry-After", "")
+    return RefusedError(
+        error.code,
+        text or f"The server at {host} answered {error.code}.",
+        error.headers.get("Location", "")
+        if http.client.MULTIPLE_CHOICES <= error.code < http.client.BAD_REQUEST
+        else "",
+        float(after) if re.fullmatch(r"\d{1,6}", after, re.ASCII) else 0.0,
+    )
+
+
+def no_answer(reason: object, host: str) -> RequestError:
+    """Error of a connection that could not be made, or broke."""
+    is_wrong = True
+    match reason:
+        case ssl.SSLCertVerificationError():
+            text = f"The certificate of {host} can't be verified, so nothing was sent. Check the address."
+        case ssl.SSLError():
+            text = f"The server at {host} does not speak https. Check the address: http or https?"
+        case http.client.BadStatusLine() | http.client.LineTooLong() if not isinstance(reason, ConnectionError):
+            text = f"The server at {host} is not a Multicap service. Check the address: http or https?"
+        case _:
+            is_wrong = False
+            texts = {
+                socket.gaierror: f"There is no server {host}, or no network. Check the address.",
+                ConnectionRefusedError: f"Nothing answers at {host}. Is the service running? Check address and port.",
+                TimeoutError: f"The server at {host} did not answer in time.",
+            }
+            broken = f"The connection to {host} broke off."
+            text = next((words for kind, words in texts.items() if isinstance(reason, kind)), broken)
+    return RequestError(text) if is_wrong else AwayError(text)

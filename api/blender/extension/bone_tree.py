@@ -71,7 +71,7 @@ class BoneMap:
     neck: tuple[str, ...]
 
 
-def recognised(tree: BoneTree) -> dict[str, str]:
+def recognise_bones(tree: BoneTree) -> dict[str, str]:
     """Bones by joint that their names tell, ``Hips`` among them."""
     bones = {joint: tree.names[number] for joint, number in joints_by_name(tree, {}).items()}
     legs = [tree.names.index(bones[joint]) for joint in ("LeftUpLeg", "RightUpLeg") if joint in bones]
@@ -80,7 +80,7 @@ def recognised(tree: BoneTree) -> dict[str, str]:
     return bones if hips is None else {HIPS: tree.names[hips], **bones}
 
 
-def problems_of(tree: BoneTree, bones: Mapping[str, str]) -> list[str]:
+def bone_problems(tree: BoneTree, bones: Mapping[str, str]) -> list[str]:
     """Sentences about what is wrong with bones by joint; empty if motion can be put on them."""
     if any(name.startswith("MCH-") for name in tree.names):
         return [
@@ -107,7 +107,7 @@ def problems_of(tree: BoneTree, bones: Mapping[str, str]) -> list[str]:
     return problems
 
 
-def completed(tree: BoneTree, bones: Mapping[str, str]) -> BoneMap:
+def add_trunk(tree: BoneTree, bones: Mapping[str, str]) -> BoneMap:
     """Bones by joint with those of the trunk, which lie between; ``bones`` has no problem."""
     numbers = {joint: tree.names.index(bone) for joint, bone in bones.items()}
     arms = [numbers[f"{side}Arm"] for side in SIDES]

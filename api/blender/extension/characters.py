@@ -7,30 +7,32 @@ import bpy
 from mathutils import Quaternion
 
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import BoneMap, BoneTree, completed, problems_of
+from api.blender.extension.bone_tree import BoneMap, BoneTree, add_trunk, bone_problems, recognise_bones
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
 from api.blender.extension.scene import scene_rate_hz
-from pipeline.export.character.bone_names import HIPS
+from api.blender.extension.work import say
+from pipeline.export.character.bone_names import HIPS, OPTIONAL, REQUIRED
 
+_JOINTS = (HIPS, *REQUIRED, *OPTIONAL)
 _FRAMES_A_STEP = 25
 # Difference between the axes of the scale of an armature, as a share.
 _EVEN = 1e-3
 
 
-def tree_of(armature: Any) -> BoneTree:
+def read_tree(armature: Any) -> BoneTree:
     """Bones of an armature as a tree."""
     bones = list(armature.data.bones)
     numbers = {bone.name: number for number, bone in enumerate(bones)}
     return BoneTree(tuple(numbers), tuple(-1 if bone.parent is None else numbers[bone.parent.name] for bone in bones))
 
 
-def rest_of(armature: Any) -> RestArmature:
+def read_rest(armature: Any) -> RestArmature:
     """Rest pose of an armature. Raises ``RequestError`` if its scale is uneven or 0."""
     place, turn, scale = armature.matrix_world.decompose()
     if min(scale) <= 0.0 or max(scale) - min(scale) > _EVEN * max(scale):
         raise RequestError(f"The scale of {armature.name} is uneven or mirrored. Apply it: Object, Apply, Scale.")
-    tree = tree_of(armature)
+    tree = read_tree(armature)
     bones = [armature.data.bones[tree.names[number]] for number in tree.bones]
     return RestArmature(
         {
@@ -59,7 +61,7 @@ def constrained(armature: Any, bones: Sequence[str]) -> list[str]:
 
 def check_bones(armature: Any, bones: Mapping[str, str]) -> None:
     """Raise ``RequestError`` if motion can't be put on these bones."""
-    problems = problems_of(tree_of(armature), bones)
+    problems = bone_problems(read_tree(armature), bones)
     if problems:
         raise RequestError(" ".join(problems))
     if armature.data.bones[bones[HIPS]].use_connect:
@@ -83,8 +85,8 @@ def put_on(armature: Any, motion: PersonMotion, bones: Mapping[str, str], name: 
     armature had before stays in the file. Raises ``RequestError`` if bones are missing.
     """
     check_bones(armature, bones)
-    mapped: BoneMap = completed(tree_of(armature), bones)
-    poses = Retargeting(motion, rest_of(armature), mapped)
+    mapped: BoneMap = add_trunk(read_tree(armature), bones)
+    poses = Retargeting(motion, read_rest(armature), mapped)
     hips, frames_a_key = bones[HIPS], scene_rate_hz(bpy.context.scene) / motion.frame_rate_hz
     turns: dict[str, list[float]] = {}
     places: list[float] = []
@@ -133,3 +135,25 @@ def _add_curve(curves: Any, path: str, axis: int, values: Sequence[float], frame
     curve.keyframe_points.foreach_set("co", pairs)
     curve.keyframe_points.foreach_set("interpolation", [1] * len(values))  # Linear
     curve.update()
+
+
+def recognise(state: Any) -> None:
+    """Fill the list of bones with those that names tell."""
+    show_bones(state, recognise_bones(read_tree(state.armature)))
+
+
+def stated_bones(state: Any) -> dict[str, str]:
+    """Bones by joint of the list."""
+    return {item.joint: item.bone for item in state.bones if item.bone}
+
+
+def show_bones(state: Any, found: Mapping[str, str]) -> None:
+    """Fill the list of bones, and say what is missing. Bones that the armature lacks are left out."""
+    tree = read_tree(state.armature)
+    bones = {joint: bone for joint, bone in found.items() if joint in _JOINTS and bone in tree.names}
+    state.bones.clear()
+    for joint in _JOINTS:
+        item = state.bones.add()
+        item.name, item.joint, item.bone = joint, joint, bones.get(joint, "")
+    problems = bone_problems(tree, bones)
+    say(" ".join(problems) if problems else f"{len(bones)} joints of the body have bones.", is_error=bool(problems))

@@ -21,20 +21,23 @@ from urllib.parse import quote, urljoin, urlsplit
 
 from api.blender.extension.answers import (
     AnswerError,
+    AwayError,
     CaptureEntry,
     FileEntry,
     JobEntry,
+    RefusedError,
     RequestError,
-    bones_of,
-    captures_of,
-    files_of,
     identifier,
-    job_of,
-    jobs_of,
-    parsed,
+    no_answer,
+    parse,
     plain,
+    read_bones,
+    read_captures,
+    read_files,
+    read_job,
+    read_jobs,
+    refusal,
 )
-from api.blender.extension.refusals import AwayError, RefusedError, no_answer, refusal
 
 # Seconds without a byte from the service; of the call that checks a whole capture; of an answer as a whole.
 _SILENCE_S, _CHECK_S, _ANSWER_S = 20.0, 900.0, 60.0
@@ -159,19 +162,19 @@ class BlenderClient:
         """Captures whose names contain a text, the newest first: a page, and the cursor of the next one."""
         texts = {"name": name[:200], "cursor": cursor}
         query = "".join(f"&{word}={quote(text, safe='')}" for word, text in texts.items() if text)
-        return captures_of(self._json("GET", f"/v1/sessions?limit=50{query}"))
+        return read_captures(self._json("GET", f"/v1/sessions?limit=50{query}"))
 
     def jobs(self, capture_id: str) -> list[JobEntry]:
         """Newest reconstructions of a capture."""
-        return jobs_of(self._json("GET", f"/v1/sessions/{identifier(capture_id)}/jobs?limit=50"))
+        return read_jobs(self._json("GET", f"/v1/sessions/{identifier(capture_id)}/jobs?limit=50"))
 
     def job(self, job_id: str) -> JobEntry:
         """State of a job."""
-        return job_of(self._json("GET", f"/v1/jobs/{identifier(job_id)}"))
+        return read_job(self._json("GET", f"/v1/jobs/{identifier(job_id)}"))
 
     def files(self, job_id: str) -> list[FileEntry]:
         """Result files of a job."""
-        return files_of(self._json("GET", f"/v1/jobs/{identifier(job_id)}/results"))
+        return read_files(self._json("GET", f"/v1/jobs/{identifier(job_id)}/results"))
 
     def timeline(self, job_id: str) -> tuple[float, int] | None:
         """Frame rate (hertz) and number of frames of a job's take; ``None`` if the service does not say it."""
@@ -188,7 +191,7 @@ class BlenderClient:
         """Cancel a job."""
         self._json("POST", f"/v1/jobs/{identifier(job_id)}/cancel", body=b"")
 
-    def page_of(self, job_id: str = "") -> str:
+    def page_address(self, job_id: str = "") -> str:
         """Address of the page of a job in a browser, or of the list of captures."""
         return f"{self.address}/#/jobs/{identifier(job_id)}" if job_id else f"{self.address}/#/captures"
 
@@ -214,7 +217,7 @@ class BlenderClient:
             silence_s=_ANSWER_S,
         )
         self._json("DELETE", f"/v1/characters/{identifier(character.get('id'))}")
-        return bones_of(character)
+        return read_bones(character)
 
     def download(self, job_id: str, file: FileEntry, path: Path, watch: Watch) -> None:
         """Download a result file to a path of ours; after a break the download goes on where it broke.
@@ -288,7 +291,7 @@ class BlenderClient:
                 "manifest": {"name": name},
                 "spec": dict(spec),
             }
-            return job_of(self._json("POST", "/v1/jobs/from-uploads", json.dumps(body).encode(), silence_s=_CHECK_S))
+            return read_job(self._json("POST", "/v1/jobs/from-uploads", json.dumps(body).encode(), silence_s=_CHECK_S))
         except BaseException:
             for upload in uploads:
                 try:
@@ -355,7 +358,7 @@ class BlenderClient:
         stated |= headers or {}
         with self._open(method, self.address + path, body, stated, has_key=has_key, silence_s=silence_s) as response:
             content = _read_all(response, _MAX_ANSWER_BYTES)
-        return parsed(content) if content or method == "GET" else {}
+        return parse(content) if content or method == "GET" else {}
 
     def _open(
         self,

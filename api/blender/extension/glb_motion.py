@@ -70,7 +70,7 @@ class _Reader:
         self._file, self._num_bytes = file, num_bytes - self._start
         self._check()
 
-    def list_of(self, name: str) -> Sequence[Mapping[str, Any]]:
+    def read_list(self, name: str) -> Sequence[Mapping[str, Any]]:
         items = self.document.get(name, [])
         if isinstance(items, list) and len(items) <= _MAX_NODES and all(isinstance(item, dict) for item in items):
             return items
@@ -79,13 +79,13 @@ class _Reader:
     def _check(self) -> None:
         """Raise ``ValueError`` for other files that are named, and pieces that don't lie in the file."""
         for name in ("buffers", "images"):
-            if any("uri" in item for item in self.list_of(name)):
+            if any("uri" in item for item in self.read_list(name)):
                 raise ValueError
-        views = self.list_of("bufferViews")
+        views = self.read_list("bufferViews")
         for view in views:
             if natural(view.get("byteOffset", 0)) + natural(view["byteLength"]) > self._num_bytes:
                 raise ValueError
-        for accessor in self.list_of("accessors"):
+        for accessor in self.read_list("accessors"):
             if "sparse" in accessor or "bufferView" not in accessor:
                 raise ValueError
             view = views[natural(accessor["bufferView"])]
@@ -93,16 +93,16 @@ class _Reader:
             count, stride = natural(accessor["count"]), natural(view.get("byteStride", width))
             if count and natural(accessor.get("byteOffset", 0)) + (count - 1) * stride + width > view["byteLength"]:
                 raise ValueError
-        for node in self.list_of("nodes"):
+        for node in self.read_list("nodes"):
             for child in node.get("children", ()):
-                self.list_of("nodes")[natural(child)]
-        if not all(isinstance(mesh.get("primitives"), list) for mesh in self.list_of("meshes")):
+                self.read_list("nodes")[natural(child)]
+        if not all(isinstance(mesh.get("primitives"), list) for mesh in self.read_list("meshes")):
             raise ValueError
 
     def floats(self, number: Any, kind: str) -> "array[float]":
         """Numbers of an accessor without gaps, one after the other; all finite."""
-        accessor = self.list_of("accessors")[natural(number)]
-        view = self.list_of("bufferViews")[natural(accessor["bufferView"])]
+        accessor = self.read_list("accessors")[natural(number)]
+        view = self.read_list("bufferViews")[natural(accessor["bufferView"])]
         if accessor["componentType"] != _FLOAT or accessor["type"] != kind or "byteStride" in view:
             raise ValueError
         size = natural(accessor["count"]) * _NUM_COMPONENTS[kind]
@@ -116,7 +116,7 @@ class _Reader:
 
     def animation(self) -> Mapping[str, Any]:
         """The animation of the file."""
-        (animation,) = self.list_of("animations")
+        (animation,) = self.read_list("animations")
         return animation
 
     def facts(self) -> GlbFacts:
@@ -125,7 +125,8 @@ class _Reader:
         if not isinstance(rate_hz, (int, float)) or not 0.0 < rate_hz <= 10_000.0:
             raise ValueError
         counts = {
-            natural(self.list_of("accessors")[natural(sampler["input"])]["count"]) for sampler in animation["samplers"]
+            natural(self.read_list("accessors")[natural(sampler["input"])]["count"])
+            for sampler in animation["samplers"]
         }
         (num_frames,) = counts
         if num_frames > _MAX_FRAMES:
@@ -159,8 +160,8 @@ def read_motion(path: Path) -> PersonMotion:
 
 
 def _motion(reader: _Reader) -> PersonMotion:
-    facts, nodes = reader.facts(), reader.list_of("nodes")
-    (skin,) = reader.list_of("skins")
+    facts, nodes = reader.facts(), reader.read_list("nodes")
+    (skin,) = reader.read_list("skins")
     joints = [natural(number) for number in skin["joints"]]
     names = {number: nodes[number]["name"] for number in joints}
     above = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}

@@ -9,15 +9,14 @@ from typing import Any
 import bpy
 
 from api.blender.extension import characters, scene
-from api.blender.extension.answers import CaptureEntry, FileEntry, JobEntry, RequestError
-from api.blender.extension.armature_file import armature_glb
-from api.blender.extension.bone_tree import problems_of
+from api.blender.extension.answers import AwayError, CaptureEntry, FileEntry, JobEntry, RequestError
+from api.blender.extension.bone_tree import bone_problems
 from api.blender.extension.capture_folder import find_capture
+from api.blender.extension.characters import recognise, show_bones, stated_bones
 from api.blender.extension.client import BlenderClient, CallerEntry, is_on_this_machine
 from api.blender.extension.glb_motion import GlbFacts, check_glb, read_motion
 from api.blender.extension.receiver import live
-from api.blender.extension.recognition import recognise, show_bones, stated_bones
-from api.blender.extension.refusals import AwayError
+from api.blender.extension.retarget import armature_glb
 from api.blender.extension.tasks import BackgroundTask, Speed
 from api.blender.extension.work import current, do_steps, panel_state, say, service_client, start
 
@@ -213,10 +212,10 @@ def _download(
         paths.append(path)
     facts = [check_glb(path) for path in paths if path.suffix == ".glb"]
     named = [(file.person, path) for file, path in zip(people, paths, strict=False)]
-    return named, paths[-1] if takes else None, facts[0] if facts else _facts_of(client, job)
+    return named, paths[-1] if takes else None, facts[0] if facts else _read_timeline(client, job)
 
 
-def _facts_of(client: BlenderClient, job: JobEntry) -> GlbFacts | None:
+def _read_timeline(client: BlenderClient, job: JobEntry) -> GlbFacts | None:
     """Timeline of a job without GLB files."""
     timeline = client.timeline(job.id)
     return None if timeline is None else GlbFacts(*timeline)
@@ -260,7 +259,7 @@ def _imported(
     target = bpy.context.scene
     if facts is not None and has_timeline:
         scene.set_timeline(target, facts)
-    collection = scene.collection_of(target, name)
+    collection = scene.add_collection(target, name)
     num_parts = len(people) + (take is not None)
     for number, (person, path) in enumerate(people):
         state.doing = f"Import {person}"
@@ -293,7 +292,7 @@ class MulticapAskForBones(_FreeOperator):
     def begin(self, context: Any) -> None:
         client, stated = service_client(), stated_bones(panel_state(context))
         armature = _chosen_armature(context)
-        name, content = armature.name, armature_glb(characters.rest_of(armature))
+        name, content = armature.name, armature_glb(characters.read_rest(armature))
 
         def then(bones: dict[str, str]) -> None:
             state = panel_state()
@@ -316,7 +315,7 @@ class MulticapPutOn(_FreeOperator):
         if len(numbers) != 1:
             raise RequestError("Choose one person whose motion the armature gets.")
         bones = stated_bones(state)
-        problems = problems_of(characters.tree_of(armature), bones)
+        problems = bone_problems(characters.read_tree(armature), bones)
         if problems:
             raise RequestError(" ".join(problems))
         folder, name = Path(tempfile.mkdtemp(prefix="multicap-")), armature.name
@@ -455,7 +454,9 @@ class MulticapOpenPage(bpy.types.Operator):
         state = panel_state(context)
         try:
             client = service_client()
-            webbrowser.open(client.page_of(state.jobs[state.job].ident if 0 <= state.job < len(state.jobs) else ""))
+            webbrowser.open(
+                client.page_address(state.jobs[state.job].ident if 0 <= state.job < len(state.jobs) else "")
+            )
         except RequestError as error:
             say(str(error), is_error=True)
             return {"CANCELLED"}

@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from api.blender.extension.work import current, panel_state, preferences_of
+from api.blender.extension.work import current, extension_preferences, panel_state
 
 
 class MULTICAP_UL_items(bpy.types.UIList):  # noqa: N801 - Blender asks for this form of names
@@ -45,7 +45,7 @@ class MULTICAP_PT_service(_Panel):  # noqa: N801 - likewise
     bl_label = "Multicap"
 
     def draw(self, context: Any) -> None:
-        state, preferences, layout = panel_state(context), preferences_of(context), self.layout
+        state, preferences, layout = panel_state(context), extension_preferences(context), self.layout
         layout.prop(preferences, "address", text="")
         layout.prop(preferences, "key", text="Key")
         row = layout.row(align=True)
@@ -57,7 +57,7 @@ class MULTICAP_PT_service(_Panel):  # noqa: N801 - likewise
             row.progress(factor=max(state.fraction, 0.0), text=f"{max(state.fraction, 0.0):.0%}")
             row.operator("multicap.stop", text="", icon="CANCEL")
         width = max(20, int(context.region.width / (8 * context.preferences.system.ui_scale)) if context.region else 40)
-        for number, line in enumerate(lines_of(state.message, width)):
+        for number, line in enumerate(wrap(state.message, width)):
             layout.label(text=line, icon="NONE" if number else "ERROR" if state.is_error else "INFO")
 
 
@@ -150,10 +150,10 @@ def _draw_armature(state: Any, layout: Any) -> None:
             row.operator("multicap.ask_for_bones")
 
 
-def lines_of(text: str, width: int) -> list[str]:
+def wrap(text: str, width: int) -> list[str]:
     """Text in lines of at most some letters: labels of Blender have one line.
 
-    >>> lines_of("Nothing answers there.", 16)
+    >>> wrap("Nothing answers there.", 16)
     ['Nothing answers', 'there.']
     """
     lines: list[str] = []

@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from api.blender.extension.recognition import recognise
+from api.blender.extension.characters import recognise
 
 
 class MulticapCapture(bpy.types.PropertyGroup):

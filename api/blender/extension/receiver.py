@@ -8,7 +8,7 @@ import bpy
 
 from api.blender.extension import characters
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import completed
+from api.blender.extension.bone_tree import add_trunk
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.retarget import Retargeting
 from api.blender.extension.vmc_person import VmcPerson, is_same_person
@@ -30,7 +30,7 @@ class LiveReceiver:
 
     def __init__(self, armature: Any, bones: Mapping[str, str], port: int) -> None:
         characters.check_bones(armature, bones)
-        self._bones = completed(characters.tree_of(armature), bones)
+        self._bones = add_trunk(characters.read_tree(armature), bones)
         self._name, self._port = armature.name, port
         self._person, self._is_moving = VmcPerson(), False
         self._rest: PersonMotion | None = None
@@ -66,7 +66,7 @@ class LiveReceiver:
             return
         rest = self._person.rest()
         if self._poses is None or self._rest is None or not is_same_person(rest, self._rest):
-            self._rest, self._poses = rest, Retargeting(rest, characters.rest_of(armature), self._bones)
+            self._rest, self._poses = rest, Retargeting(rest, characters.read_rest(armature), self._bones)
         pose = self._poses.pose(*self._person.pose())
         if not set(pose.turns) <= set(armature.pose.bones.keys()):
             raise RequestError(f"The bones of {self._name} have changed. Begin again.")

@@ -6,6 +6,8 @@ the legs, so that feet stay near the floor. Bones without a joint keep their res
 service does that for characters that it knows.
 """
 
+import json
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -32,6 +34,7 @@ from pipeline.export.character.bone_names import HEAD, HIPS, SIDES
 # Joints of the person's trunk from below, and the places on the spine at which they turn.
 _TRUNK = (HIPS, "Spine", "Chest")
 _NECK = ("Chest", "Neck")
+_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +114,7 @@ class Retargeting:
             else:
                 parent = armature.bones[bone.parent]
                 unposed = times(posed[bone.parent], times(inverse(parent.axes), bone.axes))
-            turn = self._turn_of(name, joints)
+            turn = self._bone_turn(name, joints)
             if turn is None:
                 posed[name] = unposed
             else:
@@ -124,7 +127,7 @@ class Retargeting:
         head = scaled(turned(to_armature, minus(head_m, armature.place_m)), 1.0 / armature.size)
         return PoseFrame(own, turned(inverse(hips.axes), minus(head, hips.head)))
 
-    def _turn_of(self, bone: str, joints: Mapping[str, Quat]) -> Quat | None:
+    def _bone_turn(self, bone: str, joints: Mapping[str, Quat]) -> Quat | None:
         if bone in self._joints:
             return joints[self._joints[bone]]
         if bone in self._shares:
@@ -228,3 +231,26 @@ def _rest_m(motion: PersonMotion) -> dict[str, Vec]:
         offset = motion.offsets_m[joint]
         places[joint] = offset if parent is None else plus(places[parent], offset)
     return places
+
+
+def armature_glb(armature: RestArmature) -> bytes:
+    """Bones of an armature in the rest pose as a GLB without a mesh, Y up.
+
+    The file has the places of the bones' heads alone: recognition asks for no axes.
+    """
+    bones = armature.bones
+    numbers = {name: number for number, name in enumerate(bones)}
+    children: dict[str | None, list[int]] = {}
+    for name, bone in bones.items():
+        children.setdefault(bone.parent, []).append(numbers[name])
+    nodes: list[Mapping[str, object]] = []
+    for name, bone in bones.items():
+        above = (0.0, 0.0, 0.0) if bone.parent is None else bones[bone.parent].head
+        x, y, z = (own - other for own, other in zip(bone.head, above, strict=True))
+        below = {"children": children[name]} if name in children else {}
+        nodes.append({"name": name, "translation": [x, z, -y], **below})
+    document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": children[None]}], "nodes": nodes}
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    size = _HEAD.size + _CHUNK.size + len(text)
+    return _HEAD.pack(b"glTF", 2, size) + _CHUNK.pack(len(text), b"JSON") + text

@@ -68,7 +68,7 @@ def import_cameras(path: Path, collection: Any) -> list[Any]:
     return [thing for thing in kept if thing.type == "CAMERA"]
 
 
-def collection_of(scene: Any, name: str) -> Any:
+def add_collection(scene: Any, name: str) -> Any:
     """New collection of a take in a scene."""
     collection = bpy.data.collections.new(name)
     scene.collection.children.link(collection)
@@ -76,7 +76,7 @@ def collection_of(scene: Any, name: str) -> Any:
 
 
 @contextmanager
-def _base_of_importer(render: Any) -> Iterator[None]:
+def _importer_base(render: Any) -> Iterator[None]:
     """Have the importer of glTF place keys at the scene's frame rate.
 
     Blender 4.2 to 5.2 multiplies seconds by ``fps * fps_base``; the frame rate is their quotient.
@@ -102,7 +102,7 @@ def _imported(path: Path) -> list[Any]:
             elif path.suffix == ".fbx":  # Before Blender 4.5; keys lie at whole frames a second.
                 bpy.ops.import_scene.fbx(filepath=str(path), use_image_search=False)
             else:
-                with _base_of_importer(bpy.context.scene.render):
+                with _importer_base(bpy.context.scene.render):
                     bpy.ops.import_scene.gltf(filepath=str(path), bone_heuristic="TEMPERANCE")
     except RuntimeError as error:
         _remove([thing for thing in bpy.data.objects if thing not in before])

@@ -42,14 +42,14 @@ def panel_state(context: Any = None) -> Any:
     return (context or bpy.context).window_manager.multicap
 
 
-def preferences_of(context: Any = None) -> Any:
+def extension_preferences(context: Any = None) -> Any:
     """Preferences of the extension."""
     return (context or bpy.context).preferences.addons[__package__].preferences
 
 
 def service_client() -> BlenderClient:
     """Client of the service in the preferences. Raises ``RequestError`` for an address that is none."""
-    preferences = preferences_of()
+    preferences = extension_preferences()
     address = service_address(preferences.address)
     if not bpy.app.online_access and not is_on_this_machine(address):
         raise RequestError("Blender may not use the network. Allow online access: Preferences, System, Network.")

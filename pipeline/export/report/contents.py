@@ -21,7 +21,7 @@ from pipeline.export.overlay import given_names, people_at
 from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.export.quality.views import views_of, without_fingers
-from pipeline.export.report.angles import MAX_PEOPLE, PersonAngles
+from pipeline.export.report.biomechanics import MAX_PEOPLE, PersonAngles
 from pipeline.export.report.motion import embed_motion
 from pipeline.export.report.page import ReportContents, Rows
 from pipeline.export.report.pictures import MAX_PICTURES, Moment, Picture, choose_moments, draw_picture, presence
@@ -33,11 +33,11 @@ from pipeline.video.info import VideoInfo
 
 ReadVideo = Callable[[str], AbstractContextManager[None]]
 """Gives the block in which the video of a camera can be read, by the camera's name."""
-HeadsOf = Callable[[str], HeadRegions | None]
+ReadHeads = Callable[[str], HeadRegions | None]
 """Gives the heads that are blurred in the pictures of a camera, by the camera's name; ``None``: none are."""
 
 
-def contents_of(
+def gather_contents(
     session: Session,
     take: Reconstruction,
     config: ReconstructionConfig,
@@ -45,13 +45,13 @@ def contents_of(
     name: str,
     inputs: Mapping[str, str],
     reading: ReadVideo,
-    heads: HeadsOf,
+    heads: ReadHeads,
     on_share: OnShare,
 ) -> ReportContents:
     """Gather the contents of a report.
 
-    The session is on measured clocks if they were measured; ``versions`` are those of ``versions_of``, ``inputs``
-    SHA-256 of the take's files by name.
+    The session is on measured clocks if they were measured. ``versions`` are as ``list_versions`` gives them,
+    ``inputs`` SHA-256 of the take's files by name.
     """
     views = views_of(take)
     metrics = quality_report(take, views)
@@ -79,11 +79,11 @@ def contents_of(
         name=name,
         motion=embed_motion(take, views, metrics, find_body()),
         metrics=metrics,
-        angles=_angles_of(take, metrics),
+        angles=_person_angles(take, metrics),
         findings=[*session.findings, *all_checks(metrics)],
         pictures=pictures,
         notes=notes,
-        settings=settings_of(config),
+        settings=list_settings(config),
         versions=versions,
         inputs=tuple(inputs.items()),
         cameras=[
@@ -93,7 +93,7 @@ def contents_of(
     )
 
 
-def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
+def _person_angles(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
     """Joint angles of the first people of whom any is known."""
     ranges = {person["id"]: person["angles"] for person in metrics["people"]}
     people = zip(take.tracks, take.motions, strict=True)
@@ -110,7 +110,7 @@ def _angles_of(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonA
 
 
 def _picture(
-    reading: ReadVideo, heads: HeadsOf, session: Session, take: Reconstruction, camera: str, moment: Moment
+    reading: ReadVideo, heads: ReadHeads, session: Session, take: Reconstruction, camera: str, moment: Moment
 ) -> Picture | None:
     """Picture of a camera at a moment; ``None`` if it took none within an interval of its own frames."""
     (shown,) = (known for known in take.cameras if known.name == camera)
@@ -140,7 +140,7 @@ def _decoded(video: VideoInfo, number: int) -> UInt8[np.ndarray, "height width 3
         return next((image_rgb.copy() for _, image_rgb in frames), None)
 
 
-def settings_of(config: ReconstructionConfig) -> Rows:
+def list_settings(config: ReconstructionConfig) -> Rows:
     """Choices of a reconstruction as labels and words, with a mark of those that differ from the usual ones."""
     rows: list[tuple[str, ...]] = []
     for choice in CHOICES.values():
@@ -167,7 +167,7 @@ def _edit_words(edit: Mapping[str, Any]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in edit.items())
 
 
-def versions_of(distributions: Sequence[str], networks: Sequence[str]) -> Rows:
+def list_versions(distributions: Sequence[str], networks: Sequence[str]) -> Rows:
     """Versions of this program and of the installed ones among some distributions, and digests of networks."""
     rows = [(name, installed) for name in ("multicap", *distributions) if (installed := _version(name)) is not None]
     return [*rows, *((f"network {name}", f"SHA-256 {entry_of(name).sha256}") for name in networks)]

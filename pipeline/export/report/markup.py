@@ -40,10 +40,10 @@ def element(tag: str, *content: str | Iterable[str], **attributes: str | int | b
         elif value is not None and value is not False:
             words.append(f'{name}="{html.escape(str(value))}"')
     start = f"<{' '.join(words)}>"
-    return Markup(start if tag in _VOID else f"{start}{joined(*content)}</{tag}>")
+    return Markup(start if tag in _VOID else f"{start}{join(*content)}</{tag}>")
 
 
-def joined(*content: str | Iterable[str]) -> Markup:
+def join(*content: str | Iterable[str]) -> Markup:
     """Join elements and text, which is escaped."""
     parts = (part for item in content for part in ([item] if isinstance(item, str) else item))
     return Markup("".join(part if isinstance(part, Markup) else html.escape(part) for part in parts))

@@ -8,9 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.core.findings import Finding, worst_first
-from pipeline.export.report.angles import PersonAngles, angle_parts
-from pipeline.export.report.gait import GAIT_COLUMNS, MOVEMENT_COLUMNS, gait_rows, movement_rows
-from pipeline.export.report.markup import Markup, data, element, joined, source_hash
+from pipeline.export.report.biomechanics import (
+    GAIT_COLUMNS,
+    MOVEMENT_COLUMNS,
+    PersonAngles,
+    angle_parts,
+    gait_rows,
+    movement_rows,
+)
+from pipeline.export.report.markup import Markup, data, element, join, source_hash
 from pipeline.export.report.pictures import Picture
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -70,7 +76,7 @@ def encode_page(contents: ReportContents) -> bytes:
         data("take", contents.motion),
         element("script", Markup(script), type="module"),
     )
-    return joined(Markup("<!DOCTYPE html>\n"), element("html", head, body, lang="en"), Markup("\n")).encode()
+    return join(Markup("<!DOCTYPE html>\n"), element("html", head, body, lang="en"), Markup("\n")).encode()
 
 
 def _text(path: Path) -> str:
@@ -133,7 +139,7 @@ def _take(contents: ReportContents) -> Markup:
     if not contents.metrics["people"]:
         return motion
     rows = map(_person_row, contents.metrics["people"], contents.motion["people"])
-    return joined(motion, _section("quality", "Quality of each person", _table("People", _PEOPLE, rows)))
+    return join(motion, _section("quality", "Quality of each person", _table("People", _PEOPLE, rows)))
 
 
 _PEOPLE = ("Person", "Frames", "Measured", "Reprojection error", "Cameras a joint", "Stature", "Doubts about identity")
@@ -202,7 +208,7 @@ def _pictures(contents: ReportContents) -> Markup:
             for picture in of_moment
         )
         go = element("button", f"Show frame {moment.frame}", type="button", class_="go", data_frame=moment.frame)
-        parts.append(joined(element("h3", moment.title, " ", go), element("div", figures, class_="pictures")))
+        parts.append(join(element("h3", moment.title, " ", go), element("div", figures, class_="pictures")))
     return _section(
         "cameras-pictures", "Cameras", parts, (element("p", note, class_="quiet") for note in contents.notes)
     )

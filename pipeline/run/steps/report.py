@@ -6,17 +6,17 @@ from pipeline.run.engine.stage import HEADS, REPORT, TAKE, Context, Output, Resu
 
 def write_report(task: Task, context: Context) -> Output:
     """Write the report: contents from the reconstruction and its session, pictures from the videos."""
-    from pipeline.export.report.contents import contents_of, versions_of
+    from pipeline.export.report.contents import gather_contents, list_versions
     from pipeline.export.report.page import encode_page
     from pipeline.run.engine.code import LIBRARIES
     from pipeline.run.engine.take import assemble
 
     session, origin = context.on_clocks(context.outline()), context.origin()
-    contents = contents_of(
+    contents = gather_contents(
         session,
         assemble(context),
         context.config,
-        versions_of(LIBRARIES, context.detections.networks),
+        list_versions(LIBRARIES, context.detections.networks),
         origin.name,
         origin.files,
         context.video,

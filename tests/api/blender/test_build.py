@@ -46,8 +46,8 @@ def test_modules_without_blender_run_outside_of_the_project(tmp_path: Path) -> N
         archive.extractall(tmp_path / "somewhere" / "odd_name")
     program = (
         "from odd_name.client import BlenderClient; from odd_name import retarget, glb_motion, tasks, capture_folder\n"
-        "from odd_name.bone_tree import BoneTree, recognised\n"
-        "print(recognised(BoneTree(('Hips', 'mixamorig:LeftArm'), (-1, 0))))"
+        "from odd_name.bone_tree import BoneTree, recognise_bones\n"
+        "print(recognise_bones(BoneTree(('Hips', 'mixamorig:LeftArm'), (-1, 0))))"
     )
     command = [sys.executable, "-S", "-E", "-c", program]
     done = subprocess.run(command, cwd=tmp_path / "somewhere", capture_output=True, text=True, check=False)

@@ -14,9 +14,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from api.blender.extension import client as client_module
-from api.blender.extension.answers import FileEntry, RequestError, files_of, job_of, plain
-from api.blender.extension.armature_file import armature_glb
+from api.blender.extension.answers import FileEntry, RequestError, plain, read_files, read_job
 from api.blender.extension.client import BlenderClient, StoppedTaskError, is_on_this_machine, service_address
+from api.blender.extension.retarget import armature_glb
 from api.web.settings import Settings
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
@@ -216,7 +216,7 @@ def test_odd_names_lose_what_is_odd(wrong_service: WrongService) -> None:
 def test_names_that_are_paths_are_left_out(name: object) -> None:
     wrong = {"name": name, "sha256": "a" * 64, "num_bytes": 1, "person": "person-1"}
     right = wrong | {"name": "person-1.glb", "format": "glb"}
-    (file,) = files_of({"results": [wrong, right]})
+    (file,) = read_files({"results": [wrong, right]})
     assert (file.name, file.person, file.format) == ("person-1.glb", "person-1", "glb")
 
 
@@ -239,7 +239,7 @@ def test_timelines_that_are_none(wrong_service: WrongService) -> None:
 def test_a_state_that_is_not_known() -> None:
     for state in ("paused", ["running"], None):
         with pytest.raises(RequestError):
-            job_of({"id": ID, "session_id": ID, "state": state})
+            read_job({"id": ID, "session_id": ID, "state": state})
 
 
 def file_of(content: bytes, **changes: object) -> FileEntry:

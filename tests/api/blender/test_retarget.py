@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from api.blender.extension.answers import RequestError
-from api.blender.extension.bone_tree import BoneMap, completed, recognised
+from api.blender.extension.bone_tree import BoneMap, add_trunk, recognise_bones
 from api.blender.extension.glb_motion import PersonMotion, read_motion
 from api.blender.extension.retarget import RestArmature, RestBone, Retargeting
 from api.blender.extension.turns import Quat
 from pipeline.export.character.bone_names import LIMBS
 from pipeline.export.writers import glb
-from tests.api.blender.test_bone_tree import tree_of
+from tests.api.blender.test_bone_tree import read_tree
 from tests.api.blender.test_glb_motion import posed_m
 from tests.cases import slow_but
 from tests.pipeline.export.character.characters import Bones, bones_of
@@ -119,7 +119,7 @@ def test_limbs_point_as_the_person_s(
     if turn_deg[0]:  # A rig with Y up, which the armature's rotation stands up.
         bones = {name: (parent, turn.inv().apply(a), turn.inv().apply(b)) for name, (parent, a, b) in bones.items()}
     armature = armature_of(bones, turn, size, place_m, seed=7)
-    mapped = completed(tree_of(rig), recognised(tree_of(rig)))
+    mapped = add_trunk(read_tree(rig), recognise_bones(read_tree(rig)))
     for frame, (heads, _) in enumerate(played(armature, mapped, motion)):
         person = posed_m(motion, frame)
         for above, below in (pair for limb in LIMBS for pair in pairwise(limb)):
@@ -145,7 +145,7 @@ def test_hips_and_feet_go_as_far_as_legs_are_long(motion: PersonMotion) -> None:
         armature.turn,
         size,
     )
-    mapped = completed(tree_of("mixamo"), recognised(tree_of("mixamo")))
+    mapped = add_trunk(read_tree("mixamo"), recognise_bones(read_tree("mixamo")))
     rest = {joint: np.array(armature.head_m(bone)) for joint, bone in mapped.bones.items()}
     leg_m = sum(np.linalg.norm(rest[a] - rest[b]) for a, b in pairwise(("LeftUpLeg", "LeftLeg", "LeftFoot")))
     person = [posed_m(motion, frame) for frame in range(motion.num_frames)]
@@ -166,7 +166,7 @@ def test_hips_and_feet_go_as_far_as_legs_are_long(motion: PersonMotion) -> None:
 
 def test_bones_without_a_joint_stay_at_rest(motion: PersonMotion) -> None:
     armature = armature_of(bones_of("default"), Rotation.identity(), 1.0, (0.0, 0.0, 0.0), seed=3)
-    mapped = completed(tree_of("default"), recognised(tree_of("default")))
+    mapped = add_trunk(read_tree("default"), recognise_bones(read_tree("default")))
     pose = next(Retargeting(motion, armature, mapped).frames())
     toes = {mapped.bones[f"{side}ToeBase"] for side in ("Left", "Right")}  # They do not bend.
     assert set(pose.turns) == {*mapped.bones.values(), *mapped.spine, *mapped.neck} - toes
@@ -196,6 +196,6 @@ def test_a_person_at_rest_leaves_a_t_pose_alone(motion: PersonMotion) -> None:
 
 def test_legs_without_length_are_refused(motion: PersonMotion, tmp_path: Path) -> None:
     bones = {name: (parent, np.zeros(3), np.zeros(3)) for name, (parent, *_) in bones_of("mixamo").items()}
-    mapped = completed(tree_of("mixamo"), recognised(tree_of("mixamo")))
+    mapped = add_trunk(read_tree("mixamo"), recognise_bones(read_tree("mixamo")))
     with pytest.raises(RequestError, match="no length"):
         Retargeting(motion, armature_of(bones, Rotation.identity(), 1.0, (0.0, 0.0, 0.0), seed=1), mapped)

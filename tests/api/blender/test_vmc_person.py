@@ -1,12 +1,16 @@
-"""A person of VMC messages is the one that was sent."""
+"""A person of VMC messages is the one that was sent; packets of OSC are read as another library writes them."""
+
+import struct
 
 import numpy as np
 import pytest
+from pythonosc.osc_bundle import OscBundle
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 from scipy.spatial.transform import Rotation
 
-from api.blender.extension.vmc_person import VmcPerson, is_same_person
+from api.blender.extension.vmc_person import VmcPerson, is_same_person, read_messages
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
@@ -118,3 +122,61 @@ def test_wrong_messages_move_nobody(content: bytes) -> None:
 
 def test_what_is_no_osc_is_known() -> None:
     assert not VmcPerson().take(b"GET / HTTP/1.1\r\n\r\n")
+
+
+VALUES = [7, 0.25, "Hips", b"12345", True, False, None, "", 2.0]
+
+
+def osc_packet(depth: int) -> bytes:
+    """Packet of python-osc: a message, in so many bundles with a second one in each."""
+    message = OscMessageBuilder("/VMC/Ext/Bone/Pos")
+    for value in VALUES:
+        message.add_arg(value)  # type: ignore[arg-type]
+    content: OscMessage | OscBundle = message.build()
+    for _ in range(depth):
+        bundle = OscBundleBuilder(IMMEDIATELY)
+        bundle.add_content(content)
+        bundle.add_content(OscMessageBuilder("/VMC/Ext/OK").build())
+        content = bundle.build()
+    return content.dgram
+
+
+@pytest.mark.parametrize("depth", [0, 1, 4])
+def test_messages_are_those_of_another_library(depth: int) -> None:
+    first, *others = read_messages(osc_packet(depth))
+    assert first == ("/VMC/Ext/Bone/Pos", tuple(VALUES))
+    assert others == [("/VMC/Ext/OK", ())] * depth
+
+
+WRONG = {
+    "empty": b"",
+    "too deep": osc_packet(5),
+    "no zero": b"/VMC",
+    "no address": b"VMC\0,\0\0\0",
+    "no tags": b"/VM\0f\0\0\0\0\0\0\0",
+    "unknown tag": b"/VM\0,q\0\0",
+    "number cut": b"/VM\0,f\0\0\0\0",
+    "blob of minus 1": b"/VM\0,b\0\0\xff\xff\xff\xff",
+    "blob too long": b"/VM\0,b\0\0\x00\x00\x01\x00",
+    "no UTF-8": b"/\xff\xfe\0,\0\0\0",
+    "many values": b"/VM\0," + b"T" * 200 + bytes(7),
+    "bundle cut": b"#bundle\0" + bytes(8) + struct.pack(">i", 2**31 - 1),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_osc_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r".*"):
+        list(read_messages(WRONG[name]))
+
+
+def test_any_bytes_are_refused_or_read() -> None:
+    rng, right = np.random.default_rng(0), osc_packet(2)
+    for _ in range(3000):
+        changed = bytearray(right)
+        for place in rng.integers(0, len(changed), 3).tolist():
+            changed[place] = int(rng.integers(0, 256))
+        try:
+            list(read_messages(bytes(changed[: rng.integers(0, len(changed) + 1)])))
+        except ValueError:
+            continue

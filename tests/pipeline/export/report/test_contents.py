@@ -10,7 +10,7 @@ import pytest
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import Rename
-from pipeline.export.report.contents import settings_of
+from pipeline.export.report.contents import list_settings
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.cases import slow_but
@@ -25,7 +25,7 @@ def test_settings_are_words_and_changes_are_said() -> None:
         tracking={"alpha_3d_m": 0.3},
         edits=(Rename(person=2, name="Ada"),),
     )
-    rows = {label: (value, is_default) for label, value, is_default in settings_of(config)}
+    rows = {label: (value, is_default) for label, value, is_default in list_settings(config)}
     assert rows["Smoothing"] == ("None, joints as they were located", "no")
     assert rows["Frames"] == ("10 to 49", "no")
     assert rows["Files of each person"] == ("BVH, animation, GLB, body and animation", "no")

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.export.report.markup import data, element, joined, source_hash
+from pipeline.export.report.markup import data, element, join, source_hash
 
 
 class Reader(HTMLParser):
@@ -46,7 +46,7 @@ def test_data_come_back_and_end_no_element(text: str) -> None:
 
 def test_elements_are_joined_as_they_are_and_text_is_not() -> None:
     inner = element("b", "x")
-    assert joined(inner, "<", [inner, ">"]) == "<b>x</b>&lt;<b>x</b>&gt;"
+    assert join(inner, "<", [inner, ">"]) == "<b>x</b>&lt;<b>x</b>&gt;"
     assert element("input", type="range", disabled=True, hidden=False, aria_label="a") == (
         '<input type="range" disabled aria-label="a">'
     )

@@ -1,4 +1,4 @@
-"""Joint angles in a report: plots over time and over the strides of gait, left beside right, and ranges of motion."""
+"""Biomechanics in a report: plots of joint angles by side, ranges of motion, tables of gait and movements."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.core.joints import SIDES
-from pipeline.export.report.markup import Markup, element, joined
+from pipeline.export.report.markup import Markup, element, join
 from pipeline.motion.angles.compute import JointAngles
 from pipeline.motion.angles.cycles import NUM_POINTS, normalised_cycles
 from pipeline.motion.angles.definitions import ANGLE_NAMES, JOINTS
+from pipeline.motion.gait.movements import MovementKind
 from pipeline.motion.gait.strides import Stride
 
 MAX_PEOPLE = 10
@@ -91,7 +92,7 @@ def _cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles p
         side: cycles.std(0, ddof=1) if len(cycles) > 1 else np.zeros(cycles.shape[1]) for side, cycles in known.items()
     }
     edges = {side: (mean[side] - std[side], mean[side] + std[side]) for side in known}
-    scale = _Scale.of(np.concatenate([edge for both in edges.values() for edge in both]))
+    scale = _Scale.fit(np.concatenate([edge for both in edges.values() for edge in both]))
     across = _LEFT + np.linspace(0.0, 1.0, NUM_POINTS) * (_WIDTH - _LEFT)
     drawn = []
     for side, (low, high) in edges.items():
@@ -145,7 +146,7 @@ def _plot(
 ) -> Markup:
     """Plot of an angle of both sides over the frames of a person, with a gap where it is unknown."""
     known_deg = np.concatenate([line[np.isfinite(line)] for line in lines_deg.values()])
-    scale = _Scale.of(known_deg)
+    scale = _Scale.fit(known_deg)
     num_frames = len(next(iter(lines_deg.values())))
     # Thinned out to the pixels of the plot.
     rows = np.unique(np.linspace(0, num_frames - 1, min(num_frames, _MAX_POINTS)).round().astype(int))
@@ -166,7 +167,7 @@ class _Scale:
     high_deg: float
 
     @classmethod
-    def of(cls, shown_deg: Float[np.ndarray, " values"]) -> "_Scale":
+    def fit(cls, shown_deg: Float[np.ndarray, " values"]) -> "_Scale":
         """Scale on which values fill the plot, unless they hardly differ."""
         middle_deg = float(shown_deg.max() + shown_deg.min()) / 2
         half_deg = 0.55 * max(float(np.ptp(shown_deg)), _LEAST_SPAN_DEG)
@@ -193,7 +194,7 @@ def _figure(
     """
     ticks_deg = scale.ticks_deg()
     marks = [
-        joined(
+        join(
             element("line", x1=_LEFT, x2=_WIDTH, y1=f"{place:.1f}", y2=f"{place:.1f}", class_="grid"),
             element("text", f"{round(tick_deg)}°", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
         )
@@ -217,3 +218,72 @@ def _line(across: Float[np.ndarray, " points"], places: Float[np.ndarray, " poin
             words.append(f"{'L' if is_drawing else 'M'}{x:.1f} {place:.1f}")
         is_drawing = bool(np.isfinite(place))
     return "".join(words)
+
+
+NamedFigures = tuple[str, Mapping[str, Any]]
+"""Name of a person, and the entry in ``metrics.json``."""
+
+# Figure, unit and decimals of each column.
+_FIGURES = {
+    "Stride length": ("stride_length_m", "m", 2),
+    "Step width": ("step_width_m", "m", 2),
+    "Cadence": ("cadence_steps_per_min", "steps/min", 0),
+    "Speed": ("speed_m_s", "m/s", 2),
+    "Stance": ("stance_percent", "%", 0),
+    "Double support": ("double_support_percent", "%", 0),
+}
+GAIT_COLUMNS = ("Person", "Side", "Strides", *_FIGURES, "Confidence")
+MOVEMENT_COLUMNS = ("Person", "Movement", "Time", "Duration", "Height or depth", "Confidence")
+_KINDS: Mapping[MovementKind, str] = {
+    "jump": "Jump",
+    "squat": "Squat",
+    "sit_to_stand": "Stands up from a seat",
+    "stand_to_sit": "Sits down",
+}
+_AMOUNTS = {
+    "height_by_flight_m": "{:.2f} m by flight time",
+    "height_by_hips_m": "{:.2f} m by the hips",
+    "depth_m": "{:.2f} m deep",
+}
+
+
+def gait_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
+    """Rows of ``GAIT_COLUMNS``: both sides together, left and right of each person who walks."""
+    return [
+        (
+            name,
+            side,
+            str(gait[side].get("stride_time_s", {"num": 0})["num"]),
+            *(_spread(gait[side].get(figure), unit, digits) for figure, unit, digits in _FIGURES.values()),
+            f"{100 * gait['confidence']:.0f} %",
+        )
+        for name, figures in people
+        if (gait := figures["gait"]) is not None
+        for side in ("both", "left", "right")
+    ]
+
+
+def movement_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
+    """Rows of ``MOVEMENT_COLUMNS``, of each person in order of time."""
+    return [
+        (
+            name,
+            _KINDS[movement["kind"]],
+            f"{movement['start_s']:.2f} s",
+            f"{movement['duration_s']:.2f} s",
+            ", ".join(text.format(movement[figure]) for figure, text in _AMOUNTS.items() if figure in movement),
+            f"{100 * movement['confidence']:.0f} %",
+        )
+        for name, figures in people
+        for movement in figures["movements"]
+    ]
+
+
+def _spread(spread: Mapping[str, Any] | None, unit: str, digits: int) -> str:
+    """Mean, and the standard deviation if there is one."""
+    if spread is None:
+        return "-"
+    mean = f"{spread['mean']:.{digits}f}"
+    return (
+        f"{mean} {unit}" if spread["std"] is None else f"{mean} \N{PLUS-MINUS SIGN} {spread['std']:.{digits}f} {unit}"
+    )
