@@ -20,7 +20,7 @@ __all__ = ["blender", "extension"]
 pytestmark = [pytest.mark.blender, pytest.mark.xdist_group("sample")]
 
 
-def test_the_sample_in_blender(
+def test_sample_opens_in_blender(
     served: Served, sample: Sample, blender: Callable[..., list[Any]], tmp_path: Path
 ) -> None:
     address = str(served.client.base_url)

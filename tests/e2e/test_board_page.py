@@ -26,7 +26,7 @@ def page(served: Served) -> Iterator[Page]:
         yield page
 
 
-def test_the_board_on_the_screen_is_found_at_the_size_that_it_names(page: Page) -> None:
+def test_board_on_screen_is_found_at_stated_size(page: Page) -> None:
     # A screen of 4 pixels a millimetre.
     page.get_by_label("Size of the frame").evaluate(
         "(field) => { field.value = '4'; field.dispatchEvent(new Event('input')); }"
@@ -49,7 +49,7 @@ def test_the_board_on_the_screen_is_found_at_the_size_that_it_names(page: Page) 
     assert axe_findings(page) == []
 
 
-def test_a_printed_page_has_squares_of_the_size_that_it_names(page: Page, tmp_path: Path) -> None:
+def test_printed_board_has_squares_of_stated_size(page: Page, tmp_path: Path) -> None:
     page.evaluate("window.print = () => {}")
     page.get_by_role("button", name=re.compile("A4")).click()
     expect(page.locator(".board-name")).to_have_text("charuco:7x5:0.036:0.027:DICT_4X4_50")

@@ -231,7 +231,7 @@ def furthest_mm(page: Page, job: Moved, frame: int, rows: Mapping[int, float]) -
     return distances
 
 
-def test_the_mesh_is_where_its_file_says_and_vanishes_with_the_person(page: Page, walking: Moved) -> None:
+def test_mesh_is_in_place_and_vanishes_with_person(page: Page, walking: Moved) -> None:
     asked: list[str] = []
     parts_of_second: list[str] = []
 
@@ -277,7 +277,7 @@ def test_the_mesh_is_where_its_file_says_and_vanishes_with_the_person(page: Page
 
 
 @pytest.mark.slow
-def test_it_moves_with_the_frames_and_goes_with_the_choice(page: Page, walking: Moved) -> None:
+def test_character_moves_and_goes_with_the_choice(page: Page, walking: Moved) -> None:
     mount(page, walking.job_id)
     before = page.evaluate(MEMORY)
     choose_character(page)
@@ -316,7 +316,7 @@ def test_other_rigs_rates_and_places(page: Page, live: Live, is_far: bool, tmp_p
 
 
 @pytest.mark.slow
-def test_a_character_from_fbx_is_shown(page: Page, live: Live, tmp_path: Path) -> None:
+def test_character_from_fbx_is_shown(page: Page, live: Live, tmp_path: Path) -> None:
     file = decode_fbx_character("a.fbx", fbx_of(figure_of("a.glb", vrm("1.0")).file, unit_cm=100.0))
     figure = measure(file, map_bones(file, figure_of("a.glb", vrm("1.0")).mapping.bones))
     job = moved(live, tmp_path, figure)
@@ -347,7 +347,7 @@ def send_nothing(route: Route) -> None:
         ("cut", "no character in motion, or is damaged"),
     ],
 )
-def test_a_file_that_is_gone_or_damaged_is_said(live: Live, tmp_path: Path, harm: str, words: str) -> None:
+def test_missing_or_damaged_file_is_reported(live: Live, tmp_path: Path, harm: str, words: str) -> None:
     content = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
     job = moved(live, tmp_path, content)
     results = live.client.get(f"/v1/jobs/{job.job_id}/results").json()["results"]

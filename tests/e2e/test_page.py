@@ -46,7 +46,7 @@ def capture(page: Page, name: str) -> Locator:
     return page.get_by_role("listitem").filter(has=page.get_by_role("heading", name=name, exact=True, level=2))
 
 
-def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, first_results: Path) -> None:
+def test_capture_goes_from_form_to_files(page: Page, sample: Sample, first_results: Path) -> None:
     page.get_by_label("Name of the take").fill("<b>Take</b> 1")
     choose(page, *sample.videos.values(), sample.calibration)
     expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=180_000)
@@ -72,7 +72,7 @@ def test_a_capture_from_the_form_to_its_files(page: Page, sample: Sample, first_
 
 
 @pytest.mark.slow
-def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp_path: Path) -> None:
+def test_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     page.get_by_role("link", name="Calibrations", exact=True).click()
     page.get_by_label("Title").fill("<i>Studio</i> B")
@@ -99,7 +99,7 @@ def test_a_stored_calibration_is_added_chosen_and_deleted(page: Page, served: Se
     expect(stored).to_have_count(0, timeout=180_000)
 
 
-def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp_path: Path) -> None:
+def test_capture_shows_all_its_problems(served: Served, sample: Sample, tmp_path: Path) -> None:
     broken, other = tmp_path / "cam01.mp4", tmp_path / "cam02.mp4"
     broken.write_bytes(b"no video")
     other.write_bytes(b"no video either")
@@ -118,7 +118,7 @@ def test_all_problems_of_a_capture_are_shown(served: Served, sample: Sample, tmp
 
 
 @pytest.mark.slow
-def test_a_unit_that_nothing_states_is_asked_for(served: Served, tmp_path: Path) -> None:
+def test_unknown_unit_is_asked_for(served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     in_mm = tmp_path / "rig.toml"
     in_mm.write_bytes(encode_toml([scaled(camera, 1000.0) for camera in cameras_of_two_videos()]))
@@ -137,7 +137,7 @@ def test_a_unit_that_nothing_states_is_asked_for(served: Served, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_an_array_of_the_points_of_all_cameras(page: Page, served: Served, tmp_path: Path) -> None:
+def test_array_has_points_of_all_cameras(page: Page, served: Served, tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=1.0), seed=4, num_views=2)
     rig, array, other = (tmp_path / name for name in ("rig.json", "mediapipe_2dData_numCams.npy", "cam_00.mp4"))
     rig.write_bytes(encode(simulation.cameras))
@@ -171,7 +171,7 @@ def throttle(page: Page, bytes_per_s: int) -> None:
 
 
 @pytest.mark.slow
-def test_an_upload_is_cut_by_a_reload_and_goes_on(page: Page, served: Served, sample: Sample) -> None:
+def test_upload_continues_after_reload(page: Page, served: Served, sample: Sample) -> None:
     offsets: list[int] = []
     page.on("request", lambda one: offsets.append(int(one.headers["upload-offset"])) if one.method == "PATCH" else None)
     choose(page, *sample.videos.values(), sample.calibration)
@@ -212,9 +212,7 @@ def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_warnings_of_a_result_are_shown_and_no_retry_that_would_fail_the_same_way(
-    page: Page, served: Served, sample: Sample
-) -> None:
+def test_result_warnings_are_shown_without_useless_retry(page: Page, served: Served, sample: Sample) -> None:
     cameras = read_calibration(sample.calibration)[:2]
     videos = [sample.videos[camera.name] for camera in cameras]
     files = [("videos", (path.name, path.read_bytes())) for path in videos]
@@ -289,7 +287,7 @@ def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_contract_is_shown_without_anybody_else(served: Served) -> None:
+def test_contract_is_shown_without_other_hosts(served: Served) -> None:
     asked, refused = set(), []
     with opened(str(served.client.base_url)) as page:
         page.on("request", lambda request: asked.add(urlsplit(request.url).netloc))

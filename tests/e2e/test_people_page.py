@@ -283,7 +283,7 @@ def test_people_who_never_meet_are_merged_at_once(page: Page, portal: ServedPeop
     expect(panel(page).get_by_role("radio")).to_have_count(3)
 
 
-def test_a_take_without_people_is_said_to_be_emptied(page: Page, portal: ServedPeople) -> None:
+def test_take_without_people_is_reported_empty(page: Page, portal: ServedPeople) -> None:
     portal.edit(*({"action": "remove", "person": person} for person in (1, 2, 3)))
     page.reload()
     look_at(page, portal)
@@ -334,7 +334,7 @@ def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Serv
     assert video.evaluate("one => one.isConnected")
 
 
-def test_the_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> None:
+def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> None:
     session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
     job = portal.client.post(f"{session}/jobs", json={"report": True}).raise_for_status().json()
     with_report = replace(portal, job_id=job["id"])
@@ -357,7 +357,7 @@ def test_the_report_follows_edits_on_request(page: Page, portal: ServedPeople) -
     assert "Anna" in download.value.path().read_text()
 
 
-def test_an_edit_that_is_refused_takes_no_other_with_it(page: Page, portal: ServedPeople) -> None:
+def test_refused_edit_keeps_the_others(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     held: list[Route] = []
 
@@ -437,7 +437,7 @@ def test_another_job_is_compared_on_the_same_clock(page: Page, portal: ServedPeo
     assert axe_findings(page) == []
 
 
-def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: ServedPeople) -> None:
+def test_public_link_shows_one_job_until_revoked(page: Page, portal: ServedPeople) -> None:
     sharing = page.get_by_role("region", name="Public link")
     sharing.get_by_label("Ends after").select_option("1 day")
     sharing.get_by_role("button", name="Make a link").click()
@@ -475,7 +475,7 @@ def test_a_public_link_shows_one_job_until_it_is_revoked(page: Page, portal: Ser
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_the_panel_is_accessible_and_fits(
+def test_panel_is_accessible_and_fits(
     page: Page, portal: ServedPeople, width: int, scheme: Literal["light", "dark"]
 ) -> None:
     portal.edit({"action": "split", "person": 1, "frame": 30}, {"action": "cut", "start_frame": 10, "stop_frame": 90})

@@ -48,7 +48,7 @@ def files_of(served: Served, host: Page) -> list[dict[str, Any]]:
     return list(clip["files"])
 
 
-def test_a_phone_that_is_refused_goes_on_and_says_why(
+def test_refused_phone_continues_and_says_why(
     host: Page, served: Served, camera: tuple[str, Path], tmp_path: Path
 ) -> None:
     link = open_recording(host, "Refused")
@@ -103,9 +103,7 @@ def test_a_phone_that_is_refused_goes_on_and_says_why(
     assert (file["part"], file["facts"]["lost"]) == (1, [])
 
 
-def test_a_phone_that_is_turned_begins_another_part(
-    host: Page, served: Served, camera: tuple[str, Path], tmp_path: Path
-) -> None:
+def test_turned_phone_begins_another_part(host: Page, served: Served, camera: tuple[str, Path], tmp_path: Path) -> None:
     link = open_recording(host, "Turned")
     with phones(host, link, [camera], tmp_path) as (phone,):
         join(host, [phone])

@@ -218,7 +218,7 @@ def test_from_the_link_to_a_bvh_by_clicks_alone(
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_a_killed_tab_a_cut_network_and_a_killed_service_lose_two_seconds_at_most(
+def test_killed_tab_network_or_service_loses_two_seconds(
     host: Page, served: Served, cameras: list[tuple[str, Path]], tmp_path: Path
 ) -> None:
     link = urlsplit(open_recording(host, "Faults"))

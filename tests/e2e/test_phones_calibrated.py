@@ -84,7 +84,7 @@ def begin_together(joined: Sequence[Phone], cameras: Sequence[tuple[str, Path]])
     pytest.fail(f"cameras that don't begin together, by places: {ahead}")
 
 
-def test_a_calibration_by_phones_serves_takes_until_one_is_moved(
+def test_calibration_by_phones_serves_until_one_is_moved(
     served: Served, cameras: list[tuple[str, Path]], tmp_path: Path
 ) -> None:
     with opened(f"{served.client.base_url}#/record") as host:

@@ -204,7 +204,7 @@ def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: 
     )
 
 
-def test_a_capture_that_is_not_complete_is_not_sent(page: Page, keypoints: dict[str, Path]) -> None:
+def test_incomplete_capture_is_not_sent(page: Page, keypoints: dict[str, Path]) -> None:
     sent: list[str] = []
     page.on("request", lambda request: sent.append(request.url) if request.method == "POST" else None)
     page.get_by_label("Choose files").set_input_files([keypoints["cam_00.zip"]])
@@ -284,7 +284,7 @@ FOCUS = """() => {
 }"""
 
 
-def test_the_keyboard_reaches_everything_in_order(page: Page) -> None:
+def test_keyboard_reaches_everything_in_order(page: Page) -> None:
     """From the skip link to the button that sends: no trap, and the focus is visible."""
     expect(page.get_by_role("radio", name="Blender")).to_be_visible()
     page.keyboard.press("Tab")
@@ -349,7 +349,7 @@ def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Ser
 
 
 @pytest.mark.benchmark
-def test_the_first_view_is_there_within_a_second(served: Served) -> None:
+def test_first_view_opens_within_a_second(served: Served) -> None:
     """From the request to the drawn list of captures, with an empty cache, on loopback."""
     with opened("about:blank") as page:
         page.goto(f"{served.client.base_url}#/captures")
@@ -359,7 +359,7 @@ def test_the_first_view_is_there_within_a_second(served: Served) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_footage_with_another_calibration(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+def test_same_footage_takes_another_calibration(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     session = post_session(served, keypoints, "Footage")
     content = keypoints["calibration.json"].read_bytes()
     spec = ("spec", (None, json.dumps({"method": "file", "name": "Second"}).encode(), "application/json"))

@@ -144,7 +144,7 @@ def test_names_of_strangers_are_text(report: Path) -> None:
 
 
 @pytest.mark.parametrize(("width", "scheme"), slow_but([(390, "dark")], [(1280, "light"), (390, "dark")]))
-def test_it_is_accessible_and_fits(report: Path, width: int, scheme: Literal["light", "dark"]) -> None:
+def test_report_is_accessible_and_fits(report: Path, width: int, scheme: Literal["light", "dark"]) -> None:
     if not (READERS / "node_modules/axe-core").is_dir():
         pytest.skip("axe-core is not installed (`npm ci` in tests/e2e/readers)")
     with opened(report.as_uri(), {"width": width, "height": 844}) as page:
@@ -153,7 +153,7 @@ def test_it_is_accessible_and_fits(report: Path, width: int, scheme: Literal["li
         assert page.evaluate("document.documentElement.scrollWidth") == width
 
 
-def test_it_is_of_the_edited_take(report: Path) -> None:
+def test_report_shows_the_edited_take(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     assert "40 frames at" in text
     assert "start frame 5" in text

@@ -78,9 +78,7 @@ def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[
 
 
 @pytest.mark.slow
-def test_the_page_of_a_running_job_shows_its_progress_at_once(
-    page: Page, served: Served, videos: dict[str, Path]
-) -> None:
+def test_page_of_running_job_shows_progress_at_once(page: Page, served: Served, videos: dict[str, Path]) -> None:
     worker = served.part("worker")
     tree = [worker, *worker.children(recursive=True)]
     for process in tree:
@@ -99,7 +97,7 @@ def test_the_page_of_a_running_job_shows_its_progress_at_once(
             process.resume()
 
 
-def test_a_calibration_is_read_when_others_have_been_checked(served: Served, videos: dict[str, Path]) -> None:
+def test_calibration_is_read_after_others_were_checked(served: Served, videos: dict[str, Path]) -> None:
     refusals = [{"code": "too_many_checks", "detail": "Too many of your sessions are being checked at once."}]
 
     def refuse(route: Route) -> None:
@@ -119,9 +117,7 @@ def test_a_calibration_is_read_when_others_have_been_checked(served: Served, vid
 
 
 @pytest.mark.slow
-def test_files_of_other_names_are_paired_by_order_if_that_is_asked_for(
-    page: Page, videos: dict[str, Path], tmp_path: Path
-) -> None:
+def test_files_of_other_names_are_paired_by_order(page: Page, videos: dict[str, Path], tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("video 9.mp4", "video 10.mp4")]
     for file, video in zip(files, (videos["left.mp4"], videos["right.mp4"]), strict=True):
         file.write_bytes(video.read_bytes())
@@ -185,7 +181,7 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
 
 
 @pytest.mark.slow
-def test_a_refused_file_is_replaced_by_another_of_its_name(
+def test_refused_file_is_replaced_by_same_name(
     page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
 ) -> None:
     broken = tmp_path / "left.mp4"
@@ -210,9 +206,7 @@ def test_a_refused_file_is_replaced_by_another_of_its_name(
     assert sizes["left.mp4"] == videos["left.mp4"].stat().st_size
 
 
-def test_two_files_of_one_name_that_come_together_are_not_mixed(
-    page: Page, videos: dict[str, Path], tmp_path: Path
-) -> None:
+def test_two_files_of_one_name_are_not_mixed(page: Page, videos: dict[str, Path], tmp_path: Path) -> None:
     other = tmp_path / "left.mp4"
     other.write_bytes(b"another camera of this name")
     choose(page, videos["left.mp4"], other)
@@ -263,7 +257,7 @@ def write_takes(folder: Path, videos: dict[str, Path]) -> Path:
 
 
 @pytest.mark.slow
-def test_a_folder_of_takes_is_sent_take_by_take(
+def test_folder_of_takes_is_sent_take_by_take(
     page: Page, served: Served, videos: dict[str, Path], tmp_path: Path
 ) -> None:
     folder = write_takes(tmp_path / "day", videos)

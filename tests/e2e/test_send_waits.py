@@ -261,7 +261,7 @@ NAMES = (
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.usefixtures("stored")
-def test_what_is_sent_is_what_is_shown(
+def test_sent_choices_equal_shown_choices(
     served: Served, files: dict[str, Path], sample: Sample, name: str, every: int
 ) -> None:
     """Send is pressed while requests that the form makes are kept back: at once, and after all other actions."""
@@ -281,7 +281,7 @@ def test_what_is_sent_is_what_is_shown(
 
 
 @pytest.mark.usefixtures("stored")
-def test_a_second_press_sends_nothing_twice(served: Served, files: dict[str, Path], sample: Sample) -> None:
+def test_second_press_sends_nothing_twice(served: Served, files: dict[str, Path], sample: Sample) -> None:
     """Send is pressed again while the files are checked; the job has the choices that the page shows."""
     actions, meant = actions_of("another stored one", files)
     num_bytes = {path.name: path.stat().st_size for path in files.values()}

@@ -215,7 +215,7 @@ def test_bodies_are_humans_or_capsules(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_a_take_without_people_draws_none(shown: Shown) -> None:
+def test_take_without_people_draws_none(shown: Shown) -> None:
     shown.page.evaluate(
         """async (job) => {
           const { mount } = await import("/portal/viewer/mount.js");
@@ -249,7 +249,7 @@ def test_a_take_without_people_draws_none(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_the_keyboard_moves_the_play_head(shown: Shown) -> None:
+def test_keyboard_moves_play_head(shown: Shown) -> None:
     shown.mount()
     shown.page.locator(".look-canvas").focus()
     for key, expected in (("ArrowRight", 1), ("Shift+ArrowRight", 11), ("ArrowLeft", 10), ("End", 119), ("Home", 0)):
@@ -272,7 +272,7 @@ def test_the_keyboard_moves_the_play_head(shown: Shown) -> None:
     assert shown.frame == before
 
 
-def test_seeing_through_a_camera_shows_people_where_the_camera_sees_them(shown: Shown) -> None:
+def test_view_through_camera_shows_people_in_place(shown: Shown) -> None:
     shown.mount()
     shown.page.keyboard.press("1")
     # A point in the picture, by three.js' projection and by the lens: the first camera has no distortion.
@@ -442,7 +442,7 @@ def test_two_jobs_side_by_side_share_the_play_head(shown: Shown) -> None:
     assert page.evaluate("() => globalThis.viewer.player.frame") == 119
 
 
-def test_a_missing_motion_is_told(shown: Shown) -> None:
+def test_missing_motion_is_reported(shown: Shown) -> None:
     job_id = shown.live.job_id()
     shown.live.finish(job_id)
     told = shown.page.evaluate(

@@ -99,7 +99,7 @@ def test_ten_people_and_ten_thousand_frames(body: Body, tmp_path: Path) -> None:
     assert found["framesPerSecond"] >= 30
 
 
-def test_the_sample_with_its_videos(tmp_path: Path, sample: Sample) -> None:
+def test_sample_is_shown_with_its_videos(tmp_path: Path, sample: Sample) -> None:
     with serving(tmp_path / "data") as served:
         job = served.wait_for_end(served.post(sample))
         session = served.client.get(job["links"]["session"]).json()

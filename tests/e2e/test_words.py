@@ -69,7 +69,7 @@ def test_equal_calibrations_are_listed_once_dated_and_renamed(page: Page, served
     ]
 
 
-def test_a_board_is_described_by_fields_with_a_picture(page: Page, tmp_path: Path) -> None:
+def test_board_fields_show_its_picture(page: Page, tmp_path: Path) -> None:
     """The request has the specification of the board that the picture shows."""
     paths = two_videos(tmp_path)
     page.get_by_label("From").select_option("board")
@@ -101,7 +101,7 @@ def test_a_board_is_described_by_fields_with_a_picture(page: Page, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_clocks_are_measured_where_the_start_of_the_videos_stands(page: Page, tmp_path: Path) -> None:
+def test_clocks_are_measured_at_start_of_videos(page: Page, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     page.goto("/#/new")
     page.get_by_label("Choose files").set_input_files([*paths.values()])
@@ -116,7 +116,7 @@ def test_the_clocks_are_measured_where_the_start_of_the_videos_stands(page: Page
 
 
 @pytest.mark.slow
-def test_the_time_of_a_take_is_estimated_from_its_frames(page: Page, served: Served, sample: Sample) -> None:
+def test_time_of_take_is_estimated_from_frames(page: Page, served: Served, sample: Sample) -> None:
     videos = list(sample.videos.values())
     page.goto("/#/new")
     page.get_by_label("Choose files").set_input_files([*videos, sample.calibration])
@@ -190,7 +190,7 @@ def test_captures_have_a_picture(page: Page, served: Served, tmp_path: Path) -> 
         ("mc_" + "a" * 43, "looks like one: it is of another service, or was revoked"),
     ],
 )
-def test_a_wrong_key_says_what_a_key_looks_like(locked: Served, typed: str, answer: str) -> None:
+def test_wrong_key_shows_form_of_keys(locked: Served, typed: str, answer: str) -> None:
     with opened(str(locked.client.base_url), allowed=("401 (Unauthorized",)) as page:
         page.get_by_label("Key").fill(typed)
         page.get_by_role("button", name="Sign in").click()

@@ -16,7 +16,7 @@ def read_tree(rig: str) -> BoneTree:
 
 
 @pytest.mark.parametrize("rig", ["default", "mixamo", "game_engine"])
-def test_the_same_bones_as_the_service_recognises(rig: str) -> None:
+def test_bones_equal_those_the_service_recognises(rig: str) -> None:
     expected = map_bones(decode_character("a.glb", character(bones_of(rig))))
     tree = read_tree(rig)
     found = recognise_bones(tree)
@@ -46,7 +46,7 @@ def test_rigify_s_metarig() -> None:
     assert add_trunk(tree, head).neck == ("spine.004", "spine.005")
 
 
-def test_what_is_wrong_is_said() -> None:
+def test_wrong_bones_are_reported() -> None:
     tree = read_tree("odd")
     (missing,) = bone_problems(tree, recognise_bones(tree))
     assert all(joint in missing for joint in REQUIRED)

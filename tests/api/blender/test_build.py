@@ -17,12 +17,12 @@ ROOT = Path(__file__).parents[3]
 OF_BLENDER = {"bpy", "mathutils"}
 
 
-def test_the_same_bytes_each_time(tmp_path: Path) -> None:
+def test_build_gives_same_bytes_each_time(tmp_path: Path) -> None:
     first, second = (build(tmp_path / name).read_bytes() for name in ("a", "b"))
     assert first == second
 
 
-def test_modules_import_nothing_but_the_standard_library_and_blender(tmp_path: Path) -> None:
+def test_modules_import_standard_library_and_blender_only(tmp_path: Path) -> None:
     with zipfile.ZipFile(build(tmp_path)) as archive:
         modules = {name: archive.read(name) for name in archive.namelist() if name.endswith(".py")}
     assert {Path(name).name for name in SHARED} < set(modules)
@@ -54,7 +54,7 @@ def test_modules_without_blender_run_outside_of_the_project(tmp_path: Path) -> N
     assert (done.returncode, done.stdout) == (0, "{'LeftArm': 'mixamorig:LeftArm'}\n"), done.stderr
 
 
-def test_the_manifest() -> None:
+def test_manifest_fits_blender_and_project() -> None:
     manifest = tomllib.loads((ROOT / "api/blender/extension/blender_manifest.toml").read_text("utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert (manifest["schema_version"], manifest["id"], manifest["type"]) == ("1.0.0", "multicap", "add-on")
@@ -66,6 +66,6 @@ def test_the_manifest() -> None:
         assert not text.endswith(".")
 
 
-def test_what_is_stated_twice_is_the_same() -> None:
+def test_shared_constants_are_equal() -> None:
     assert tuple(JOINTS_OF_FINGERS) == FINGERS
     assert video_files._VIDEO_ENDINGS == VIDEO_ENDINGS

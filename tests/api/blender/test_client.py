@@ -66,7 +66,7 @@ def test_other_addresses_are_refused(text: str) -> None:
         service_address(text)
 
 
-def test_a_password_in_the_address_is_refused() -> None:
+def test_password_in_address_is_refused() -> None:
     with pytest.raises(RequestError, match="its own field"):
         service_address("https://anna:secret@mocap.example")
 
@@ -102,7 +102,7 @@ def test_connect_list_and_download(live: Live, tmp_path: Path) -> None:
     assert seen[-1] == len(content)
 
 
-def test_the_service_recognises_bones_whose_names_tell_nothing(live: Live) -> None:
+def test_service_recognises_bones_without_telling_names(live: Live) -> None:
     """By the shape of the tree, whatever stands in the list goes before; the service keeps nothing."""
     armature = armature_of(odd_bones(), Rotation.identity(), 0.01, (1.0, 2.0, 3.0), seed=1)
     expected = map_bones(decode_character("a.glb", character(odd_bones()))).bones
@@ -122,7 +122,7 @@ def test_pages_of_captures(live: Live) -> None:
     assert ([capture.id for capture in captures], cursor) == ([ids[0]], "")
 
 
-def test_a_wrong_address_is_told_from_a_wrong_key(make_settings: Callable[..., Settings]) -> None:
+def test_wrong_address_differs_from_wrong_key(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings()) as live:
         _, text = live.services.store.keys.add("studio", "blender", frozenset({Scope.READ}))
         client = client_of(live)
@@ -149,7 +149,7 @@ def test_another_program_answers(wrong_service: WrongService) -> None:
         BlenderClient(wrong_service.address).connect()
 
 
-def test_the_service_is_of_another_version(wrong_service: WrongService) -> None:
+def test_service_of_another_version_is_understood(wrong_service: WrongService) -> None:
     client = BlenderClient(wrong_service.address)
     wrong_service.answers["/healthz"] = ALIVE
     with pytest.raises(RequestError, match="another version"):
@@ -186,7 +186,7 @@ def test_wrong_lists(wrong_service: WrongService, body: bytes) -> None:
         BlenderClient(wrong_service.address).captures()
 
 
-def test_an_endless_answer_is_cut(wrong_service: WrongService) -> None:
+def test_endless_answer_is_cut(wrong_service: WrongService) -> None:
     def endless(request: BaseHTTPRequestHandler) -> None:
         request.send_response(200)
         request.end_headers()
@@ -236,7 +236,7 @@ def test_timelines_that_are_none(wrong_service: WrongService) -> None:
         assert client.timeline(ID) == expected
 
 
-def test_a_state_that_is_not_known() -> None:
+def test_unknown_state_is_refused() -> None:
     for state in ("paused", ["running"], None):
         with pytest.raises(RequestError):
             read_job({"id": ID, "session_id": ID, "state": state})
@@ -247,14 +247,14 @@ def file_of(content: bytes, **changes: object) -> FileEntry:
     return replace(file, **changes)  # type: ignore[arg-type]
 
 
-def test_a_file_is_larger_than_stated(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_file_larger_than_stated_is_refused(wrong_service: WrongService, tmp_path: Path) -> None:
     wrong_service.answers["/v1/jobs/"] = says(200, b"a" * 5000)
     with pytest.raises(RequestError, match="larger than the service said"):
         BlenderClient(wrong_service.address).download(ID, file_of(b"a" * 100), tmp_path / "0", ignore)
     assert (tmp_path / "0").stat().st_size <= 100
 
 
-def test_a_file_is_not_the_one_that_was_listed(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_file_other_than_listed_is_refused(wrong_service: WrongService, tmp_path: Path) -> None:
     wrong_service.answers["/v1/jobs/"] = says(200, b"b" * 100)
     with pytest.raises(RequestError, match="damaged"):
         BlenderClient(wrong_service.address).download(ID, file_of(b"a" * 100), tmp_path / "0", ignore)
@@ -291,14 +291,14 @@ def test_downloads_go_on_where_they_broke(wrong_service: WrongService, tmp_path:
     assert ranges == [None, *(f"bytes={start}-" for start in range(1000, 10_000, 1000))]
 
 
-def test_a_service_that_never_sends_the_file(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_service_that_never_sends_file_is_left(wrong_service: WrongService, tmp_path: Path) -> None:
     wrong_service.answers["/v1/jobs/"] = breaking(b"a" * 100, 0)
     with pytest.raises(RequestError, match="broke off"):
         BlenderClient(wrong_service.address).download(ID, file_of(b"a" * 100), tmp_path / "0", ignore)
     assert len(wrong_service.requests) < 10
 
 
-def test_a_redirect_gets_no_key(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_redirect_gets_no_key(wrong_service: WrongService, tmp_path: Path) -> None:
     other = WrongService()
     try:
         other.answers["/bucket"] = says(200, b"content")
@@ -320,7 +320,7 @@ def test_redirects_lead_to_web_addresses_alone(wrong_service: WrongService, targ
         BlenderClient(wrong_service.address).download(ID, file_of(b"content"), tmp_path / "0", ignore)
 
 
-def test_a_circle_of_redirects_ends(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_redirects_in_a_circle_end(wrong_service: WrongService, tmp_path: Path) -> None:
     wrong_service.answers["/"] = says(302, b"", Location="/again")
     with pytest.raises(RequestError):
         BlenderClient(wrong_service.address).download(ID, file_of(b"content"), tmp_path / "0", ignore)
@@ -367,7 +367,7 @@ def test_refused_captures_leave_no_uploads(live: Live, capture_files: tuple[list
     assert live.kept() == []
 
 
-def test_a_stopped_capture_leaves_no_uploads(
+def test_stopped_capture_leaves_no_uploads(
     live: Live, capture_files: tuple[list[Path], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(client_module, "_PIECE_BYTES", 7000)
@@ -437,7 +437,7 @@ def test_connections_that_break_in_a_piece(
     assert first["sha256"] == hashlib.sha256(b"video" * 8000).hexdigest()
 
 
-def test_the_service_dies_while_files_are_sent(
+def test_service_dies_while_files_are_sent(
     gate: ServiceGate, capture_files: tuple[list[Path], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(client_module, "_PIECE_BYTES", 7000)

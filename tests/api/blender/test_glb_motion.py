@@ -166,7 +166,7 @@ def test_numbers_that_are_not_finite_are_refused(content: bytes, tmp_path: Path)
         read_motion(path)
 
 
-def test_a_joint_above_itself_is_refused(content: bytes, tmp_path: Path) -> None:
+def test_joint_above_itself_is_refused(content: bytes, tmp_path: Path) -> None:
     document, numbers = parts(content)
     root = document["skins"][0]["joints"][0]
     end = next(number for number, node in enumerate(document["nodes"]) if node.get("name") == "HeadEnd")

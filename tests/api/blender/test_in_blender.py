@@ -132,7 +132,7 @@ def test_import(
 
 
 @pytest.mark.parametrize("rate_hz", [30000 / 1001, 24000 / 1001, 60000 / 1001, 12.5])
-def test_keys_of_people_and_of_an_armature_lie_at_the_frames_at_any_rate(
+def test_keys_lie_at_frames_at_any_rate(
     live: Live, named: Reconstruction, blender: Callable[..., list[Any]], tmp_path: Path, rate_hz: float
 ) -> None:
     """Blender's importer of GLB places keys by ``fps * fps_base``, the extension by the frame rate."""
@@ -344,7 +344,7 @@ def test_sending_is_stopped(
     assert stopped["took_s"] < 1.0
 
 
-def test_the_service_dies_while_a_job_is_followed(live: Live, blender: Callable[..., list[Any]]) -> None:
+def test_service_dies_while_job_is_followed(live: Live, blender: Callable[..., list[Any]]) -> None:
     """The panel says so and tries on; Blender is never held up."""
     live.job_id()
     gate = ServiceGate(live.address)
@@ -368,7 +368,7 @@ HOSTILE = {
 }
 
 
-def test_a_hostile_service(
+def test_hostile_service_is_survived(
     blender: Callable[..., list[Any]], wrong_service: WrongService, files: dict[str, bytes]
 ) -> None:
     content = files["person-1.glb"].replace(b'"byteLength"', b'"bytelength"', 1)
@@ -411,7 +411,7 @@ def free_port() -> int:
         return int(some.getsockname()[1])
 
 
-def test_an_armature_moves_live(
+def test_armature_moves_live(
     live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]], tmp_path: Path
 ) -> None:
     """A character in an A-pose, elsewhere and smaller, which has an action; strangers send to its port, too."""
@@ -464,7 +464,7 @@ def test_an_armature_moves_live(
     assert scene["actions"]
 
 
-def test_a_port_that_is_taken_is_said(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
+def test_taken_port_is_reported(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
     path, port = tmp_path / "character.glb", free_port()
     path.write_bytes(character(bones_of("default")))
     *_, drawn, received = blender(

@@ -172,7 +172,7 @@ def test_bones_without_a_joint_stay_at_rest(motion: PersonMotion) -> None:
     assert set(pose.turns) == {*mapped.bones.values(), *mapped.spine, *mapped.neck} - toes
 
 
-def test_a_person_at_rest_leaves_a_t_pose_alone(motion: PersonMotion) -> None:
+def test_person_at_rest_leaves_t_pose(motion: PersonMotion) -> None:
     """A figure with the person's own bones takes the person's pose exactly."""
     turns = {joint: [(1.0, 0.0, 0.0, 0.0)] for joint in motion.turns}
     still = PersonMotion(motion.frame_rate_hz, motion.parents, motion.offsets_m, [motion.offsets_m["Hips"]], turns)

@@ -18,7 +18,7 @@ def ended(task: BackgroundTask) -> BackgroundTask:
     return task
 
 
-def test_a_result_and_how_far_it_is() -> None:
+def test_result_tells_its_progress() -> None:
     def work(task: BackgroundTask) -> int:
         task.report(0.5, "half")
         return 7
@@ -39,7 +39,7 @@ def test_errors_are_sentences(tmp_path: Path) -> None:
     assert ended(BackgroundTask("a", lambda _task: 1 / 0)).error == "The extension failed: ZeroDivisionError."
 
 
-def test_a_stopped_task_is_over_at_once_and_its_thread_soon() -> None:
+def test_stopped_task_is_over_at_once() -> None:
     waits, goes_on = threading.Event(), threading.Event()
 
     def work(task: BackgroundTask) -> str:
@@ -59,7 +59,7 @@ def test_a_stopped_task_is_over_at_once_and_its_thread_soon() -> None:
     assert (task.result, task.fraction, task.error) == (None, None, "")
 
 
-def test_a_pause_ends_with_the_task() -> None:
+def test_pause_ends_with_task() -> None:
     task = BackgroundTask("a", lambda task: task.sleep(600.0)).start()
     start_s = time.monotonic()
     task.stop()

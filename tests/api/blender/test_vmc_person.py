@@ -73,7 +73,7 @@ def test_joints_are_where_they_were_sent() -> None:
     assert not person.is_new
 
 
-def test_the_rest_pose_stands_on_the_floor() -> None:
+def test_rest_pose_stands_on_floor() -> None:
     person = VmcPerson()
     person.take(packet(sent(1)))
     offsets_m = person.rest().offsets_m
@@ -91,7 +91,7 @@ def test_another_person_has_other_bones() -> None:
     assert not is_same_person(first.rest(), third.rest())
 
 
-def test_a_bone_that_another_sender_has_turns_those_above_it() -> None:
+def test_extra_bone_turns_bones_above_it() -> None:
     person = VmcPerson()
     person.take(packet(sent(1)))
     before = person.pose()[0]
@@ -120,7 +120,7 @@ def test_wrong_messages_move_nobody(content: bytes) -> None:
     assert not person.is_new
 
 
-def test_what_is_no_osc_is_known() -> None:
+def test_stranger_packet_is_recognised() -> None:
     assert not VmcPerson().take(b"GET / HTTP/1.1\r\n\r\n")
 
 
@@ -165,7 +165,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_no_osc_is_refused(name: str) -> None:
+def test_malformed_osc_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=r".*"):
         list(read_messages(WRONG[name]))
 

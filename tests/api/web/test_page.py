@@ -64,7 +64,7 @@ def test_only_files_for_browsers_are_served(live: Live) -> None:
         assert live.client.get(f"/portal/{name}").status_code == 404, name
 
 
-def test_texts_are_sent_compressed_with_an_entity_tag_of_their_own(live: Live) -> None:
+def test_texts_are_compressed_with_own_entity_tag(live: Live) -> None:
     path = "/portal/shared/base.css"
     plain = live.client.get(path, headers={"Accept-Encoding": "identity"})
     packed = live.client.get(path, headers={"Accept-Encoding": "br, gzip;q=0.5"})
@@ -89,7 +89,7 @@ def test_nothing_comes_from_elsewhere_and_no_text_is_markup(live: Live) -> None:
         assert not re.findall(r"<style|style=|\son\w+=|javascript:", text), path
 
 
-def test_the_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
+def test_contract_page_refers_to_existing_files(live: Live) -> None:
     answer = live.client.get("/docs")
     references = set(re.findall(r'(?:src|href)="([^"]+)"', answer.text))
     assert references == {
@@ -124,7 +124,7 @@ def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
 
 
 @pytest.mark.slow
-def test_a_service_without_streams_is_polled(live: Live) -> None:
+def test_service_without_streams_is_polled(live: Live) -> None:
     job_id = live.job_id()
     with opened(str(live.client.base_url), allowed=("ERR_FAILED",)) as page:
         page.route("**/v1/jobs/*/events", lambda route: route.abort())
@@ -134,7 +134,7 @@ def test_a_service_without_streams_is_polled(live: Live) -> None:
         expect(page.locator(".job .state")).to_have_text("Canceled")
 
 
-def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
+def test_form_has_a_field_for_every_choice(live: Live) -> None:
     choices = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     with opened(f"{live.client.base_url}#/new") as page:
         page.get_by_text("More options", exact=True).click()
@@ -158,7 +158,7 @@ def test_the_form_has_a_field_for_every_choice(live: Live) -> None:
 
 
 @pytest.mark.slow
-def test_a_job_is_canceled_retried_and_deleted_by_the_keyboard(live: Live) -> None:
+def test_job_is_canceled_retried_deleted_by_keyboard(live: Live) -> None:
     live.job_id()  # without a worker it stays queued
     with opened(f"{live.client.base_url}#/captures") as page:
         page.get_by_role("button", name="Cancel untitled").press("Enter")
@@ -176,9 +176,7 @@ def test_a_job_is_canceled_retried_and_deleted_by_the_keyboard(live: Live) -> No
         expect(page.get_by_role("heading", name="Captures", level=1)).to_be_focused()
 
 
-def test_without_the_sample_capture_the_page_says_how_to_install_it(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_page_without_sample_says_how_to_install_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(samples, "locate", lambda: None)
     assert live.client.get("/v1/sample").json() == {
         "installed": False,
@@ -200,7 +198,7 @@ def test_without_its_libraries_the_page_says_what_is_missing(live: Live) -> None
         expect(page.get_by_role("main")).to_contain_text("make setup")
 
 
-def test_the_page_is_small(live: Live) -> None:
+def test_page_is_small(live: Live) -> None:
     paths = [path for path in PORTAL.rglob("*") if path.suffix in {".js", ".css", ".html", ".svg"}]
     names = [path.relative_to(PORTAL) for path in paths if "node_modules" not in path.parts]
     headers = {"Accept-Encoding": "gzip"}

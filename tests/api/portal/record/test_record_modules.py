@@ -17,7 +17,7 @@ def test_modules_of_recordings(module: str, tmp_path: Path) -> None:
     run_by_node(Path(__file__).with_name(f"{module}.test.mjs"), tmp_path)
 
 
-def test_the_board_is_opencv_s(tmp_path: Path) -> None:
+def test_board_equals_opencv_board(tmp_path: Path) -> None:
     run_by_node(Path(__file__).with_name("board.test.mjs"), tmp_path)
     board = json.loads((tmp_path / "board.json").read_bytes())
     size = (board["cols"], board["rows"])

@@ -35,7 +35,7 @@ def test_settings_are_words_and_changes_are_said() -> None:
     assert rows["Edit of people"] == ("action rename, person 2, name Ada", "no")
 
 
-def test_the_same_take_gives_the_same_report_with_the_digests_of_its_files(tmp_path: Path) -> None:
+def test_same_take_gives_same_report_with_digests(tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=1.0), seed=6), tmp_path)
     calibration = tmp_path / "calibration.json"
     session = open_keypoints(tmp_path / "keypoints", calibration, tmp_path / "timestamps.csv")

@@ -52,6 +52,6 @@ def test_elements_are_joined_as_they_are_and_text_is_not() -> None:
     )
 
 
-def test_the_hash_is_that_of_the_specification() -> None:
+def test_hash_equals_example_of_specification() -> None:
     # The example of Content Security Policy Level 3, section 8.3 ("alert('Hello, world.');").
     assert source_hash("alert('Hello, world.');") == "'sha256-qznLcsROx4GACP2dm0UCKCzCG+HiZ1guq6ZZDob/Tng='"
