@@ -15,7 +15,7 @@ from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.core.data.people import People
 from pipeline.core.options.config import Method, ReconstructionConfig
-from pipeline.run.engine.association import Association
+from pipeline.run.engine.methods import Association
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig
 from pipeline.validation.simulation.scenes import Scene, record

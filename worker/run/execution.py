@@ -23,9 +23,8 @@ from pipeline.core.problems.requests import VIDEOS_DELETED
 from pipeline.core.runtime.kernel_cache import is_complete
 from pipeline.detection.profiles.detection import detection_joints, open_detection
 from pipeline.export.character.source import CharacterSource
-from pipeline.run.engine.context import Context, Origin
 from pipeline.run.engine.plan import STAGE_BY_NAME
-from pipeline.run.engine.stage import Output, SessionFacts
+from pipeline.run.engine.stage import Context, Origin, Output, SessionFacts, TakeFiles
 from pipeline.run.warm_up import JOINT_SETS
 from pipeline.run.warm_up import warm_up as compile_kernels
 from worker.run.chunk import Work
@@ -133,6 +132,42 @@ _kept = KeptSession()
 
 
 @dataclass(frozen=True, slots=True)
+class _JobFiles(TakeFiles):
+    """Files of the job of a claimed chunk."""
+
+    work: Work
+
+    @property
+    def has_viewers(self) -> bool:
+        return True
+
+    @property
+    def keeps_pieces(self) -> bool:
+        return True
+
+    def piece(self, key: str) -> bytes | None:
+        return self.work.piece(key)
+
+    def origin(self) -> Origin:
+        return Origin(self.work.session.name, {file.name: file.sha256 for file in self.work.session.files})
+
+    def character(self) -> CharacterSource:
+        moved = self.work.claim.character
+        if moved is None:
+            raise PipelineError("The job moves no character.")
+        path = self.work.scratch / str(uuid_utils.uuid7()) / moved.file.name
+        path.parent.mkdir()
+        remedy = "Send the character again, and start another job with it."
+        with (
+            _undamaged(moved.file.name, remedy=remedy),
+            self.work.artifacts.open(moved.file.key, moved.file.sha256) as source,
+            path.open("xb") as copy,
+        ):
+            shutil.copyfileobj(source, copy)
+        return CharacterSource(path, moved.corrections)
+
+
+@dataclass(frozen=True, slots=True)
 class _TaskContext(Context):
     """Context of a claimed chunk."""
 
@@ -156,36 +191,14 @@ class _TaskContext(Context):
         return provider_name(self.work.claim.provider)
 
     @property
-    def has_viewers(self) -> bool:
-        return True
-
-    @property
-    def keeps_pieces(self) -> bool:
-        return True
+    def files(self) -> TakeFiles:
+        return _JobFiles(self.work)
 
     def on_unit(self) -> None:
         self.work.on_unit()
 
     def session(self) -> OpenedSession:
         return self.kept.whole(self.work.session, self.work.artifacts)
-
-    def origin(self) -> Origin:
-        return Origin(self.work.session.name, {file.name: file.sha256 for file in self.work.session.files})
-
-    def character(self) -> CharacterSource:
-        moved = self.work.claim.character
-        if moved is None:
-            raise PipelineError("The job moves no character.")
-        path = self.work.scratch / str(uuid_utils.uuid7()) / moved.file.name
-        path.parent.mkdir()
-        remedy = "Send the character again, and start another job with it."
-        with (
-            _undamaged(moved.file.name, remedy=remedy),
-            self.work.artifacts.open(moved.file.key, moved.file.sha256) as source,
-            path.open("xb") as copy,
-        ):
-            shutil.copyfileobj(source, copy)
-        return CharacterSource(path, moved.corrections)
 
     def outline(self) -> OpenedSession:
         return self.kept.outline(self.work.session, self.work.artifacts)
@@ -198,9 +211,6 @@ class _TaskContext(Context):
 
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return self.work.interim(stage, tasks)
-
-    def piece(self, key: str) -> bytes | None:
-        return self.work.piece(key)
 
     def stored_output(self) -> bytes | None:
         return self.work.found

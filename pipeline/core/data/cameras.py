@@ -1,7 +1,7 @@
 """Cameras, the times of frames, and what was measured of both: refinements of a calibration, and clocks."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -162,3 +162,10 @@ class Synchronization:
     def is_certain(self) -> bool:
         """Whether the clocks can be relied on."""
         return not self.refusals
+
+
+class RefinedCalibration(NamedTuple):
+    """Cameras, refined or as given, and the report."""
+
+    cameras: tuple[Camera, ...]
+    report: Refinement

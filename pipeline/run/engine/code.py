@@ -34,8 +34,8 @@ LIBRARIES = (
 
 _ROOT = Path(__file__).parents[3]
 _PACKAGE = "pipeline"
-# Modules behind every stage, which executors use: access of tasks to their job, and the record of an opened session.
-_OF_ALL = "pipeline.run.engine.context", "pipeline.capture.preflight_npz"
+# Module behind every stage, which executors use: the record of an opened session.
+_OF_ALL = "pipeline.capture.preflight_npz"
 # The wheel's build puts this prefix before names of the packages. See `hatch_build.py`.
 _WHEEL_PREFIX = re.compile(rb"\bmulticap\.(?=(?:api|pipeline|worker)\b)")
 _FOR_TYPE_CHECKERS = re.compile(rb"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)*", re.MULTILINE)
@@ -70,7 +70,7 @@ def digests_of_stages(root: Path = _ROOT, libraries: Sequence[str] = LIBRARIES) 
     digests = {}
     for stage in STAGES:
         _, _, module = stage.function.__module__.rpartition(".")
-        reached = sources.reachable_modules([f"{_PACKAGE}.run.steps.{module}", *_OF_ALL])
+        reached = sources.reachable_modules([f"{_PACKAGE}.run.steps.{module}", _OF_ALL])
         digests[stage.name] = _hash([[[name, sources.sha256(name)] for name in reached], versions])
     return digests
 

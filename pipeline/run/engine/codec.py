@@ -9,7 +9,7 @@ file that was tampered with can't run code. The types of a record's fields say h
 import functools
 import json
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -18,6 +18,7 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 import numpy as np
 
 from pipeline.core.runtime.npz import encode_arrays, open_archive, save_arrays
+from pipeline.run.engine.stage import Context
 
 # A record's class, or a tuple of such: `tuple[X, ...]` is no instance of `type`.
 _Kind = TypeVar("_Kind")
@@ -39,6 +40,19 @@ def save(record: object, path: Path) -> None:
 def decode(kind: Callable[..., _Kind], content: bytes | Path) -> _Kind:
     """Read a record of a type that ``encode`` or ``save`` wrote."""
     return RecordArchive(content).read(kind)
+
+
+def output_records(
+    context: Context, stage: str, kind: Callable[..., _Kind], tasks: slice = slice(None)
+) -> Iterator[_Kind]:
+    """Outputs of tasks of an earlier stage as the records that were encoded, in the tasks' order."""
+    return (decode(kind, content) for content in context.outputs(stage, tasks))
+
+
+def output_record(context: Context, stage: str, kind: Callable[..., _Kind]) -> _Kind:
+    """Output of the single task of an earlier stage as the record that was encoded."""
+    (record,) = output_records(context, stage, kind)
+    return record
 
 
 class RecordArchive:

@@ -13,7 +13,7 @@ from pipeline.core.data.people import Doubt, Observations, People, Source, Track
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
-from pipeline.run.engine.people import StoredSequence
+from pipeline.run.engine.stored_people import StoredSequence
 from pipeline.video.timeline import cut_timebase
 
 # Arrays of a track, a row a frame.

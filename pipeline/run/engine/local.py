@@ -30,15 +30,26 @@ from pipeline.detection.providers.find import current_provider
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import OnFile, WrittenResults, no_file, not_written
 from pipeline.motion.body.installed import load as load_body
-from pipeline.run.engine.association import clustering_parameters, tracking_parameters
 from pipeline.run.engine.code import stage_codes
-from pipeline.run.engine.context import Context, Origin
+from pipeline.run.engine.codec import output_records
 from pipeline.run.engine.counter import UnitCounter
+from pipeline.run.engine.methods import clustering_parameters, tracking_parameters
 from pipeline.run.engine.output_folder import OutputFolder, output_folder
 from pipeline.run.engine.overlapped import overlapped
 from pipeline.run.engine.plan import STAGE_BY_NAME, STAGES, PlannedStage, followers, plan
 from pipeline.run.engine.scratch_folder import scratch_folder
-from pipeline.run.engine.stage import DETECT, EXPORT, LOOK, WRITE, ResultFile, SessionFacts, Task
+from pipeline.run.engine.stage import (
+    DETECT,
+    EXPORT,
+    LOOK,
+    WRITE,
+    Context,
+    Origin,
+    ResultFile,
+    SessionFacts,
+    TakeFiles,
+    Task,
+)
 from pipeline.run.engine.take import assemble
 from pipeline.run.preflight.verdict import require_cameras
 from pipeline.video.frame_rate import measured_rate_hz
@@ -187,7 +198,7 @@ def detect_people(
     with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
         for stage in job.stages:
             _run_stage(job, stage, on_progress)
-        chunks = _TaskContext(job).records(DETECT, Detections)
+        chunks = output_records(_TaskContext(job), DETECT, Detections)
         names = [camera.name for camera in session.cameras]
         return concatenate(chunks, names, len(detection_joints(config).names))
 
@@ -290,6 +301,36 @@ class _Job:
 
 
 @dataclass(frozen=True, slots=True)
+class _JobFiles(TakeFiles):
+    """Files on this machine."""
+
+    job: _Job
+
+    @property
+    def has_viewers(self) -> bool:
+        return False
+
+    @property
+    def keeps_pieces(self) -> bool:
+        return bool(self.job.config.edits)  # without edits nobody asks for them again
+
+    def piece(self, key: str) -> bytes | None:
+        return self.job.outputs.read(key)
+
+    def origin(self) -> Origin:
+        files = self.job.files
+        if files is None:
+            raise PipelineError("No files are wanted of this reconstruction.")
+        return Origin(files.name, _digests(self.job.session, files.sources))
+
+    def character(self) -> CharacterSource:
+        files = self.job.files
+        if files is None or files.character is None:
+            raise PipelineError("This executor has no characters.")
+        return files.character
+
+
+@dataclass(frozen=True, slots=True)
 class _TaskContext(Context):
     """Context on a folder of this machine."""
 
@@ -314,25 +355,11 @@ class _TaskContext(Context):
         return current_provider().name
 
     @property
-    def has_viewers(self) -> bool:
-        return False
-
-    @property
-    def keeps_pieces(self) -> bool:
-        return bool(self.job.config.edits)  # without edits nobody asks for them again
+    def files(self) -> TakeFiles:
+        return _JobFiles(self.job)
 
     def session(self) -> Session:
         return self.job.session
-
-    def origin(self) -> Origin:
-        files = self.job.files
-        if files is None:
-            raise PipelineError("No files are wanted of this reconstruction.")
-        return Origin(files.name, _digests(self.job.session, files.sources))
-
-    def character(self) -> CharacterSource:
-        files = self.job.files
-        return super().character() if files is None or files.character is None else files.character
 
     def outline(self) -> Session:
         return self.job.session  # the caller holds the detections anyway
@@ -348,9 +375,6 @@ class _TaskContext(Context):
 
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return [_read(self.job.interim, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
-
-    def piece(self, key: str) -> bytes | None:
-        return self.job.outputs.read(key)
 
     def stored_output(self) -> bytes | None:
         return None if self.task is None else self.job.outputs.read(self.task.key)

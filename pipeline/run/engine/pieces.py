@@ -26,8 +26,7 @@ from pipeline.export.results import METRICS
 from pipeline.export.viewer.description import with_names
 from pipeline.export.writers.registry import find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
-from pipeline.run.engine.context import Context
-from pipeline.run.engine.stage import DESCRIPTION, MOTION, ResultFile, Task
+from pipeline.run.engine.stage import DESCRIPTION, MOTION, Context, ResultFile, Task
 from pipeline.run.engine.take import viewer_files_in
 
 _NOBODY = ""
@@ -49,7 +48,7 @@ class Pieces:
 
     def find(self, key: str) -> bytes | None:
         """Piece that an earlier task has kept under a key; ``None`` if there is none."""
-        return self._context.piece(key)
+        return self._context.files.piece(key)
 
     def keep(self, key: str, path: Path) -> None:
         """Keep a file, which stays until the end of the task, under a key."""

@@ -30,38 +30,34 @@ from pipeline.run.engine.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage
 
 # Modules that declare the stages, in the order of their work.
 _MODULES = (
-    "look",
     "detect",
-    "board",
     "calibrate",
     "proxy",
     "synchronize",
     "check",
     "refine",
-    "lengths",
-    "poses",
-    "associate",
+    "cluster",
+    "track",
     "expect_bodies",
     "redetect",
     "expect_again",
     "redetect_again",
     "identify",
     "fit",
-    "hold_feet",
-    "heads",
     "blur",
     "edit",
-    "refit",
-    "overlay",
-    "report",
-    "recording",
+    "visuals",
     "character",
     "opensim",
-    "write_people",
     "export",
 )
 _STEPS = f"{__package__.rpartition('.')[0]}.steps"
-STAGES: tuple[Stage, ...] = tuple(import_module(f"{_STEPS}.{module}").STAGE for module in _MODULES)
+STAGES: tuple[Stage, ...] = tuple(
+    value
+    for module in _MODULES
+    for value in vars(import_module(f"{_STEPS}.{module}")).values()
+    if isinstance(value, Stage)
+)
 """All stages in their order."""
 
 STAGE_BY_NAME: Mapping[str, Stage] = {stage.name: stage for stage in STAGES}

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,24 +16,17 @@ from pipeline.calibration.refinement.level import Level, find_level
 from pipeline.calibration.refinement.refine import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
 from pipeline.calibration.similarity import move_world
-from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
+from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, RefinedCalibration, Refinement, WorldMove
 from pipeline.core.data.detections import Detections, DetectionsByCamera
 from pipeline.core.data.people import Poses3D
 from pipeline.core.joints import JointSet
 from pipeline.core.progress import OnShare, ignore, split
-from pipeline.run.engine.association import Association
+from pipeline.run.engine.methods import Association
 
 # Differences from the given camera below which a refined camera is not reported as moved.
 _MOVED_DEG, _MOVED_M, _MOVED_FOCAL = 0.05, 0.005, 0.001
 
 _Associate = Callable[[Association, OnShare], Iterable[Poses3D]]
-
-
-class RefinedCalibration(NamedTuple):
-    """Cameras, refined or as given, and the report."""
-
-    cameras: tuple[Camera, ...]
-    report: Refinement
 
 
 def refine_from_bodies(

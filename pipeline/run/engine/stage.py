@@ -1,11 +1,15 @@
-"""What stages are made of: declarations, tasks on ranges of frames, outputs. Standard library only.
+"""Contract of stages and executors: declarations, tasks on ranges of frames, their context, outputs.
 
-A module of ``pipeline.run.steps`` declares a stage as ``STAGE``, beside its function. Its head imports this module and
-the standard library, so that the plan of a job loads no science; the function imports what it needs when it runs.
+Standard library only. A module of ``pipeline.run.steps`` declares its stages beside their functions. Its head imports
+this module and the standard library, so that the plan of a job loads no science; a function imports what it needs when
+it runs. A task gets what every task needs from its ``Context``. ``wanted_frames``, ``detections``, ``stored_people``
+and ``methods`` derive the rest from it: cameras and clocks, detections, people, and association.
 """
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,11 +18,12 @@ from pipeline.core.errors import PipelineError
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PersonSpan
+from pipeline.core.options.providers import ProviderName
+from pipeline.core.progress import OnShare, in_units
 
 if TYPE_CHECKING:
-    from pipeline.run.engine.context import Context as Context  # noqa: PLC0414 - stages import it from here
-else:
-    Context = Any  # it knows the science
+    from pipeline.capture.session import Session
+    from pipeline.export.character.source import CharacterSource
 
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
@@ -119,6 +124,101 @@ class Task:
     def cut(self, facts: SessionFacts) -> FrameCut:
         """Cut of the frames of a task on the whole session into the ranges of the plan."""
         return FrameCut(self.frames, facts.stretches, self.chunk_frames)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Origin of a take, for people."""
+
+    name: str  # Name of the session
+    files: Mapping[str, str]  # SHA-256 of its files by name, in hexadecimal digits
+
+
+class TakeFiles(ABC):
+    """Files of a take: those that a job takes in or leaves beside its outputs."""
+
+    @property
+    @abstractmethod
+    def has_viewers(self) -> bool:
+        """Whether the files for viewers are wanted beside the result files."""
+
+    @property
+    @abstractmethod
+    def keeps_pieces(self) -> bool:
+        """Whether pieces of the outputs are kept, so that later edits of people find them."""
+
+    @abstractmethod
+    def piece(self, key: str) -> bytes | None:
+        """Piece of an output that an earlier task of the session has kept; ``None`` if there is none."""
+
+    @abstractmethod
+    def origin(self) -> Origin:
+        """Name of the session, and its files."""
+
+    @abstractmethod
+    def character(self) -> "CharacterSource":
+        """Character onto which everybody is retargeted; ``PipelineError`` if there is none."""
+
+
+class Context(ABC):
+    """Access of a task to its job, to the outputs of earlier stages, and to its executor."""
+
+    @property
+    @abstractmethod
+    def config(self) -> ReconstructionConfig:
+        """Configuration of the reconstruction."""
+
+    @property
+    @abstractmethod
+    def facts(self) -> SessionFacts:
+        """Facts of the session for which the task was planned."""
+
+    @property
+    @abstractmethod
+    def scratch(self) -> Path:
+        """Folder for temporary files and result files of this task."""
+
+    @property
+    @abstractmethod
+    def provider(self) -> ProviderName:
+        """Execution provider of the networks of the reconstruction."""
+
+    @property
+    @abstractmethod
+    def files(self) -> TakeFiles:
+        """Files of the take."""
+
+    @abstractmethod
+    def session(self) -> "Session":
+        """The whole session."""
+
+    @abstractmethod
+    def outline(self) -> "Session":
+        """The whole session without the detections of keypoint files, which take most of its memory."""
+
+    @abstractmethod
+    def video(self, camera: str) -> AbstractContextManager[None]:
+        """Block in which the video of a camera can be read."""
+
+    @abstractmethod
+    def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
+
+    @abstractmethod
+    def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        """Interim outputs of tasks of an earlier stage, like ``outputs``; see ``Stage.leaves_interim``."""
+
+    @abstractmethod
+    def stored_output(self) -> bytes | None:
+        """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
+
+    @abstractmethod
+    def on_unit(self) -> None:
+        """Count a unit of the task's progress; may raise to end the task."""
+
+    def on_share(self, task: Task) -> OnShare:
+        """Function that counts the units of a task by the share of its work that is done."""
+        return in_units(task.num_units, self.on_unit)
 
 
 @dataclass(frozen=True, slots=True)

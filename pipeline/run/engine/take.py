@@ -13,9 +13,23 @@ from pipeline.core.findings import SessionCheck
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, footage_of
 from pipeline.motion.body.installed import find as find_body
-from pipeline.run.engine.context import Context
+from pipeline.run.engine.codec import output_record, output_records
+from pipeline.run.engine.detections import detection_source, joint_offsets
 from pipeline.run.engine.editing import cut, edited_take, put_together, united
-from pipeline.run.engine.stage import CHECK, DESCRIPTION, EDIT, HOLD, IDENTIFY, MOTION, REFIT, VIEWER, ResultFile
+from pipeline.run.engine.stage import (
+    CHECK,
+    DESCRIPTION,
+    EDIT,
+    HOLD,
+    IDENTIFY,
+    MOTION,
+    REFIT,
+    VIEWER,
+    Context,
+    ResultFile,
+)
+from pipeline.run.engine.stored_people import found_people
+from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, wanted_frames, wanted_on_clocks
 
 
 def assemble(context: Context) -> Reconstruction:
@@ -23,20 +37,21 @@ def assemble(context: Context) -> Reconstruction:
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
-    session = context.wanted(context.outline())
-    identified = context.people(IDENTIFY)
+    session = wanted_frames(context, context.outline())
+    identified = found_people(context, IDENTIFY)
     people, animation = identified.people, animation_of(context)
     take = None
     if context.config.edits:
         take = edited_take(identified.spans, context.config, session.timebase)
         changed, refitted = People((), ()), Animation((), (), animation.floor)
         if context.config.people_edits:
-            changed, refitted = context.people(EDIT).people, united(list(context.records(REFIT, Animation)))
+            changed = found_people(context, EDIT).people
+            refitted = united(list(output_records(context, REFIT, Animation)))
         people, animation = put_together(people, animation, identified.spans, changed, refitted, take)
-    refined = context.refined()
+    refined = refined_calibration(context)
     reconstruction = Reconstruction(
         cameras=session.cameras,
-        joints=context.detections.joints(session),
+        joints=detection_source(context).joints(session),
         timebase=session.timebase,
         located=people.tracks,
         observations=people.observations,
@@ -46,10 +61,10 @@ def assemble(context: Context) -> Reconstruction:
         damaged=identified.damaged,
         doubts=people.doubts,
         losses=people.losses,
-        offsets=context.offsets(),
+        offsets=joint_offsets(context),
         refinement=None if refined is None else refined.report,
-        synchronization=context.clocks(),
-        check=context.record(CHECK, SessionCheck),
+        synchronization=measured_clocks(context),
+        check=output_record(context, CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
         layout=None if session.layout is None else asdict(session.layout),
     )
@@ -61,15 +76,15 @@ def assemble(context: Context) -> Reconstruction:
 
 def animation_of(context: Context) -> Animation:
     """Animation of everybody who was found, before any edit."""
-    return united(list(context.records(HOLD, Animation)))
+    return united(list(output_records(context, HOLD, Animation)))
 
 
 def kept_frames(context: Context) -> range | None:
     """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
     if not context.config.edits:
         return None
-    timebase = context.on_clocks(context.outline()).timebase
-    return edited_take(context.people(IDENTIFY).spans, context.config, timebase).frames
+    timebase = wanted_on_clocks(context, context.outline()).timebase
+    return edited_take(found_people(context, IDENTIFY).spans, context.config, timebase).frames
 
 
 def viewer_files(

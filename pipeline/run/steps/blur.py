@@ -1,23 +1,73 @@
-"""Blur videos: a small copy of each camera's video for browsers, with blurred heads. The output is the files' index.
+"""Blur heads: find them in the frames of each camera, and make a small blurred copy of its video for browsers.
 
-Edits of people change no head, so the copies of a job are made once.
+The output of *Find heads* are ``HeadRegions``, and that of *Blur videos* the index of its files. Edits of people change
+nothing: whoever was found or detected once has a head, and the copies of a job are made once.
 """
 
+from typing import TYPE_CHECKING
+
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import BLURRED_KIND, blurred_name
-from pipeline.run.engine.stage import BLUR, HEADS, SYNCHRONIZE, Context, Output, ResultFile, Stage, Task, indexed
-from pipeline.run.steps.heads import blurs_heads
+from pipeline.run.engine.stage import (
+    BLUR,
+    DETECT,
+    HEADS,
+    HOLD,
+    IDENTIFY,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    ResultFile,
+    SessionFacts,
+    Stage,
+    Task,
+    indexed,
+)
+
+if TYPE_CHECKING:
+    from pipeline.core.data.heads import HeadRegions
+
+
+def find_heads(task: Task, context: Context) -> Output:
+    """Find the heads of everybody who was located or detected, in every camera."""
+    from pipeline.core.data.detections import Detections, PafFields
+    from pipeline.export.privacy.bodies import seen_heads
+    from pipeline.export.privacy.heads import head_regions
+    from pipeline.export.privacy.people import head_path
+    from pipeline.run.engine.codec import encode, output_records
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.take import animation_of
+    from pipeline.run.engine.wanted_frames import wanted_frames
+    from pipeline.video.timeline import frames_in
+
+    session, detections = wanted_frames(context, context.outline()), detection_source(context)
+    joints, timebase = detections.joints(session), session.timebase
+    tracks = [*found_people(context, IDENTIFY).people.tracks, *animation_of(context).tracks]
+    people = [path for track in tracks if (path := head_path(track, joints, timebase)) is not None]
+    seen = seen_heads(output_records(context, DETECT, PafFields if detections.finds_fields else Detections), joints)
+    on_share, regions = context.on_share(task), []
+    for number, camera in enumerate(session.cameras):
+        times = session.times[camera.name]
+        frames = frames_in(times, timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
+        time_s = times.time_s[frames.start : frames.stop]
+        regions.append(head_regions(camera, frames, time_s, people, seen[camera.name]))
+        on_share((number + 1) / len(session.cameras))
+    return Output(encode(tuple(regions)))
 
 
 def blur_videos(task: Task, context: Context) -> Output:
     """Make the blurred video of a camera."""
     from pipeline.core.errors import PipelineError
     from pipeline.export.blurred_video import write_blurred
+    from pipeline.run.engine.wanted_frames import captured_videos, wanted_on_clocks
     from pipeline.video.timeline import frames_in
 
-    camera, heads = task.one_camera, context.heads(task.one_camera)
+    camera, heads = task.one_camera, head_regions_in(context, task.one_camera)
     if heads is None:
         raise PipelineError("Heads are not to be blurred in the pictures of this job.")
-    session, take = context.videos(), context.on_clocks(context.outline())
+    session, take = captured_videos(context), wanted_on_clocks(context, context.outline())
     timebase = take.timebase
     frames = frames_in(take.times[camera], timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
     path = context.scratch / blurred_name(list(session.video_of).index(camera))
@@ -26,14 +76,41 @@ def blur_videos(task: Task, context: Context) -> Output:
     return indexed([ResultFile(path.name, BLURRED_KIND, None, "video/mp4", path)])
 
 
-STAGE = Stage(
+def head_regions_in(context: Context, camera: str) -> "HeadRegions | None":
+    """Heads to be blurred in the pictures of a camera; ``None`` if none are."""
+    from pipeline.core.data.heads import HeadRegions
+    from pipeline.run.engine.codec import output_record
+
+    if not (context.config.blur_faces and context.facts.has_videos):
+        return None
+    regions = output_record(context, HEADS, tuple[HeadRegions, ...])
+    return next(known for known in regions if known.camera == camera)
+
+
+def _blurs_heads(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    """Return whether heads are blurred in the pictures of a job."""
+    return config.is_of_people and config.blur_faces and facts.has_videos
+
+
+HEADS_STAGE = Stage(
+    HEADS,
+    "Find heads",
+    find_heads,
+    cut="whole",
+    # It reads the detections too, by whose keys those of the people are made. Colours are not read, so that detection
+    # need not run again for them.
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD),
+    choices=("blur_faces",),
+    is_planned=_blurs_heads,
+)
+BLUR_STAGE = Stage(
     BLUR,
     "Blur videos",
     blur_videos,
     cut="cameras",
     follows=(SYNCHRONIZE, HEADS),
     choices=("blurs_videos", "frame_range"),
-    is_planned=lambda facts, config: config.blurs_videos and blurs_heads(facts, config),
+    is_planned=lambda facts, config: config.blurs_videos and _blurs_heads(facts, config),
     unit="frames",
     is_reusable=False,
     reads_videos=True,

@@ -1,14 +1,40 @@
-"""Calibrate cameras: from the views of a board, or from the people of a session. The output is the calibration."""
+"""Calibrate cameras: find the board in the videos, then make a calibration from its views or from people.
+
+The output of *Find the board* is a ``BoardViews`` a camera, and that of *Calibrate cameras* the calibration.
+"""
 
 import json
 from collections.abc import Sequence
 
 from pipeline.core.errors import PipelineError, listed
 from pipeline.core.findings import Finding
-from pipeline.core.options.job_choices import CalibrationChoices
+from pipeline.core.options.job_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.run.engine.stage import CALIBRATE, DETECT, FIND_BOARD, LOOK, Context, Output, ResultFile, Stage, Task
 
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"}
+
+
+def find_board(task: Task, context: Context) -> Output:
+    """Look for the board in frames of a camera."""
+    import numpy as np
+
+    from pipeline.calibration.board.source import frames_to_look_at, look_in_video, photographs_to_look_at
+    from pipeline.calibration.board.spec import parse_board
+    from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.wanted_frames import captured_videos
+
+    session, making, camera = captured_videos(context), context.config.making, task.one_camera
+    if not isinstance(making, CalibrationChoices) or making.board is None:
+        raise PipelineError("The job looks for no board.")
+    starts_s, ends_s = zip(*((times.time_s[0], times.time_s[-1]) for times in session.times.values()), strict=True)
+    own_s = session.times[camera].time_s
+    frames = frames_to_look_at(own_s, (float(min(starts_s)), float(max(ends_s))), 1.0 / session.timebase.frame_rate_hz)
+    if making.has_photographs:
+        frames, own_s = photographs_to_look_at(len(own_s)), np.full(len(own_s), np.nan)
+    board = parse_board(making.board)
+    with context.video(camera):
+        views = look_in_video(session.video_of[camera], camera, own_s, frames, board, context.on_unit)
+    return Output(encode(views))
 
 
 def calibrate(task: Task, context: Context) -> Output:
@@ -19,6 +45,8 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.people.calibrate import calibrate_people
     from pipeline.calibration.report import report_document
     from pipeline.calibration.write import encodings
+    from pipeline.run.engine.codec import output_records
+    from pipeline.run.engine.detections import detection_source
     from pipeline.run.preflight.hanging import hanging_cameras
 
     hanging: Sequence[Finding] = ()
@@ -26,22 +54,22 @@ def calibrate(task: Task, context: Context) -> Output:
     if not isinstance(making, CalibrationChoices):
         raise PipelineError("The job makes no calibration.")
     if making.board is None:
-        session = context.session()
+        session, detections = context.session(), detection_source(context)
         calibration = calibrate_people(
             session.cameras,
             session.times,
-            context.detections.bodies(session),
-            context.detections.joints(session),
+            detections.bodies(session),
+            detections.joints(session),
             making.stature_m,
             making.has_intrinsics,
             on_share,
             making.known_points,
         )
-        hanging = tuple(hanging_cameras(context.detections.turns_deg))
+        hanging = tuple(hanging_cameras(detections.turns_deg))
     else:
         outline = context.outline()
         given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
-        views = list(context.records(FIND_BOARD, BoardViews))
+        views = list(output_records(context, FIND_BOARD, BoardViews))
         board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
         calibration = calibrate_board(views, board, given, rate_hz, on_share=on_share, known_points=making.known_points)
     report, texts = report_document(calibration), encodings(calibration.cameras)
@@ -64,7 +92,19 @@ def calibrate(task: Task, context: Context) -> Output:
     return Output(texts["multicap"].encode(), tuple(files), (*warnings, *hanging), calibration=made)
 
 
-STAGE = Stage(
+BOARD_STAGE = Stage(
+    FIND_BOARD,
+    "Find the board",
+    find_board,
+    cut="cameras",
+    follows=(),
+    choices=("making",),
+    is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices) and config.making.board is not None,
+    unit="frames",
+    reads_videos=True,
+    max_frames=BOARD_FRAMES,
+)
+CALIBRATE_STAGE = Stage(
     CALIBRATE,
     "Calibrate cameras",
     calibrate,

@@ -13,14 +13,15 @@ def retarget_character(task: Task, context: Context) -> Output:
     from pipeline.export.character.files import DESCRIPTION, write_character_files
     from pipeline.run.engine.take import assemble
 
-    config, take, folder = context.config, assemble(context), context.scratch
+    config, take, folder, on_share = context.config, assemble(context), context.scratch, context.on_share(task)
+    character = context.files.character().open()
     names = {motion.track_id: motion.name for motion in take.motions}
     choices = config.exports, config.output_rate_hz, config.timeline
     files = [
         ResultFile(
             file.path.name, KIND, f"person-{file.track_id}", _MEDIA_TYPES[file.export], file.path, names[file.track_id]
         )
-        for file in write_character_files(take, context.character().open(), folder, *choices, context.on_share(task))
+        for file in write_character_files(take, character, folder, *choices, on_share)
     ]
     files.append(ResultFile(DESCRIPTION, KIND, None, "application/json", folder / DESCRIPTION))
     return indexed(files)

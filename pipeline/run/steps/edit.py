@@ -1,34 +1,104 @@
-"""Edit people: those whom edits change, put together from those who were found. The output is stored people."""
+"""Edit people: put together the people whom edits change, and fit each of them by themselves on the take's floor.
+
+The output of *Edit people* is stored people, and that of a task of *Fit edited people* an ``Animation``.
+"""
+
+from dataclasses import replace
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.stage import EDIT, IDENTIFY, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
+from pipeline.run.engine.stage import (
+    EDIT,
+    HOLD,
+    IDENTIFY,
+    REFINE,
+    REFIT,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    SessionFacts,
+    Stage,
+    Task,
+)
+from pipeline.run.steps.fit import CHOICES
+
+# Number in the pieces: edits give a person's frames another number.
+_ANYBODY = 0
 
 
 def edit(task: Task, context: Context) -> Output:
     """Put the people together whom the edits change."""
     from pipeline.run.engine.editing import changed_people, edited_take
-    from pipeline.run.engine.people import write_people
+    from pipeline.run.engine.stored_people import found_people, write_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
 
-    identified = context.people(IDENTIFY)
-    take = edited_take(identified.spans, context.config, context.wanted(context.outline()).timebase)
+    identified = found_people(context, IDENTIFY)
+    take = edited_take(identified.spans, context.config, wanted_frames(context, context.outline()).timebase)
     path = context.scratch / "people.npz"
     write_people(path, changed_people(identified.people, identified.spans, take))
     context.on_share(task)(1.0)
     return Output(path.read_bytes())
 
 
-def is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
+def refit(task: Task, context: Context) -> Output:
+    """Animate a part of the people whom edits changed, unless an earlier task has animated the same frames."""
+    from pipeline.core.data.animation import Animation, Floor
+    from pipeline.core.progress import split
+    from pipeline.motion.skeleton.animate import animate
+    from pipeline.run.engine.codec import RecordArchive, decode, encode
+    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.editing import renumbered
+    from pipeline.run.engine.pieces import Pieces
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
+
+    session, config, on_share = wanted_frames(context, context.outline()), context.config, context.on_share(task)
+    joints, offsets = detection_source(context).joints(session), joint_offsets(context)
+    changed = found_people(context, EDIT).people
+    floor = RecordArchive(*context.outputs(HOLD, slice(1))).find(Floor, "floor")
+    pieces = Pieces(task, context)
+    numbers = range(len(changed.tracks))[REFIT_STAGE.people(task)]
+    fitted = []
+    for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True):
+        track, seen = changed.tracks[number], changed.observations[number]
+        key = pieces.key(replace(track, track_id=_ANYBODY), replace(seen, track_id=_ANYBODY))
+        content = pieces.find(key)
+        if content is None:
+            animation = animate(
+                [track], [seen], session.cameras, session.timebase, joints, config, on_person, offsets, floor
+            )
+            path = context.scratch / f"person-{number}.npz"
+            path.write_bytes(content := encode(renumbered(animation, _ANYBODY)))
+            pieces.keep(key, path)
+        fitted.append(renumbered(decode(Animation, content), track.track_id))
+        on_person(1.0)
+    on_share(1.0)
+    tracks, motions = (person.tracks[0] for person in fitted), (person.motions[0] for person in fitted)
+    return Output(encode(Animation(tuple(tracks), tuple(motions), floor)), pieces=pieces.files)
+
+
+def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
     """Whether a job has edits that say who is where; names change nobody's frames."""
     return config.is_of_people and bool(config.people_edits)
 
 
-STAGE = Stage(
+EDIT_STAGE = Stage(
     EDIT,
     "Edit people",
     edit,
     cut="whole",
     follows=(SYNCHRONIZE, IDENTIFY),
     choices=("edits",),
-    is_planned=is_edited,
+    is_planned=_is_edited,
     is_of_edits=True,
+)
+REFIT_STAGE = Stage(
+    REFIT,
+    "Fit edited people",
+    refit,
+    cut="people",
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT),
+    choices=(*CHOICES, "feet"),
+    is_planned=_is_edited,
+    is_of_edits=True,
+    pieces_of=REFIT,
 )

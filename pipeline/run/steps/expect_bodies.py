@@ -8,10 +8,14 @@ def expect_bodies(task: Task, context: Context) -> Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
     from pipeline.association.redetection.expect import expect_leaning
     from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import association_in
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
 
-    association = context.association(context.wanted(context.outline()))
+    association = association_in(context, wanted_frames(context, context.outline()))
     # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
-    people = association.assign_identities(context.people(ASSOCIATE).people)
+    people = association.assign_identities(found_people(context, ASSOCIATE).people)
     return Output(
         encode(
             expect_leaning(
@@ -20,7 +24,7 @@ def expect_bodies(task: Task, context: Context) -> Output:
                 association.times,
                 association.timebase,
                 association.joints,
-                context.detections.turns_deg,
+                detection_source(context).turns_deg,
             )
         )
     )

@@ -1,4 +1,7 @@
-"""Write files: the result files of a job. The output is their index, with the figures of ``metrics.json``."""
+"""Write files: the result files of a job. The output is their index, with the figures of ``metrics.json``.
+
+*Write files of edited people* leaves files of people as pieces, which *Write files* finds again; its output is empty.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -31,26 +34,40 @@ if TYPE_CHECKING:
 _MAX_NAMED = 10
 
 
+def write_people(task: Task, context: Context) -> Output:
+    """Write the files of a part of the people."""
+    from pipeline.export.results import keep_people
+    from pipeline.run.engine.pieces import FilesInPieces, Pieces
+    from pipeline.run.engine.take import assemble
+
+    config, pieces = context.config, Pieces(task, context)
+    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
+    files = FilesInPieces(pieces, context.scratch)
+    keep_people(assemble(context), WRITE_STAGE.people(task), context.scratch, *choices, context.on_share(task), files)
+    return Output(b"", pieces=pieces.files)
+
+
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and the files for viewers if they are wanted."""
     from pipeline.export.quality.report import all_checks, quality_report
     from pipeline.export.quality.views import views_of
     from pipeline.export.results import NOTHING_KEPT, write_files
     from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
+    from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.take import assemble, kept_frames, viewer_files
 
     config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
     reconstruction = assemble(context)
-    kept = FilesInPieces(pieces, scratch) if context.keeps_pieces else NOTHING_KEPT
+    kept = FilesInPieces(pieces, scratch) if context.files.keeps_pieces else NOTHING_KEPT
     views, take = cache(views_of), TakeInPieces(pieces, scratch, config.edits)
-    report: "ReportOf" = partial(take.report, views=views) if context.keeps_pieces else quality_report
+    report: "ReportOf" = partial(take.report, views=views) if context.files.keeps_pieces else quality_report
     if "osim" in config.exports:
         report = partial(_with_opensim, report, context)
     choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
     names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
-    if context.has_viewers:
+    if context.files.has_viewers:
         frames = kept_frames(context)
         first_frame = 0 if frames is None else frames.start
 
@@ -58,10 +75,10 @@ def export(task: Task, context: Context) -> Output:
             footage = context.outline()
             return viewer_files(reconstruction, views(reconstruction), footage, written.metrics, scratch, first_frame)
 
-        files += take.viewer_files(reconstruction, for_viewers) if context.keeps_pieces else for_viewers()
+        files += take.viewer_files(reconstruction, for_viewers) if context.files.keeps_pieces else for_viewers()
     warnings = tuple(all_checks(written.metrics))
     output = indexed(files, metrics=written.metrics)
-    return replace(output, warnings=warnings, people=context.people(IDENTIFY).spans, pieces=pieces.files)
+    return replace(output, warnings=warnings, people=found_people(context, IDENTIFY).spans, pieces=pieces.files)
 
 
 def _with_opensim(report: "ReportOf", context: Context, take: "Reconstruction") -> dict[str, Any]:
@@ -95,7 +112,18 @@ def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
     return ResultFile(path.name, path.stem, None, "application/json", path)
 
 
-STAGE = Stage(
+WRITE_STAGE = Stage(
+    WRITE,
+    "Write files of edited people",
+    write_people,
+    cut="people",
+    follows=TAKE,
+    choices=("exports", "bvh", "output_rate_hz", "timeline", "body"),
+    is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
+    is_of_edits=True,
+    pieces_of=EXPORT,
+)
+EXPORT_STAGE = Stage(
     EXPORT,
     "Write files",
     export,

@@ -1,12 +1,12 @@
-"""Fit skeletons: one a person, before feet are held.
+"""Fit skeletons: one a person, first with free feet, then with feet held on the floor that everybody's feet find.
 
-The output of a task has the points of the feet of a part of the people: the floor is that of everybody. The interim
-output has the state of their fits.
+The output of a task of *Fit skeletons* has the points of the feet of a part of the people, and its interim output the
+state of their fits. The output of a task of *Hold feet* is an ``Animation``.
 """
 
 from functools import cache
 
-from pipeline.run.engine.stage import FIT, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.engine.stage import FIT, HOLD, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 
 CHOICES = ("smoothing", "cutoff_hz", "joint_centers")
 """Choices of a fit, and of the fit of people whom edits changed."""
@@ -18,18 +18,21 @@ def fit(task: Task, context: Context) -> Output:
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import FittedFeet, PersonFitter
     from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
 
-    session = context.wanted(context.outline())
-    people = context.people(IDENTIFY).people
-    joints = context.detections.joints(session)
-    fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, context.offsets())
+    session = wanted_frames(context, context.outline())
+    people = found_people(context, IDENTIFY).people
+    joints = detection_source(context).joints(session)
+    fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, joint_offsets(context))
     on_floor = None
     if task.index == 0:
         # Observations stay in their file: those of one person at a time are in memory.
         sees = cache(seen_in(people.observations))
         likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, session.timebase.frame_rate_hz)
         on_floor = tuple(likenesses.others(len(people.tracks)))
-    on_share, numbers = context.on_share(task), range(len(people.tracks))[STAGE.people(task)]
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[FIT_STAGE.people(task)]
     fitted = [
         fitter.fit(people.tracks[number], people.observations[number], on_person)
         for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True)
@@ -39,7 +42,44 @@ def fit(task: Task, context: Context) -> Output:
     return Output(encode(feet), interim=encode(tuple(person.state for person in fitted)))
 
 
-STAGE = Stage(
+def hold_feet(task: Task, context: Context) -> Output:
+    """Finish the motion of a part of the people: feet that stand are held, and hands are fitted."""
+    from pipeline.core.data.animation import Animation
+    from pipeline.core.progress import split
+    from pipeline.motion.skeleton.animate import FittedFeet, FittedPerson, PersonFitter, floor_under
+    from pipeline.motion.skeleton.fitting.fit import FitState
+    from pipeline.run.engine.codec import RecordArchive, encode, output_records
+    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
+
+    session = wanted_frames(context, context.outline())
+    people = found_people(context, IDENTIFY).people
+    joints = detection_source(context).joints(session)
+    fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, joint_offsets(context))
+    feet = list(output_records(context, FIT, FittedFeet))
+    points = [feet[number % len(feet)].points[number // len(feet)] for number in range(len(people.tracks))]
+    floor = floor_under([points[number] for number in feet[0].on_floor or ()], session.timebase.frame_rate_hz)
+    path = context.scratch / "states.npz"
+    path.write_bytes(*context.interim(FIT, slice(task.index, task.index + 1)))
+    states = RecordArchive(path)  # one of them at a time is in memory
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[HOLD_STAGE.people(task)]
+    finished = [
+        fitter.finish(
+            FittedPerson(states.read(FitState, place), points[number]),
+            people.tracks[number],
+            people.observations[number],
+            floor,
+            on_person,
+        )
+        for place, (number, on_person) in enumerate(zip(numbers, split(on_share, [1] * len(numbers)), strict=True))
+    ]
+    on_share(1.0)
+    tracks, motions = (track for track, _ in finished), (motion for _, motion in finished)
+    return Output(encode(Animation(tuple(tracks), tuple(motions), floor)))
+
+
+FIT_STAGE = Stage(
     FIT,
     "Fit skeletons",
     fit,
@@ -47,4 +87,12 @@ STAGE = Stage(
     follows=(SYNCHRONIZE, REFINE, IDENTIFY),
     choices=CHOICES,
     leaves_interim=lambda config: True,
+)
+HOLD_STAGE = Stage(
+    HOLD,
+    "Hold feet",
+    hold_feet,
+    cut="people",
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),
+    choices=(*CHOICES, "feet"),
 )

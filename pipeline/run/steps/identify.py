@@ -20,24 +20,29 @@ def identify(task: Task, context: Context) -> Output:
     """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.association.hands.attach import has_hands
     from pipeline.core.data.detections import Detections
-    from pipeline.run.engine.people import write_people
+    from pipeline.run.engine.codec import output_records
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import association_in, gathered_bodies
+    from pipeline.run.engine.stored_people import found_people, write_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
 
-    session = context.wanted(context.outline())
-    association, joints = context.association(session), context.detections.joints(session)
-    tracked = context.people(ASSOCIATE)
-    colour = context.gathered_bodies()[0].colour if context.detections.measures_colours else None
+    session = wanted_frames(context, context.outline())
+    association, detections = association_in(context, session), detection_source(context)
+    joints = detections.joints(session)
+    tracked = found_people(context, ASSOCIATE)
+    colour = gathered_bodies(context)[0].colour if detections.measures_colours else None
     people = association.assign_identities(tracked.people, colour)
     del colour
     if is_redetecting(context.facts, context.config):
-        people = association.accept_redetected(people, context.records(REDETECT, Detections))
-        found_elsewhere = tuple(context.records(REDETECT_AGAIN, Detections))
+        people = association.accept_redetected(people, output_records(context, REDETECT, Detections))
+        found_elsewhere = tuple(output_records(context, REDETECT_AGAIN, Detections))
         if any(len(bodies.frame) for bodies in found_elsewhere):
             # They were expected of people whose limbs were assigned.
             people = association.accept_redetected(association.assign_limbs(people), found_elsewhere)
     people = association.assign_limbs(people)
     people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):
-        people = association.attach(people, context.gathered_bodies()[0], joints)
+        people = association.attach(people, gathered_bodies(context)[0], joints)
     path = context.scratch / "people.npz"
     write_people(path, people, tracked.damaged)
     del people

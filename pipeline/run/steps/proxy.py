@@ -6,9 +6,10 @@ from pipeline.run.engine.stage import PROXY, Context, Output, ResultFile, Stage,
 
 def make_proxy(task: Task, context: Context) -> Output:
     """Make a small copy of a camera's video."""
+    from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.playback.proxy_process import make_proxy_in_child
 
-    session, camera = context.videos(), task.one_camera
+    session, camera = captured_videos(context), task.one_camera
     path = context.scratch / proxy_name(list(session.video_of).index(camera))
     with context.video(camera):
         make_proxy_in_child(session.video_of[camera], session.times[camera].time_s, path, context.on_unit)

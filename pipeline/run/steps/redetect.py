@@ -21,11 +21,14 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
     from pipeline.core.joints import without_hands
     from pipeline.detection.profiles.detection import load_landmarks
     from pipeline.run.engine.codec import decode, encode
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import frames_in, span_s
 
-    session, camera, networks = context.videos(), task.one_camera, context.config.networks
+    session, camera, networks = captured_videos(context), task.one_camera, context.config.networks
     if networks.again is None:
         raise ValueError("These networks look for nobody again: the stage is not planned.")
+    detections = detection_source(context)
     (expected,) = context.outputs(stage)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
@@ -36,9 +39,9 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
             session,
             bodies,
             partial(load_landmarks, networks.again),
-            without_hands(context.detections.joints(session)),
+            without_hands(detections.joints(session)),
             networks.refines_body,
-            context.detections.turns_deg[camera],
+            detections.turns_deg[camera],
             on_share,
         )
     on_share(1.0)

@@ -12,15 +12,17 @@ from pipeline.run.engine.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Contex
 def refine(task: Task, context: Context) -> Output:
     """Refine the cameras of the session, on measured clocks if they were measured."""
     from pipeline.core.findings import SessionCheck
-    from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.context import from_first
+    from pipeline.run.engine.codec import encode, output_record
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import association_in
     from pipeline.run.engine.refinement import refine_from_bodies, refine_from_fields
+    from pipeline.run.engine.wanted_frames import from_first, wanted_on_clocks
     from pipeline.run.preflight.verdict import is_deferred, judge_refined
-    from pipeline.run.steps.session_check import check_refined
+    from pipeline.run.steps.check import check_with
 
-    config, detections, on_share = context.config, context.detections, context.on_share(task)
-    session = context.on_clocks(context.session())
-    association = context.association(session)
+    config, detections, on_share = context.config, detection_source(context), context.on_share(task)
+    session = wanted_on_clocks(context, context.session())
+    association = association_in(context, session)
 
     def chunks() -> Iterator[tuple[range, Any]]:
         for number, frames in enumerate(task.cut(context.facts)):
@@ -30,8 +32,8 @@ def refine(task: Task, context: Context) -> Output:
         refined = refine_from_fields(association, chunks, on_share)
     else:
         refined = refine_from_bodies(association, detections.bodies(session), detections.joints(session), on_share)
-    if is_deferred(context.record(CHECK, SessionCheck), session.cameras, config):
-        judge_refined(check_refined(task, context, refined.cameras), refined.cameras)
+    if is_deferred(output_record(context, CHECK, SessionCheck), session.cameras, config):
+        judge_refined(check_with(task, context, refined.cameras), refined.cameras)
     return Output(encode(refined))
 
 

@@ -9,12 +9,13 @@ def synchronize(task: Task, context: Context) -> Output:
     """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
     from pipeline.capture.synchronization.session import listen, measure_clocks
     from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.detections import detection_source
 
-    if context.detections.finds_fields:
+    detections, session = detection_source(context), context.session()
+    if detections.finds_fields:
         message = "Cameras are synchronised from whole bodies; this network finds joints."
         raise InputError([Problem(SYNC_NEEDS_BODIES, message, hint="Choose another detector, or declare offsets.")])
-    session = context.session()
-    bodies, joints = context.detections.bodies(session), context.detections.joints(session)
+    bodies, joints = detections.bodies(session), detections.joints(session)
     sound = listen(session, context.video)
     return Output(encode(measure_clocks(session, bodies, joints, sound, context.on_share(task))))
 

@@ -40,7 +40,7 @@ from pipeline.run.engine.stage import (
     REPORT,
     FrameCut,
 )
-from pipeline.run.steps.look import LOOKED_AT_FRAMES
+from pipeline.run.steps.detect import LOOKED_AT_FRAMES
 from worker.run.planning import chunk_length, plan_job, session_facts
 from worker.store.model.sessions import InputFile, Session
 from worker.store.model.work import StagePlan

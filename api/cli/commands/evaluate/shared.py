@@ -11,7 +11,7 @@ from pipeline.core.data.people import People
 from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import MAX_STATURE_M, MIN_STATURE_M
-from pipeline.run.engine.association import Association
+from pipeline.run.engine.methods import Association
 from pipeline.run.engine.refinement import refine_from_bodies
 
 StatureOption = Annotated[

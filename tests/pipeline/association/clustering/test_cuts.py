@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Observations, People, Track3D
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.association import Association
+from pipeline.run.engine.methods import Association
 from pipeline.run.engine.stage import FrameCut
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from pipeline.video.timeline import frames_in, span_s

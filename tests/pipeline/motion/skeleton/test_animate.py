@@ -20,7 +20,7 @@ from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.fitting import windows
 from pipeline.motion.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
-from pipeline.run.engine.people import StoredSequence
+from pipeline.run.engine.stored_people import StoredSequence
 from pipeline.validation.evaluation.extremities.feet import score_feet
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from pipeline.validation.simulation.views.detector import DetectorAccuracy

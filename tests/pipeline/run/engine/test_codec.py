@@ -21,9 +21,9 @@ from pipeline.core.data.people import Doubt, Leftovers, Observations, People, Pe
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.runtime.npz import open_archive
 from pipeline.run.engine import codec
-from pipeline.run.engine.association import MeasuredBones
 from pipeline.run.engine.codec import RecordArchive, decode, encode, save
-from pipeline.run.engine.people import StoredPeople, write_people
+from pipeline.run.engine.methods import MeasuredBones
+from pipeline.run.engine.stored_people import StoredPeople, write_people
 
 RNG = np.random.default_rng(3)
 NOBODY = People((), (), 0)

@@ -13,7 +13,7 @@ from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
+from pipeline.core.data.cameras import RefinedCalibration, Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.core.data.detections import PafFields
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
@@ -22,10 +22,10 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import Progress
 from pipeline.export.quality.report import quality_report
 from pipeline.export.results import write_results
-from pipeline.run.engine.association import Association
 from pipeline.run.engine.codec import decode, encode
 from pipeline.run.engine.local import reconstruct
-from pipeline.run.engine.refinement import RefinedCalibration, refine_from_bodies, refine_from_fields
+from pipeline.run.engine.methods import Association
+from pipeline.run.engine.refinement import refine_from_bodies, refine_from_fields
 from pipeline.run.engine.stage import ASSOCIATE, REFINE
 from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration
 from pipeline.validation.simulation.scenes import find_scene, record

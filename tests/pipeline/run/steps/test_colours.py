@@ -18,8 +18,8 @@ from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detection.detector import Detector
 from pipeline.detection.profiles import detection
 from pipeline.detection.registry import NetworkHead, NetworkInput
-from pipeline.run.engine.association import Association
 from pipeline.run.engine.local import reconstruct
+from pipeline.run.engine.methods import Association
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 

@@ -16,7 +16,7 @@ from pipeline.detection.profiles import detection
 from pipeline.detection.registry import NetworkHead, NetworkInput
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.stage import DETECT, LOOK
-from pipeline.run.steps.look import LOOKED_AT_FRAMES
+from pipeline.run.steps.detect import LOOKED_AT_FRAMES
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 

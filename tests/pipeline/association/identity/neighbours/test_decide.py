@@ -15,7 +15,7 @@ from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
-from pipeline.run.engine.association import Association
+from pipeline.run.engine.methods import Association
 from pipeline.validation.evaluation.simulated import score_simulated
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 

@@ -11,10 +11,11 @@ from pipeline.core.errors import PipelineError
 from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointOffsets, JointSet
 from pipeline.core.options.config import JointCenters, ReconstructionConfig
 from pipeline.detection.entries import REGISTRY
-from pipeline.run.engine.context import Context
+from pipeline.run.engine.detections import detection_source, joint_offsets
 from pipeline.run.engine.local import _Job, _TaskContext
 from pipeline.run.engine.output_folder import OutputFolder
-from pipeline.run.engine.stage import SessionFacts
+from pipeline.run.engine.stage import Context, SessionFacts
+from pipeline.run.engine.wanted_frames import captured_videos
 
 VIDEOS = CaptureSession((), (), {}, ())
 KEYPOINTS = KeypointSession((), {}, Timebase(0.0, 25.0, 1), {}, COCO_17, {}, ())
@@ -28,7 +29,7 @@ def context_of(session: Session, config: ReconstructionConfig = ReconstructionCo
 
 
 def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:
-    return context_of(session, config).offsets()
+    return joint_offsets(context_of(session, config))
 
 
 @pytest.mark.parametrize(
@@ -71,22 +72,22 @@ def test_joints_that_crops_do_not_refine_have_the_offsets_of_the_detector_of_bod
     ],
 )
 def test_detections_have_the_joints_that_are_asked_for(config: ReconstructionConfig, joints: JointSet) -> None:
-    assert context_of(VIDEOS, config).detections.joints(VIDEOS) is joints
-    assert context_of(KEYPOINTS, config).detections.joints(KEYPOINTS) is COCO_17
+    assert detection_source(context_of(VIDEOS, config)).joints(VIDEOS) is joints
+    assert detection_source(context_of(KEYPOINTS, config)).joints(KEYPOINTS) is COCO_17
 
 
 def test_keypoints_came_with_the_session_and_no_network_finds_them() -> None:
     config = ReconstructionConfig("clustering", "openpose-mobilenet-thin")
-    videos, keypoints = context_of(VIDEOS, config).detections, context_of(KEYPOINTS, config).detections
+    videos, keypoints = detection_source(context_of(VIDEOS, config)), detection_source(context_of(KEYPOINTS, config))
     assert (videos.finds_fields, keypoints.finds_fields) == (True, False)
     assert (videos.networks, keypoints.networks) == (("openpose-mobilenet-thin",), ())
-    measured = [context_of(session).detections.measures_colours for session in (VIDEOS, KEYPOINTS)]
+    measured = [detection_source(context_of(session)).measures_colours for session in (VIDEOS, KEYPOINTS)]
     assert measured == [True, False]
     assert keypoints.bodies(KEYPOINTS) is KEYPOINTS.detections
 
 
 def test_a_task_on_another_kind_of_session_than_planned_fails() -> None:
     with pytest.raises(PipelineError, match="planned for a CaptureSession, not for a KeypointSession"):
-        context_of(KEYPOINTS).videos()
+        captured_videos(context_of(KEYPOINTS))
     with pytest.raises(PipelineError, match="planned for a KeypointSession"):
-        context_of(KEYPOINTS).detections.bodies(VIDEOS)
+        detection_source(context_of(KEYPOINTS)).bodies(VIDEOS)

@@ -34,18 +34,22 @@ from pipeline.association.identity.neighbours.decide import return_limbs
 from pipeline.association.identity.sides.decide import decide_sides
 from pipeline.association.redetection.accept import accept
 from pipeline.association.tracking.associate import track_bodies
-from pipeline.association.tracking.observations import Detections2D
+from pipeline.association.tracking.observations import Detections2D, gather
 from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.association.tracking.parameters import derive_parameters as derive_tracking
+from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.core.data.people import Leftovers, People, Poses3D
-from pipeline.core.joints import JointSet
+from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.parameters import change_parameters
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.chunk import concatenate
 from pipeline.detection.entries import entry_of
+from pipeline.run.engine.detections import detection_source
+from pipeline.run.engine.stage import Context
+from pipeline.run.engine.wanted_frames import wanted_frames
 from pipeline.video.timeline import frames_in, num_recorded, span_s
 
 
@@ -222,3 +226,18 @@ class Association:
             if isinstance(value, Detections)
         }
         return BodyEvidence(self.cameras, self.times, bodies, self.timebase, skeleton, parameters)
+
+
+def association_in(context: Context, session: Session) -> Association:
+    """Association of the detections in the session of a task, whole or wanted, to people."""
+    source = detection_source(context)
+    joints, fields = without_hands(source.joints(session)), source.finds_fields
+    return Association(session.cameras, session.times, session.timebase, joints, context.config, fields)
+
+
+def gathered_bodies(context: Context) -> tuple[Detections2D, tuple[DamagedVideo, ...]]:
+    """Bodies of all cameras as tracking takes them, and the damaged videos among those that show them."""
+    session, source = wanted_frames(context, context.session()), detection_source(context)
+    bodies = source.bodies(session, with_colours=source.measures_colours)
+    damaged = source.damaged_videos(session, [(name, seen.damaged, seen.changes) for name, seen in bodies.items()])
+    return gather(session.cameras, session.times, bodies), damaged

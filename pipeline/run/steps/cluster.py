@@ -1,0 +1,86 @@
+"""Find people by clustering: everybody's bones first, then the people at each instant by itself.
+
+The output of *Measure bones* is a ``MeasuredBones``, from frames all over the session, and that of *Find people* a
+``Poses3D`` for a range of output frames.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.problems.requests import FRAME_RANGE
+from pipeline.run.engine.stage import (
+    DETECT,
+    LENGTHS,
+    POSES,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    SessionFacts,
+    Stage,
+    Task,
+)
+
+# Rate of the frames in which clustering measures bones.
+_MEASURED_HZ = 5.0
+
+
+def measure_lengths(task: Task, context: Context) -> Output:
+    """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
+    from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import MeasuredBones, association_in
+    from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
+
+    session, detections = wanted_frames(context, context.session()), detection_source(context)
+    pictures: list[Any] = []
+
+    def ranges() -> Iterator[tuple[range, Any]]:
+        for number, frames in enumerate(task.cut(context.facts)):
+            detected = detections.in_range(task, session, number, frames)
+            pictures.extend((camera, seen.damaged, seen.changes) for camera, seen in detected.items())
+            yield numbered_from_first(context, frames, session), detected
+
+    lengths = association_in(context, session).measure_bones(ranges(), context.on_unit)
+    return Output(encode(MeasuredBones(lengths, detections.damaged_videos(session, pictures))))
+
+
+def find_poses(task: Task, context: Context) -> Output:
+    """Find all people in a range of output frames."""
+    from pipeline.run.engine.codec import encode, output_record
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import MeasuredBones, association_in
+    from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
+
+    session = wanted_frames(context, context.session())
+    detected = detection_source(context).in_range(task, session, task.index, task.frames)
+    lengths = output_record(context, LENGTHS, MeasuredBones).lengths
+    frames = numbered_from_first(context, task.frames, session)
+    return Output(encode(association_in(context, session).locate_people(frames, detected, lengths, context.on_unit)))
+
+
+def _is_clustering(_: SessionFacts, config: ReconstructionConfig) -> bool:
+    """Whether a job finds people by clustering."""
+    return config.is_of_people and config.method == "clustering"
+
+
+LENGTHS_STAGE = Stage(
+    LENGTHS,
+    "Measure bones",
+    measure_lengths,
+    cut="whole",
+    follows=(DETECT, SYNCHRONIZE, REFINE),
+    choices=(FRAME_RANGE, "clustering"),
+    is_planned=_is_clustering,
+    looked_at_hz=_MEASURED_HZ,
+)
+POSES_STAGE = Stage(
+    POSES,
+    "Find people",
+    find_poses,
+    cut="ranges",
+    follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS),
+    choices=(FRAME_RANGE, "clustering"),
+    is_planned=_is_clustering,
+)

@@ -1,0 +1,51 @@
+"""Track people: bodies or poses of all frames to tracks, in one pass in time order. The output is stored people."""
+
+from pipeline.run.engine.stage import (
+    ASSOCIATE,
+    DETECT,
+    LENGTHS,
+    POSES,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    Stage,
+    Task,
+)
+
+
+def track(task: Task, context: Context) -> Output:
+    """Turn bodies or poses of all frames into tracks."""
+    from pipeline.association.hands.attach import without_fingers
+    from pipeline.core.data.people import Poses3D
+    from pipeline.run.engine.codec import output_record, output_records
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import MeasuredBones, association_in, gathered_bodies
+    from pipeline.run.engine.stored_people import write_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
+
+    on_share = context.on_share(task)
+    if context.config.method == "clustering":
+        association = association_in(context, wanted_frames(context, context.outline()))
+        people = association.link(output_records(context, POSES, Poses3D), on_share)
+        damaged = output_record(context, LENGTHS, MeasuredBones).damaged
+    else:
+        bodies, damaged = gathered_bodies(context)
+        session = wanted_frames(context, context.outline())
+        bodies = without_fingers(bodies, detection_source(context).joints(session))
+        people = association_in(context, session).track(bodies, on_share)
+        del bodies
+    path = context.scratch / "people.npz"
+    write_people(path, people, damaged)
+    del people
+    return Output(path.read_bytes())
+
+
+STAGE = Stage(
+    ASSOCIATE,
+    "Track people",
+    track,
+    cut="whole",
+    follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS, POSES),
+    choices=("method", "frame_range", "appearance", "tracking", "clustering"),
+)

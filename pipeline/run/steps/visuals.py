@@ -1,0 +1,121 @@
+"""Visuals of a take: overlay videos, the report and the Rerun recording. Each output is the index of the files."""
+
+from functools import partial
+
+from pipeline.core.options.config import ending_of
+from pipeline.core.options.job_choices import OVERLAY_KIND, RECORDING_KIND, REPORT_KIND
+from pipeline.run.engine.stage import (
+    DETECT,
+    HEADS,
+    OVERLAY,
+    RECORD,
+    REPORT,
+    TAKE,
+    Context,
+    Output,
+    ResultFile,
+    Stage,
+    Task,
+    indexed,
+)
+from pipeline.run.steps.blur import head_regions_in
+
+
+def draw_overlay(task: Task, context: Context) -> Output:
+    """Make the overlay video of a camera; none if it took no frame of the take."""
+    from pipeline.export.overlay_video import draw_video, overlay_names
+    from pipeline.run.engine.take import assemble
+    from pipeline.run.engine.wanted_frames import captured_videos, wanted_on_clocks
+
+    camera = task.one_camera
+    with context.video(camera):
+        session, take = wanted_on_clocks(context, captured_videos(context)), assemble(context)
+        names = [shown.name for shown in take.cameras]
+        path = context.scratch / overlay_names(names)[names.index(camera)]
+        if not draw_video(session, take, camera, path, context.on_unit, head_regions_in(context, camera)):
+            return indexed(())
+    return indexed([ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
+
+
+def write_report(task: Task, context: Context) -> Output:
+    """Write the report: contents from the reconstruction and its session, pictures from the videos."""
+    from pipeline.export.report.contents import gather_contents, list_versions
+    from pipeline.export.report.page import encode_page
+    from pipeline.run.engine.code import LIBRARIES
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.take import assemble
+    from pipeline.run.engine.wanted_frames import wanted_on_clocks
+
+    session, origin = wanted_on_clocks(context, context.outline()), context.files.origin()
+    contents = gather_contents(
+        session,
+        assemble(context),
+        context.config,
+        list_versions(LIBRARIES, detection_source(context).networks),
+        origin.name,
+        origin.files,
+        context.video,
+        partial(head_regions_in, context),
+        context.on_share(task),
+    )
+    path = context.scratch / "report.html"
+    path.write_bytes(encode_page(contents))
+    return indexed([ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
+
+
+def write_recording(task: Task, context: Context) -> Output:
+    """Write the recording: the take, with the pictures and the detections of its session."""
+    from pipeline.export.recording.rerun_file import RecordedFootage
+    from pipeline.export.recording.rerun_file import write_recording as write
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.take import assemble
+    from pipeline.run.engine.wanted_frames import wanted_frames
+
+    session, source = wanted_frames(context, context.session()), detection_source(context)
+    detections = {} if source.finds_fields else source.bodies(session)
+    path = context.scratch / f"take.{ending_of('rerun')}"
+    write(
+        assemble(context),
+        path,
+        RecordedFootage(session, detections, context.video, partial(head_regions_in, context)),
+        context.on_share(task),
+    )
+    return indexed([ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path)])
+
+
+OVERLAY_STAGE = Stage(
+    OVERLAY,
+    "Draw overlay videos",
+    draw_overlay,
+    cut="cameras",
+    follows=(*TAKE, HEADS),
+    choices=("overlay", "blur_faces", "frame_range", "names"),
+    is_planned=lambda facts, config: config.is_of_people and config.overlay and facts.has_videos,
+    unit="frames",
+    is_reusable=False,
+    reads_videos=True,
+    makes_files=True,
+)
+REPORT_STAGE = Stage(
+    REPORT,
+    "Write the report",
+    write_report,
+    cut="whole",
+    follows=(*TAKE, HEADS),
+    choices=("report", "blur_faces", "names"),
+    is_planned=lambda facts, config: config.is_of_people and config.report,
+    is_reusable=False,
+    makes_files=True,
+)
+RECORDING_STAGE = Stage(
+    RECORD,
+    "Write the Rerun recording",
+    write_recording,
+    cut="whole",
+    follows=(DETECT, *TAKE, HEADS),
+    choices=("exports", "blur_faces", "names"),
+    is_planned=lambda facts, config: config.is_of_people and "rerun" in config.exports,
+    is_reusable=False,
+    reads_videos=True,
+    makes_files=True,
+)
