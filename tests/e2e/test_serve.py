@@ -51,8 +51,6 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
         "associate": True,
         "expect_bodies": True,
         "redetect": True,
-        "expect_again": True,
-        "redetect_again": True,
         "identify": True,
         "fit": True,
         "hold_feet": True,

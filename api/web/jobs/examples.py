@@ -8,14 +8,12 @@ from pipeline.run.engine.stage import (
     ASSOCIATE,
     DETECT,
     EXPECT,
-    EXPECT_AGAIN,
     EXPORT,
     FIT,
     HOLD,
     IDENTIFY,
     LOOK,
     REDETECT,
-    REDETECT_AGAIN,
 )
 
 SPEC: dict[str, Any] = {
@@ -77,8 +75,6 @@ JOB: dict[str, Any] = {
         stage(ASSOCIATE, "waiting", 0, 1),
         stage(EXPECT, "waiting", 0, 1),
         stage(REDETECT, "waiting", 0, 60),
-        stage(EXPECT_AGAIN, "waiting", 0, 1),
-        stage(REDETECT_AGAIN, "waiting", 0, 12),
         stage(IDENTIFY, "waiting", 0, 1),
         stage(FIT, "waiting", 0, 1),
         stage(HOLD, "waiting", 0, 1),

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 LOOK, DETECT, SYNCHRONIZE, REFINE = "look", "detect", "synchronize", "refine"
 LENGTHS, POSES, ASSOCIATE = "lengths", "poses", "associate"
 EXPECT, REDETECT = "expect_bodies", "redetect"
-EXPECT_AGAIN, REDETECT_AGAIN = "expect_again", "redetect_again"
 IDENTIFY, FIT, HOLD = "identify", "fit", "hold_feet"
 EDIT, REFIT = "edit", "refit"
 WRITE, EXPORT = "write_people", "export"

@@ -5,7 +5,6 @@ from pipeline.run.engine.stage import (
     DETECT,
     IDENTIFY,
     REDETECT,
-    REDETECT_AGAIN,
     REFINE,
     SYNCHRONIZE,
     Context,
@@ -13,7 +12,7 @@ from pipeline.run.engine.stage import (
     Stage,
     Task,
 )
-from pipeline.run.steps.redetect import is_redetecting
+from pipeline.run.steps.redetect import redetects_bodies
 
 
 def identify(task: Task, context: Context) -> Output:
@@ -33,12 +32,8 @@ def identify(task: Task, context: Context) -> Output:
     colour = gathered_bodies(context)[0].colour if detections.measures_colours else None
     people = association.assign_identities(tracked.people, colour)
     del colour
-    if is_redetecting(context.facts, context.config):
+    if redetects_bodies(context.facts, context.config):
         people = association.accept_redetected(people, output_records(context, REDETECT, Detections))
-        found_elsewhere = tuple(output_records(context, REDETECT_AGAIN, Detections))
-        if any(len(bodies.frame) for bodies in found_elsewhere):
-            # They were expected of people whose limbs were assigned.
-            people = association.accept_redetected(association.assign_limbs(people), found_elsewhere)
     people = association.assign_limbs(people)
     people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):
@@ -55,6 +50,6 @@ STAGE = Stage(
     "Tell people apart",
     identify,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT, REDETECT_AGAIN),
+    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT),
     choices=("people",),
 )

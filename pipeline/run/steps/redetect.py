@@ -1,21 +1,55 @@
-"""Detect leaning bodies again, where they are expected in a range of a camera's frames.
+"""Detect leaning bodies again where detectors miss them or call left right: expect them, then read them in crops.
 
-The output is a ``Detections``.
+The output of *Find leaning bodies* is a ``Detections`` a camera, and that of *Detect leaning bodies again* a
+``Detections`` for a range of a camera's frames.
 """
 
 from functools import partial
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.stage import EXPECT, LOOK, REDETECT, SYNCHRONIZE, Context, Output, SessionFacts, Stage, Task
+from pipeline.run.engine.stage import (
+    ASSOCIATE,
+    EXPECT,
+    LOOK,
+    REDETECT,
+    REFINE,
+    SYNCHRONIZE,
+    Context,
+    Output,
+    SessionFacts,
+    Stage,
+    Task,
+)
+
+
+def expect_bodies(task: Task, context: Context) -> Output:
+    """Find the frames of each camera in which people are expected who lean, and their places there."""
+    from pipeline.association.redetection.expect import expect_leaning
+    from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.methods import association_in
+    from pipeline.run.engine.stored_people import found_people
+    from pipeline.run.engine.wanted_frames import wanted_frames
+
+    association = association_in(context, wanted_frames(context, context.outline()))
+    # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
+    people = association.assign_identities(found_people(context, ASSOCIATE).people)
+    return Output(
+        encode(
+            expect_leaning(
+                zip(people.tracks, people.observations, strict=True),
+                association.cameras,
+                association.times,
+                association.timebase,
+                association.joints,
+                detection_source(context).turns_deg,
+            )
+        )
+    )
 
 
 def redetect(task: Task, context: Context) -> Output:
     """Read the joints of expected bodies in crops; nothing is loaded or decoded where nobody is expected."""
-    return read_expected(task, context, EXPECT)
-
-
-def read_expected(task: Task, context: Context, stage: str) -> Output:
-    """Read the joints of the bodies that a stage expects in a range of a camera's frames."""
     from pipeline.association.redetection.crops import detect_expected
     from pipeline.core.data.detections import Detections
     from pipeline.core.joints import without_hands
@@ -29,7 +63,7 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
     if networks.again is None:
         raise ValueError("These networks look for nobody again: the stage is not planned.")
     detections = detection_source(context)
-    (expected,) = context.outputs(stage)
+    (expected,) = context.outputs(EXPECT)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     bodies = decode(tuple[Detections, ...], expected)[number].within(frames_in(session.times[camera], *span))
@@ -48,19 +82,28 @@ def read_expected(task: Task, context: Context, stage: str) -> Output:
     return Output(encode(found))
 
 
-def is_redetecting(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+def redetects_bodies(facts: SessionFacts, config: ReconstructionConfig) -> bool:
     """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
     return facts.has_videos and config.is_of_people and config.networks.again is not None
 
 
-STAGE = Stage(
+EXPECT_STAGE = Stage(
+    EXPECT,
+    "Find leaning bodies",
+    expect_bodies,
+    cut="whole",
+    follows=(LOOK, SYNCHRONIZE, REFINE, ASSOCIATE),
+    choices=("people",),
+    is_planned=redetects_bodies,
+)
+REDETECT_STAGE = Stage(
     REDETECT,
     "Detect leaning bodies again",
     redetect,
     cut="camera ranges",
     follows=(LOOK, SYNCHRONIZE, EXPECT),
     choices=("profile", "joints", "detector", "output"),
-    is_planned=is_redetecting,
+    is_planned=redetects_bodies,
     frames_a_unit=10,
     reads_videos=True,
     runs_networks=True,

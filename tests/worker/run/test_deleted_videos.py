@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.errors import InputError
 from pipeline.core.options.edits import Remove
 from pipeline.run.engine.plan import STAGES
-from pipeline.run.engine.stage import BLUR, DETECT, LOOK, OVERLAY, PROXY, RECORD, REDETECT, REDETECT_AGAIN, Output
+from pipeline.run.engine.stage import BLUR, DETECT, LOOK, OVERLAY, PROXY, RECORD, REDETECT, Output
 from tests.worker.conftest import RESULT, RunnerBench, fail_with
 from worker.run.chunk import Work
 from worker.run.execution import KeptSession
@@ -145,7 +145,7 @@ def test_edits_and_further_files_need_no_videos(filled: RunnerBench) -> None:
     assert (edited.state, edited.results_revision) == (JobState.SUCCEEDED, 1)
     other = done(filled, JobSpec(exports=("csv",), smoothing="none"))
     assert filled.result(other.id) == RESULT
-    assert not {LOOK, DETECT, REDETECT, REDETECT_AGAIN} & set(ran)
+    assert not {LOOK, DETECT, REDETECT} & set(ran)
 
 
 def test_an_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> None:
@@ -265,4 +265,4 @@ def test_workers_say_that_videos_were_deleted(filled: RunnerBench, tmp_path: Pat
 def test_the_stages_that_read_videos_say_so() -> None:
     """Those that decode pictures; a report is written without them."""
     declared = {stage.name for stage in STAGES if stage.reads_videos}
-    assert declared == {LOOK, DETECT, "find_board", PROXY, REDETECT, REDETECT_AGAIN, OVERLAY, RECORD, BLUR}
+    assert declared == {LOOK, DETECT, "find_board", PROXY, REDETECT, OVERLAY, RECORD, BLUR}

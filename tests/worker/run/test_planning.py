@@ -22,7 +22,6 @@ from pipeline.run.engine.stage import (
     CHECK,
     DETECT,
     EXPECT,
-    EXPECT_AGAIN,
     EXPORT,
     FIT,
     HEADS,
@@ -35,7 +34,6 @@ from pipeline.run.engine.stage import (
     PROXY,
     RECORD,
     REDETECT,
-    REDETECT_AGAIN,
     REFINE,
     REPORT,
     FrameCut,
@@ -105,8 +103,6 @@ def test_the_stages_and_their_sizes() -> None:
         (ASSOCIATE, 1),
         (EXPECT, 1),
         (REDETECT, 6),
-        (EXPECT_AGAIN, 1),
-        (REDETECT_AGAIN, 6),
         (IDENTIFY, 1),
         (FIT, 2),
         (HOLD, 2),
@@ -137,9 +133,9 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
     assert {name for name in low if low[name] != high[name]} == {FIT, HOLD, EXPORT}
 
 
-FROM_PLACES = {EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD, EXPORT}
+FROM_PLACES = {EXPECT, REDETECT, IDENTIFY, FIT, HOLD, EXPORT}
 VIDEO_STAGES = (
-    *(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD, EXPORT),
+    *(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, HOLD, EXPORT),
 )
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
@@ -431,7 +427,7 @@ def test_stages_with_networks_alone_depend_on_the_execution_provider() -> None:
     """No output of another provider is taken, and no worker with another one runs the chunks."""
     on_cpu, on_gpu = (plan_job(make_session(), JobSpec(), provider=provider) for provider in ("", "cuda 1.31.1"))
     with_networks = {stage.name for stage in STAGES if stage.runs_networks}
-    assert with_networks == {LOOK, DETECT, REDETECT, REDETECT_AGAIN}
+    assert with_networks == {LOOK, DETECT, REDETECT}
     for before, after in zip(on_cpu, on_gpu, strict=True):
         runs_networks = before.name in with_networks
         assert after.provider == ("cuda 1.31.1" if runs_networks else "")

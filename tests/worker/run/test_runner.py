@@ -13,14 +13,12 @@ from pipeline.run.engine.stage import (
     CHECK,
     DETECT,
     EXPECT,
-    EXPECT_AGAIN,
     EXPORT,
     FIT,
     HOLD,
     IDENTIFY,
     LOOK,
     REDETECT,
-    REDETECT_AGAIN,
     Output,
 )
 from tests.worker.conftest import (
@@ -78,8 +76,6 @@ def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
             ASSOCIATE,
             EXPECT,
             REDETECT,
-            EXPECT_AGAIN,
-            REDETECT_AGAIN,
             IDENTIFY,
             FIT,
             HOLD,
@@ -127,7 +123,7 @@ def test_workers_side_by_side_leave_the_same(bench: RunnerBench) -> None:
 def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, EXPECT_AGAIN, REDETECT_AGAIN, IDENTIFY, FIT, HOLD):
+    for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, HOLD):
         bench.stages[name] = fail_with(AssertionError("must not run"))
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -140,8 +136,6 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -
         ASSOCIATE: True,
         EXPECT: True,
         REDETECT: True,
-        EXPECT_AGAIN: True,
-        REDETECT_AGAIN: True,
         IDENTIFY: True,
         FIT: True,
         HOLD: True,

@@ -34,8 +34,6 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
         "associate",
         "expect_bodies",
         "redetect",
-        "expect_again",
-        "redetect_again",
         "identify",
         "fit",
         "hold_feet",
