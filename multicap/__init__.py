@@ -41,10 +41,9 @@ if TYPE_CHECKING:
     from pipeline.export.writers.registry import PersonContent, Writer
     from pipeline.motion.body.installed import install as install_body
     from pipeline.run.engine.local import reconstruct, reconstruct_to_files
-    from pipeline.run.live.bodies import read_bodies
     from pipeline.run.live.capture import LiveCapture
-    from pipeline.run.live.recorded import recorded_frames
-    from pipeline.run.live.settings import LiveSettings
+    from pipeline.run.live.records import recorded_frames
+    from pipeline.run.live.settings import LiveSettings, read_bodies
     from pipeline.run.live.vmc import VmcSender
 
 __all__ = [
@@ -119,10 +118,10 @@ _REFERENCES = {
     "install_sample": "pipeline.core.runtime.packages.samples:install",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
-    "read_bodies": "pipeline.run.live.bodies:read_bodies",
+    "read_bodies": "pipeline.run.live.settings:read_bodies",
     "reconstruct": "pipeline.run.engine.local:reconstruct",
     "reconstruct_to_files": "pipeline.run.engine.local:reconstruct_to_files",
-    "recorded_frames": "pipeline.run.live.recorded:recorded_frames",
+    "recorded_frames": "pipeline.run.live.records:recorded_frames",
     "write_results": "pipeline.export.results:write_results",
 }
 

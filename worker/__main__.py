@@ -6,7 +6,7 @@ import sys
 
 import structlog
 
-from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.core.runtime.resources import raise_descriptor_limit
 from pipeline.detection.providers.find import current_provider
 from pipeline.run.engine.code import stage_codes
 from worker.run import tasks

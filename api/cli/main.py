@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
 from api.cli.interruption import end_interrupted
-from pipeline.core.runtime.memory import keep_freed_memory
+from pipeline.core.runtime.resources import keep_freed_memory
 
 # Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.
 COMMANDS: Mapping[str, str] = {

@@ -12,7 +12,7 @@ from pipeline.core.data.arrays import no_colours, no_frames, read_only
 from pipeline.core.data.detections import Detections, MapGrid, PafFields
 from pipeline.core.errors import InputError
 from pipeline.core.joints import JointSet
-from pipeline.core.runtime.memory import give_pictures_back
+from pipeline.core.runtime.resources import give_pictures_back
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detection.bodies import ImageBodies
 from pipeline.detection.decoders.fields import ImageFields

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from api.cli.live.preview import PreviewPage
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import recorded_frames
+from pipeline.run.live.records import recorded_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.scenes import SCENES, record
 from tests.e2e.browsing import axe_findings, opened

@@ -19,8 +19,7 @@ from celery.signals import (
     worker_shutting_down,
 )
 
-from pipeline.core.runtime.memory import limit_memory
-from pipeline.core.runtime.priorities import lower_priority
+from pipeline.core.runtime.resources import limit_memory, lower_priority
 from worker.run import tasks
 from worker.run.process.pool import release_sockets_of_parent
 from worker.run.process.presence import Presence

@@ -19,7 +19,7 @@ from functools import partial
 
 import structlog
 
-from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.core.runtime.resources import raise_descriptor_limit
 from pipeline.run.engine.code import stage_codes
 from worker.run.planning import plan_again, plan_visuals
 from worker.run.problems import waiting_for

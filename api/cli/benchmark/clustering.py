@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from api.cli.console import JsonOption, reporting, show_sizes
-from pipeline.association.clustering.associate import find_poses, first_lengths, sampled_frames
+from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
 from pipeline.association.clustering.instant.candidates import FieldEvidence
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import derive_parameters

@@ -13,14 +13,13 @@ import typer
 from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
 from api.cli.benchmark.tracking import crowd
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.core.data.people import Track3D
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import RecordedFrame, recorded_frames
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import LiveInstant, RecordedFrame, recorded_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.simulation.scenes import Simulation, record

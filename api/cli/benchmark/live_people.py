@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.core.data.detections import Detections
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import DetectedFrame, detected_frames
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant, detected_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.motion.director import Cast

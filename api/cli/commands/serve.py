@@ -19,7 +19,7 @@ from api.cli.store import opened_store
 from api.web.settings import Settings
 from api.web.startup import ExposedError, require_keys_if_exposed
 from pipeline.core.runtime.child_processes import module_command
-from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.core.runtime.resources import raise_descriptor_limit
 from pipeline.detection import models
 from worker.run.process import embedded
 from worker.run.process.presence import remove_killed

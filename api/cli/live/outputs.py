@@ -22,8 +22,7 @@ from pipeline.motion.skeleton.model import SKELETON
 from pipeline.run.live.cameras.run import LiveListener
 from pipeline.run.live.cameras.totals import LiveTotals
 from pipeline.run.live.packing import described_camera, instant_json
-from pipeline.run.live.recorded import DetectedFrame
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.run.live.vmc import VmcSender
 from worker.store.files.disk import append_whole
 

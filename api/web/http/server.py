@@ -14,7 +14,7 @@ from api.web.live.schemas import LiveProblemOut
 from api.web.recordings import intake as recording_intake
 from api.web.recordings.messages import RecordingProblemOut
 from api.web.settings import Settings
-from pipeline.core.runtime.priorities import raise_descriptor_limit
+from pipeline.core.runtime.resources import raise_descriptor_limit
 
 # Time that open requests have to end after SIGTERM.
 _GRACE_S = 5

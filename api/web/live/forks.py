@@ -15,7 +15,7 @@ import structlog
 from api.web.sessions.preflight import NICE
 from api.web.settings import Settings
 from pipeline.core.runtime.forks import ForkRequest, send_request
-from pipeline.core.runtime.priorities import lower_priority
+from pipeline.core.runtime.resources import lower_priority
 
 _log = structlog.get_logger(__name__)
 

@@ -20,8 +20,7 @@ from api.web.live.schemas import POINTS, LiveStart
 from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Sent
-from pipeline.run.live.packets import KeypointsHead
-from pipeline.run.live.pipes import framed
+from pipeline.run.live.packets import KeypointsHead, framed
 from worker.store.files.disk import append_whole, is_disk_full
 from worker.store.tenant_records import TenantRecords
 

@@ -14,8 +14,8 @@ from api.web.http.socket_problems import SocketProblem
 from api.web.live.forks import ForkServer
 from api.web.live.problems import failed
 from pipeline.core.runtime.forks import NUMBER, ForkRequest
-from pipeline.core.runtime.priorities import lower_priority
-from pipeline.run.live.pipes import LENGTH, CaptureAnswer, framed
+from pipeline.core.runtime.resources import lower_priority
+from pipeline.run.live.packets import LENGTH, CaptureAnswer, framed
 
 _log = structlog.get_logger(__name__)
 

@@ -32,7 +32,7 @@ from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveRead
 from api.web.sessions.receiving import spool_folder
 from api.web.settings import Settings
 from pipeline.core.problems.requests import LIVE_FIELDS, LIVE_MESSAGE
-from pipeline.run.live.pipes import CaptureAnswer
+from pipeline.run.live.packets import CaptureAnswer
 from worker.store.model.rights import Actor
 
 _log = structlog.get_logger(__name__)

@@ -24,7 +24,7 @@ from api.web.errors import ApiError, ErrorItem
 from api.web.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.core.problems.requests import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
-from pipeline.core.runtime.priorities import lower_priority
+from pipeline.core.runtime.resources import lower_priority
 
 _log = structlog.get_logger(__name__)
 

@@ -1,4 +1,4 @@
-"""Link of poses to tracks by bipartite matching from instant to instant (section 3.5)."""
+"""Link of poses to tracks by bipartite matching from instant to instant (section 3.5), and distance of two poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,9 +7,22 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.clustering.distance import mean_distance_m
 from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.core.progress import OnShare, ignore
+
+
+def mean_distance_m(
+    first_m: Float[np.ndarray, "*#batch joints 3"], second_m: Float[np.ndarray, "*#batch joints 3"]
+) -> Float[np.ndarray, "*batch"]:
+    """Mean distance in metres of the joints that both poses have; infinite if they share none.
+
+    Positions are in the world, NaN where a joint is unknown.
+    """
+    apart_m = np.linalg.norm(first_m - second_m, axis=-1)
+    shared = np.isfinite(apart_m)
+    total_m = np.where(shared, apart_m, 0.0).sum(-1)
+    return np.where(shared.any(-1), total_m / np.maximum(shared.sum(-1), 1), np.inf)
+
 
 # Noise of a pose, added to the distance that a body may move.
 _NOISE_M = 0.15

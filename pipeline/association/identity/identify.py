@@ -11,12 +11,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.association.identity.clothes import tracklet_ratios
-from pipeline.association.identity.doubles import merge_doubles
 from pipeline.association.identity.joining import Chain, TrackletLinks, doubts_of, join
-from pipeline.association.identity.likenesses.find import find_likenesses, seen_in
-from pipeline.association.identity.links import first_ends, last_ends, viewed_area_m2
-from pipeline.association.identity.merging import cut, merge
-from pipeline.association.identity.phantoms import end_phantoms
+from pipeline.association.identity.likenesses import find_likenesses, seen_in
+from pipeline.association.identity.merging import cut, merge, merge_doubles
+from pipeline.association.identity.phantoms import end_phantoms, is_spurious, mean_bodies
 from pipeline.association.identity.proportions import (
     LimbProportions,
     changes,
@@ -25,14 +23,16 @@ from pipeline.association.identity.proportions import (
     spread_of_a_second_m,
 )
 from pipeline.association.identity.recover_detections import recover_detections
-from pipeline.association.identity.spurious_tracks import is_spurious, mean_bodies
 from pipeline.association.identity.tracklets import (
     DoubtfulMoment,
     Tracklet,
     cut_at_gaps,
     cut_at_moments,
     encounters,
+    first_ends,
+    last_ends,
     path_of,
+    viewed_area_m2,
 )
 from pipeline.core.data.arrays import no_detections
 from pipeline.core.data.cameras import Camera, Timebase

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.identity.links import Ends, link_scores
 from pipeline.association.identity.proportions import LimbProportions
-from pipeline.association.identity.tracklets import Tracklet
+from pipeline.association.identity.tracklets import Ends, Tracklet, link_scores
 from pipeline.core.data.people import Doubt
 
 Chain = tuple[int, ...]

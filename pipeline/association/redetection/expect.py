@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.association.identity.steady import steady_places
+from pipeline.association.identity.limbs import steady_places
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Observations, Source, Track3D

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from pipeline.core.runtime.parent_watch import die_with_parent
-from pipeline.core.runtime.priorities import lower_priority
+from pipeline.core.runtime.resources import lower_priority
 
 NUMBER = struct.Struct("<i")
 """Process id or exit code on the socket of a fork."""

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from pipeline.association.identity.likenesses.find import Likenesses
-from pipeline.association.identity.likenesses.mirrored import MirrorImage
+from pipeline.association.identity.likenesses import Likenesses, MirrorImage
 from pipeline.core.data.cameras import Refinement, Synchronization
 from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import PersonLoss

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.association.identity.likenesses.find import find_likenesses
+from pipeline.association.identity.likenesses import find_likenesses
 from pipeline.capture.synchronization.document import sync_document
 from pipeline.core.data.animation import Floor, FootContact
 from pipeline.core.data.cameras import Camera, CameraMove, Refinement

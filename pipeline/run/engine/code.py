@@ -36,6 +36,8 @@ _ROOT = Path(__file__).parents[3]
 _PACKAGE = "pipeline"
 # Module behind every stage, which executors use: the record of an opened session.
 _OF_ALL = "pipeline.capture.preflight_npz"
+# Module that loads all modules of a package by name.
+_LOADING, _LOADED = "pipeline.export.writers.registry", "pipeline.export.writers."
 # The wheel's build puts this prefix before names of the packages. See `hatch_build.py`.
 _WHEEL_PREFIX = re.compile(rb"\bmulticap\.(?=(?:api|pipeline|worker)\b)")
 _FOR_TYPE_CHECKERS = re.compile(rb"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)*", re.MULTILINE)
@@ -106,6 +108,8 @@ class SourceFolder:
             origins = set()
             for module, names in _IMPORT.findall(_FOR_TYPE_CHECKERS.sub(b"", source).decode()):
                 origins |= {module, *(f"{module}.{word}" for word in re.findall(r"\w+", names))}
+            if name == _LOADING:
+                origins |= {module for module in self._files if module.startswith(_LOADED)}
             split = [origin.split(".") for origin in (name, *origins)]
             prefixes = {".".join(parts[:length]) for parts in split for length in range(1, len(parts) + 1)}
             self._modules[name] = hashlib.sha256(source).hexdigest(), frozenset(prefixes & self._files.keys())

@@ -14,29 +14,28 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.association.clustering.associate import (
+from pipeline.association.clustering.cluster_people import (
     find_people,
     first_lengths,
     join_poses,
     link_people,
     sampled_frames,
 )
-from pipeline.association.clustering.bone_lengths import LimbLengths
 from pipeline.association.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
 from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.parameters import derive_parameters as derive_clustering
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.skeleton import LimbLengths, skeleton_of
 from pipeline.association.hands.attach import attach_hands
 from pipeline.association.identity.alone import follow_alone
 from pipeline.association.identity.identify import identify
 from pipeline.association.identity.losses import find_losses
-from pipeline.association.identity.neighbours.decide import return_limbs
-from pipeline.association.identity.sides.decide import decide_sides
+from pipeline.association.identity.neighbours import return_limbs
+from pipeline.association.identity.sides import decide_sides
 from pipeline.association.redetection.accept import accept
-from pipeline.association.tracking.associate import track_bodies
 from pipeline.association.tracking.observations import Detections2D, gather
 from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.association.tracking.parameters import derive_parameters as derive_tracking
+from pipeline.association.tracking.track_people import track_bodies
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.core.layouts import LAYOUTS
-from pipeline.run.live.packets import KeypointsHead
+from pipeline.run.live.packets import KeypointsHead, read_message
 from pipeline.run.live.packing import unpack_keypoints
-from pipeline.run.live.pipes import read_message
 
 TIMESTAMPS = "timestamps.csv"
 """Name of the table of times."""

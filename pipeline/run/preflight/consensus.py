@@ -19,8 +19,15 @@ from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.triangulation import plane_rows, solve_normal
-from pipeline.run.preflight.agreement import FAR, MIN_JOINTS, body_distances, extents_px
-from pipeline.run.preflight.sightings import Points, SimultaneousPeople, ideal_px
+from pipeline.run.preflight.sightings import (
+    FAR,
+    MIN_JOINTS,
+    Points,
+    SimultaneousPeople,
+    body_distances,
+    extents_px,
+    ideal_px,
+)
 
 # Cameras that see a person, if the session has as many: two alone agree by chance in crowds.
 _MIN_VIEWS = 3

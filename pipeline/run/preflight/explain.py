@@ -18,8 +18,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Severity
 from pipeline.core.joints import JointSet, other_side
 from pipeline.geometry.epipolar import fundamental_matrices
-from pipeline.run.preflight.agreement import FAR, SURE, PeopleAgreement, compare
-from pipeline.run.preflight.sightings import Points, SimultaneousPeople, ideal_px
+from pipeline.run.preflight.sightings import FAR, SURE, PeopleAgreement, Points, SimultaneousPeople, compare, ideal_px
 
 Move = Literal["as is", "90", "180", "270", "mirrored", "exchanged"]
 MOVES: tuple[Move, ...] = ("90", "180", "270", "mirrored")

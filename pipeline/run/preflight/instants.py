@@ -14,8 +14,7 @@ from pipeline.detection.bodies import BodyDetector
 from pipeline.detection.chunk import camera_images, stack_bodies
 from pipeline.detection.profiles.detection import open_finder, shows_lean
 from pipeline.detection.upright import NumberedBodies, find_turn, turn_of_roll
-from pipeline.run.preflight.hanging import hanging_cameras
-from pipeline.run.preflight.session import check_bodies, frames_at_instants
+from pipeline.run.preflight.session import check_bodies, frames_at_instants, hanging_cameras
 
 # Shorter videos are decoded once from start to end. In longer ones a decoder is started at each frame.
 _DECODED_WHOLE = 600

@@ -23,7 +23,6 @@ from pipeline.core.problems.findings import (
 )
 from pipeline.export.quality.camera_shifts import find_shifted
 from pipeline.export.quality.names import first_names
-from pipeline.run.preflight.agreement import FAR
 from pipeline.run.preflight.consensus import CameraAgreement, LocatedPeople, agreement_of, locate_people
 from pipeline.run.preflight.explain import (
     DOUBTFUL,
@@ -34,7 +33,7 @@ from pipeline.run.preflight.explain import (
     explain,
     move_points,
 )
-from pipeline.run.preflight.sightings import NUM_INSTANTS, SimultaneousPeople
+from pipeline.run.preflight.sightings import FAR, NUM_INSTANTS, SimultaneousPeople
 from pipeline.run.preflight.world import check_world, locate, of_movers
 
 # Instants with the same points in two cameras that are no chance: detectors find the same in equal noise.

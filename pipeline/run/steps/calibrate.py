@@ -47,7 +47,7 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.write import encodings
     from pipeline.run.engine.codec import output_records
     from pipeline.run.engine.detections import detection_source
-    from pipeline.run.preflight.hanging import hanging_cameras
+    from pipeline.run.preflight.session import hanging_cameras
 
     hanging: Sequence[Finding] = ()
     making, on_share = context.config.making, context.on_share(task)

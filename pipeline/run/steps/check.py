@@ -20,8 +20,7 @@ def check(task: Task, context: Context) -> Output:
     from pipeline.run.engine.codec import encode
     from pipeline.run.engine.detections import detection_source
     from pipeline.run.engine.wanted_frames import measured_clocks
-    from pipeline.run.preflight.hanging import hanging_cameras
-    from pipeline.run.preflight.session import with_clocks
+    from pipeline.run.preflight.session import hanging_cameras, with_clocks
     from pipeline.run.preflight.verdict import judge
 
     session, detections = context.session(), detection_source(context)

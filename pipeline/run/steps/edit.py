@@ -27,7 +27,7 @@ _ANYBODY = 0
 
 def edit(task: Task, context: Context) -> Output:
     """Put the people together whom the edits change."""
-    from pipeline.run.engine.editing import changed_people, edited_take
+    from pipeline.run.engine.edited_people import changed_people, edited_take
     from pipeline.run.engine.stored_people import found_people, write_people
     from pipeline.run.engine.wanted_frames import wanted_frames
 
@@ -46,7 +46,7 @@ def refit(task: Task, context: Context) -> Output:
     from pipeline.motion.skeleton.animate import animate
     from pipeline.run.engine.codec import RecordArchive, decode, encode
     from pipeline.run.engine.detections import detection_source, joint_offsets
-    from pipeline.run.engine.editing import renumbered
+    from pipeline.run.engine.edited_people import renumbered
     from pipeline.run.engine.pieces import Pieces
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames

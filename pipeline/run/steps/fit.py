@@ -14,7 +14,7 @@ CHOICES = ("smoothing", "cutoff_hz", "joint_centers")
 
 def fit(task: Task, context: Context) -> Output:
     """Fit the skeletons of a part of the people; the first task also finds from whose feet the floor is estimated."""
-    from pipeline.association.identity.likenesses.find import find_likenesses, seen_in
+    from pipeline.association.identity.likenesses import find_likenesses, seen_in
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import FittedFeet, PersonFitter
     from pipeline.run.engine.codec import encode

@@ -15,7 +15,7 @@ def refine(task: Task, context: Context) -> Output:
     from pipeline.run.engine.codec import encode, output_record
     from pipeline.run.engine.detections import detection_source
     from pipeline.run.engine.methods import association_in
-    from pipeline.run.engine.refinement import refine_from_bodies, refine_from_fields
+    from pipeline.run.engine.recalibration import refine_from_bodies, refine_from_fields
     from pipeline.run.engine.wanted_frames import from_first, wanted_on_clocks
     from pipeline.run.preflight.verdict import is_deferred, judge_refined
     from pipeline.run.steps.check import check_with

@@ -11,7 +11,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import recorded_frames
+from pipeline.run.live.records import recorded_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.evaluation.incremental import unscored_track
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pipeline.association.clustering.associate import reconstruct_evidence
+from pipeline.association.clustering.cluster_people import reconstruct_evidence
 from pipeline.association.clustering.instant.candidates import FieldEvidence
 from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.skeleton import skeleton_of

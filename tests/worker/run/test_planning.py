@@ -134,9 +134,7 @@ def test_a_cutoff_counts_where_it_is_used() -> None:
 
 
 FROM_PLACES = {EXPECT, REDETECT, IDENTIFY, FIT, HOLD, EXPORT}
-VIDEO_STAGES = (
-    *(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, HOLD, EXPORT),
-)
+VIDEO_STAGES = (*(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, HOLD, EXPORT),)
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 

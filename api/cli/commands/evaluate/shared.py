@@ -12,7 +12,7 @@ from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import MAX_STATURE_M, MIN_STATURE_M
 from pipeline.run.engine.methods import Association
-from pipeline.run.engine.refinement import refine_from_bodies
+from pipeline.run.engine.recalibration import refine_from_bodies
 
 StatureOption = Annotated[
     list[float] | None,

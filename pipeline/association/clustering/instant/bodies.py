@@ -10,13 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.association.clustering.bone_lengths import LimbLengths
 from pipeline.association.clustering.instant.constraints import pose_length_error
 from pipeline.association.clustering.instant.evidence import NOWHERE
 from pipeline.association.clustering.instant.hypotheses import Candidates, views_that_meet
 from pipeline.association.clustering.instant.work_limits import MAX_BODIES, MAX_PAIRS, WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters
-from pipeline.association.clustering.skeleton import Skeleton
+from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, solve_normal
 
 # Least number of joints that agree with certainty if two groups of bodies are one person: two are too few.

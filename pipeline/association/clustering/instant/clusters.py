@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from pipeline.association.clustering.bone_lengths import LimbLengths
 from pipeline.association.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import NOWHERE, JointPoints, LimbEvidence
 from pipeline.association.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
@@ -22,7 +21,7 @@ from pipeline.association.clustering.instant.work_limits import (
     WorkLimits,
 )
 from pipeline.association.clustering.parameters import ClusteringParameters
-from pipeline.association.clustering.skeleton import Skeleton
+from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import plane_rows
 
 # Most points of a cluster that are tried as its densest point; the refinement of eq. 4 corrects the choice.

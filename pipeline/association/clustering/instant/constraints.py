@@ -3,9 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.association.clustering.bone_lengths import LimbLengths
 from pipeline.association.clustering.instant.evidence import JointPoints
-from pipeline.association.clustering.skeleton import Skeleton
+from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 
 _SHORTEST_M = 0.02
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.association.clustering.bone_lengths import LimbLengths
 from pipeline.association.clustering.instant.bodies import bodies_of, match_bodies
 from pipeline.association.clustering.instant.clusters import Joints, adopt, no_joints
 from pipeline.association.clustering.instant.constraints import pose_length_error
@@ -15,7 +14,7 @@ from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.joints import refine
 from pipeline.association.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters
-from pipeline.association.clustering.skeleton import Skeleton
+from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, triangulate_robust
 
 # Distance of a joint from the ray of a candidate beyond which the candidate shows something else.

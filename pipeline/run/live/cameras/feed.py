@@ -1,18 +1,120 @@
-"""Feed of a camera: its stream in a process, which is started again whenever it ends."""
+"""Feed of a camera: its stream in a process, ``stream_program``, which is started again whenever it ends.
 
+The process shares the pictures with this one.
+"""
+
+import json
+import os
 import queue
+import select
+import subprocess
+import sys
+import tempfile
 import threading
 import time
+import weakref
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any, cast
 
 from pipeline.core.errors import Problem
 from pipeline.core.problems.findings import STREAM_SILENT
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
+from pipeline.core.runtime.child_processes import module_command, uninterrupted
 from pipeline.run.live.cameras.sources import CameraSource
-from pipeline.run.live.cameras.stream_process import SharedPictures, StreamProcess, StreamProcessError
 from pipeline.run.live.cameras.stream_program import StreamRequest
+from pipeline.video.children import READY, child_environment
+
+_MAX_LINE_BYTES = 2**16
+
+
+class StreamProcessError(Exception):
+    """The process ended by itself: its stream has made FFmpeg crash, or used too much memory."""
+
+
+class StreamProcess:
+    """Running process of a stream, to be used in a ``with`` block; at its end it is killed."""
+
+    def __init__(self, request: StreamRequest) -> None:
+        with uninterrupted():
+            self._child = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+                module_command("pipeline.run.live.cameras.stream_program"),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=child_environment(),
+                bufsize=0,
+            )
+        self._received = b""
+        self.tell(**request._asdict())
+
+    def __enter__(self) -> "StreamProcess":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.kill()
+        with self._child:  # closes the pipes, and waits
+            pass
+
+    def tell(self, **values: object) -> None:
+        """Send a message; a process that has ended does not get it."""
+        try:
+            cast(IO[bytes], self._child.stdin).write(json.dumps(values).encode() + b"\n")
+        except (BrokenPipeError, ValueError):
+            return
+
+    def messages(self, timeout_s: float) -> Iterator[dict[str, Any] | None]:
+        """Messages of the process; ``None`` when none has come within the time, which the caller may end.
+
+        Raises ``StreamProcessError`` if the process ends.
+        """
+        for line in self._lines(timeout_s):
+            if line is None:
+                yield None
+            elif line + b"\n" != READY:
+                yield json.loads(line)
+
+    def _lines(self, timeout_s: float) -> Iterator[bytes | None]:
+        pipe = cast(IO[bytes], self._child.stdout).fileno()
+        poll = select.poll()
+        poll.register(pipe, select.POLLIN)
+        while True:
+            *lines, self._received = self._received.split(b"\n")
+            yield from lines
+            if not poll.poll(1000 * timeout_s):
+                yield None
+                continue
+            content = os.read(pipe, _MAX_LINE_BYTES)
+            if not content or len(self._received) > _MAX_LINE_BYTES:
+                raise StreamProcessError
+            self._received += content
+
+
+class SharedPictures:
+    """File in memory for some pictures, which the process of a stream writes and those that detect read."""
+
+    def __init__(self, num_slots: int, height: int, width: int) -> None:
+        self.shape = (num_slots, height, width, 3)
+        self._file = _file_in_memory()
+        self._file.truncate(num_slots * height * width * 3)
+        # Until nobody refers to it: a path must not lead to a later file.
+        weakref.finalize(self, self._file.close)
+
+    @property
+    def path(self) -> str:
+        """Path by which processes of the same user open the file."""
+        if sys.platform == "linux":
+            return f"/proc/{os.getpid()}/fd/{self._file.fileno()}"
+        return str(self._file.name)
+
+
+def _file_in_memory() -> IO[bytes]:
+    """File that is removed when it is closed, in memory where the system supports it."""
+    if sys.platform == "linux":
+        return os.fdopen(os.memfd_create("multicap-pictures"), "w+b")
+    return cast(IO[bytes], tempfile.NamedTemporaryFile(prefix="multicap-"))
+
 
 # Longest wait for the first picture, and for the next one; the stream's own time-outs are shorter.
 _OPEN_S, _SILENT_S = 15.0, 6.0

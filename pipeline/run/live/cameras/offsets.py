@@ -13,7 +13,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.problems.findings import STREAM_SILENT
 from pipeline.detection.bodies import boxes_around
-from pipeline.run.live.recorded import DetectedFrame
+from pipeline.run.live.records import DetectedFrame
 
 # Fewer frames of a camera show no motion.
 _MIN_FRAMES = 10

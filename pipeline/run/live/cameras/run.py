@@ -28,15 +28,21 @@ from pipeline.run.live.cameras.detection import (
     detect_bodies,
     num_processes,
 )
-from pipeline.run.live.cameras.feed import CameraFeed, FeedEnded, FeedEvent, FeedOpened, FrameDecoded, PictureReady
+from pipeline.run.live.cameras.feed import (
+    CameraFeed,
+    FeedEnded,
+    FeedEvent,
+    FeedOpened,
+    FrameDecoded,
+    PictureReady,
+    SharedPictures,
+)
 from pipeline.run.live.cameras.offsets import OffsetSearch
 from pipeline.run.live.cameras.pace import DetectionPace, frames_in_slot
 from pipeline.run.live.cameras.sources import CameraSource
-from pipeline.run.live.cameras.stream_process import SharedPictures
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import DetectedFrame
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.run.live.settings import LiveSettings
 from pipeline.video.orientation import mirrored
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.association.tracking.associate import associate, locate_people
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import associate, locate_people
 from pipeline.validation.evaluation.datasets.shelf import (
     FRAME_RATE_HZ,
     NUM_SCORED_ACTORS,

@@ -16,8 +16,7 @@ from pipeline.core.errors import PipelineError
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import detected_frames
-from pipeline.run.live.records import LiveInstant, LivePerson
+from pipeline.run.live.records import LiveInstant, LivePerson, detected_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.scenes import SCENES, Joints, record
@@ -143,7 +142,7 @@ import itertools, sys
 from dataclasses import replace
 from pathlib import Path
 from api.cli.live.outputs import KeptKeypoints
-from pipeline.run.live.recorded import detected_frames
+from pipeline.run.live.records import detected_frames
 from pipeline.validation.simulation.scenes import SCENES, record
 simulation = record(replace(SCENES["room"], duration_s=2.0), 0, 3)
 kept = KeptKeypoints(Path(sys.argv[1]))

@@ -17,7 +17,7 @@ from pipeline.core.errors import InputError
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.packing import unpack_instant
-from pipeline.run.live.recorded import recorded_frames
+from pipeline.run.live.records import recorded_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 

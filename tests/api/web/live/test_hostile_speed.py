@@ -20,8 +20,8 @@ import psutil
 import pytest
 
 from multicap.live import LiveOptions, connect_sync
-from pipeline.core.runtime.priorities import lower_priority
-from pipeline.run.live.recorded import recorded_frames
+from pipeline.core.runtime.resources import lower_priority
+from pipeline.run.live.records import recorded_frames
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.api.web.live.messages import start_message

@@ -23,8 +23,7 @@ from pipeline.core.errors import InputError
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets
 from pipeline.detection.entries import entry_of
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import RecordedFrame, recorded_frames
-from pipeline.run.live.records import LiveInstant, LiveSkeleton
+from pipeline.run.live.records import LiveInstant, LiveSkeleton, RecordedFrame, recorded_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record

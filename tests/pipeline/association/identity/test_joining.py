@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from pipeline.association.identity import joining
 from pipeline.association.identity.joining import TrackletLinks, doubts_of, join
-from pipeline.association.identity.links import Ends, link_scores
 from pipeline.association.identity.proportions import NUM_LIMBS, LimbProportions, Measured
-from pipeline.association.identity.tracklets import Tracklet
+from pipeline.association.identity.tracklets import Ends, Tracklet, link_scores
 
 
 def session_of(seed: int, count: int) -> TrackletLinks:

@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.association.identity.likenesses.find import Likenesses
+from pipeline.association.identity.likenesses import Likenesses
 from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import Doubt, Observations, PersonLoss

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.run.engine.code import LIBRARIES, SourceFolder, digests_of_stages, stage_codes
 from pipeline.run.engine.plan import STAGES
-from pipeline.run.engine.stage import DETECT, EXPORT, FIT, HOLD, LENGTHS, LOOK, POSES, REFIT
+from pipeline.run.engine.stage import DETECT, EXPORT, FIT, HOLD, LENGTHS, LOOK, POSES, REFIT, WRITE
 
 ROOT = Path(__file__).parents[4]
 # Packages that the stages import and that change no number.
@@ -98,6 +98,13 @@ def test_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
 def test_module_of_a_stage_counts_for_it(sources: Path) -> None:
     append(sources / "pipeline/run/steps/export.py")
     assert changed(sources) == {EXPORT}
+
+
+def test_writer_that_is_loaded_by_name_counts_for_files(sources: Path) -> None:
+    append(sources / "pipeline/export/writers/bvh.py")
+    stages = changed(sources)
+    assert stages >= {EXPORT, WRITE}
+    assert not stages & {LOOK, DETECT, FIT, HOLD}
 
 
 def test_module_of_all_stages_counts_for_all(sources: Path) -> None:

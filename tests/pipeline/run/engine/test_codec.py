@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jaxtyping import Float
 
-from pipeline.association.clustering.bone_lengths import LimbLengths
+from pipeline.association.clustering.skeleton import LimbLengths
 from pipeline.core.data.animation import Animation, Floor, FootContact, FootPart, SkeletonMotion
 from pipeline.core.data.arrays import no_colours, no_detections
 from pipeline.core.data.detections import DamagedVideo, Detections, MapGrid, PafFields, PictureChanges

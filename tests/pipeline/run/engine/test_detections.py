@@ -12,7 +12,7 @@ from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointO
 from pipeline.core.options.config import JointCenters, ReconstructionConfig
 from pipeline.detection.entries import REGISTRY
 from pipeline.run.engine.detections import detection_source, joint_offsets
-from pipeline.run.engine.local import _Job, _TaskContext
+from pipeline.run.engine.local_tasks import LocalJob
 from pipeline.run.engine.output_folder import OutputFolder
 from pipeline.run.engine.stage import Context, SessionFacts
 from pipeline.run.engine.wanted_frames import captured_videos
@@ -25,7 +25,7 @@ NOWHERE = Path("nowhere")
 def context_of(session: Session, config: ReconstructionConfig = ReconstructionConfig()) -> Context:  # noqa: B008
     facts = SessionFacts((), 1, 25.0, (range(1),), {}, has_videos=session is VIDEOS)
     folder = OutputFolder(NOWHERE)
-    return _TaskContext(_Job(session, config, facts, (), folder, folder, NOWHERE))
+    return LocalJob(session, config, facts, (), folder, folder, NOWHERE).context()
 
 
 def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets:

@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import DetectedFrame, detected_frames
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant, detected_frames
 from pipeline.validation.simulation.scenes import Simulation
 
 

@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17
 from pipeline.run.live import frames as waiting
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.recorded import DetectedFrame
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.pipeline.conftest import body, detections_of

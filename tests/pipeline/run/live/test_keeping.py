@@ -11,8 +11,8 @@ from pipeline.calibration.write import encode
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.layouts import LAYOUTS
 from pipeline.run.live.keeping import write_session
+from pipeline.run.live.packets import framed
 from pipeline.run.live.packing import pack_keypoints
-from pipeline.run.live.pipes import framed
 from pipeline.validation.simulation.scenes import SCENES, record
 from tests.pipeline.run.live.streams import sent_frames
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffset
 from pipeline.core.options.config import ReconstructionConfig

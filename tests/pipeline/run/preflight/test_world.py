@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.run.preflight.world import of_movers
-from tests.pipeline.association.identity.likenesses.scenes import moving, poster
+from tests.pipeline.association.identity.test_likenesses import moving, poster
 
 INSTANTS = np.arange(10, 240, 20)
 

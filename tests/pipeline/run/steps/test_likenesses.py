@@ -17,7 +17,7 @@ from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
-from tests.pipeline.association.identity.likenesses.scenes import RATE_HZ, Motion, mirrored, moving, poster
+from tests.pipeline.association.identity.test_likenesses import RATE_HZ, Motion, mirrored, moving, poster
 
 NUM_FRAMES, CAME = 240, 90
 CAMERAS = build_cameras(Rig(Layout.RING, 5, (4.5, 4.5), 2.0, (1920, 1080), 1000.0), np.random.default_rng(4))

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.association.clustering.bone_lengths import LimbLengths, unknown_lengths
 from pipeline.association.clustering.instant import bodies as module
 from pipeline.association.clustering.instant.bodies import agree, bodies_of, join_bodies, least_agreement, match_bodies
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters
+from pipeline.association.clustering.skeleton import LimbLengths, unknown_lengths
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
-from tests.pipeline.association.clustering.test_associate import SKELETON, candidates_of, known_lengths, two_people
+from tests.pipeline.association.clustering.test_cluster_people import SKELETON, candidates_of, known_lengths, two_people
 
 PARAMETERS = ClusteringParameters(tau1_px=8.0)
 UNKNOWN = unknown_lengths(SKELETON)

@@ -1,9 +1,8 @@
 import numpy as np
 
-from pipeline.association.clustering.bone_lengths import LimbLengths, measure_lengths, unknown_lengths
 from pipeline.association.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import JointPoints, Membership
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.skeleton import LimbLengths, measure_lengths, skeleton_of, unknown_lengths
 from pipeline.core.joints import COCO_17
 
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association.clustering.associate import find_poses, reconstruct_by_clustering
-from pipeline.association.clustering.bone_lengths import LimbLengths, unknown_lengths
+from pipeline.association.clustering.cluster_people import find_poses, reconstruct_by_clustering
 from pipeline.association.clustering.instant import people as module
 from pipeline.association.clustering.instant.candidates import Instant
 from pipeline.association.clustering.instant.evidence import NOWHERE
@@ -15,12 +14,13 @@ from pipeline.association.clustering.instant.parsing import Poses
 from pipeline.association.clustering.instant.people import match_people
 from pipeline.association.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
+from pipeline.association.clustering.skeleton import LimbLengths, unknown_lengths
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
 from pipeline.validation.simulation.scenes import SCENES, Scene, record
 from tests.cases import slow_but
-from tests.pipeline.association.clustering.test_associate import (
+from tests.pipeline.association.clustering.test_cluster_people import (
     EVIDENCE,
     SKELETON,
     candidates_of,

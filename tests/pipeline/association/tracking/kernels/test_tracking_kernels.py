@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.initialization import epipolar_affinity
 from pipeline.association.tracking.kernels import observation_kernels
 from pipeline.association.tracking.kernels import tracking_kernels as kernels
@@ -14,6 +13,7 @@ from pipeline.association.tracking.kernels.assignment_kernels import assign
 from pipeline.association.tracking.kernels.state import make_workspace
 from pipeline.association.tracking.observations import gather, undistorted
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracker import Tracker, make_frames, make_rig
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world

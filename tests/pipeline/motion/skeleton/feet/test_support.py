@@ -17,7 +17,7 @@ from pipeline.motion.skeleton.feet.support import FootMarks, Support, support_of
 from pipeline.validation.simulation.acrobatics.performance import feet_on_floor
 from pipeline.validation.simulation.scenes import simulate
 from tests.cases import slow_but
-from tests.pipeline.association.identity.likenesses.scenes import track
+from tests.pipeline.association.identity.test_likenesses import track
 from tests.pipeline.motion.skeleton.feet.test_contacts import RATE_HZ, steps
 from tests.pipeline.motion.skeleton.observed import observe
 

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.associate import reconstruct_tracks
 from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import COCO_17

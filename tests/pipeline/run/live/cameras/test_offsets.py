@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.core.errors import InputError
 from pipeline.run.live.cameras.offsets import OffsetSearch, find_offsets
-from pipeline.run.live.recorded import DetectedFrame, detected_frames
+from pipeline.run.live.records import DetectedFrame, detected_frames
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
 LATE_S = (0.0, 0.12, -0.05)

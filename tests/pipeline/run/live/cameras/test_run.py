@@ -26,8 +26,7 @@ from pipeline.run.live.cameras.pace import DetectionPace
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import CameraSource
 from pipeline.run.live.cameras.totals import LiveTotals
-from pipeline.run.live.recorded import DetectedFrame
-from pipeline.run.live.records import LiveInstant
+from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.pipeline.media import write_pictures, write_video
 from tests.pipeline.run.live.cameras.servers import serving, silent

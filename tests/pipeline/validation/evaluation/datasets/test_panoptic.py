@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from api.cli.main import app
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
-from pipeline.run.engine.editing import part_of_track
+from pipeline.run.engine.edited_people import part_of_track
 from pipeline.validation.evaluation.datasets.panoptic import CAMERAS, load_panoptic, score_panoptic
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.validation.evaluation.datasets.panoptic_files import write_poses, write_sequence

@@ -1,1 +1,0 @@
-"""Likenesses of people: pictures of them that never move, and their mirror images."""
