@@ -12,7 +12,7 @@ from pipeline.capture.session import Session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.problems.requests import SPACE_MISSING
-from pipeline.run.space import CameraFrames, ForeseenSpace, shown_bytes, space_of
+from pipeline.run.space import CameraFrames, ForeseenSpace, estimate_space, shown_bytes
 
 
 def session_space(session: Session, config: ReconstructionConfig, character: Path | None = None) -> ForeseenSpace:
@@ -30,7 +30,7 @@ def session_space(session: Session, config: ReconstructionConfig, character: Pat
     timebase = session.timebase
     frames = timebase.num_frames, timebase.frame_rate_hz, session.stretches
     character_bytes = 0 if character is None else character.stat().st_size
-    return space_of(cameras, *frames, config, has_viewers=False, character_bytes=character_bytes)
+    return estimate_space(cameras, *frames, config, has_viewers=False, character_bytes=character_bytes)
 
 
 def sentence(space: ForeseenSpace) -> str:

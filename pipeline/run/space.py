@@ -79,7 +79,7 @@ class ForeseenMemory:
     part_bytes: int  # Of a task on a part of the session: a camera, or a range of frames
     whole_bytes: int  # Of a task that holds everybody in all frames
 
-    def of_cut(self, cut: Cut) -> int:
+    def task_bytes(self, cut: Cut) -> int:
         """Memory of a task of a stage that is cut so."""
         return self.whole_bytes if cut in {"whole", "people"} else self.part_bytes
 
@@ -108,7 +108,7 @@ def foreseen_space(preflight: Preflight, config: ReconstructionConfig, character
     ]
     timebase = preflight.timebase
     frames = timebase.num_frames, timebase.frame_rate_hz, preflight.stretches
-    return space_of(cameras, *frames, config, has_viewers=True, character_bytes=character_bytes)
+    return estimate_space(cameras, *frames, config, has_viewers=True, character_bytes=character_bytes)
 
 
 def foreseen_memory(preflight: Preflight, config: ReconstructionConfig) -> ForeseenMemory:
@@ -149,7 +149,7 @@ def _times_of_fingers(num_joints: float) -> float:
     return _WITH_FINGERS if num_joints > _MOST_OF_BODY else 1.0
 
 
-def space_of(
+def estimate_space(
     cameras: Sequence[CameraFrames],
     num_frames: int,
     frame_rate_hz: float,

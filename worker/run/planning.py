@@ -61,7 +61,7 @@ def plan_job(
     return tuple(
         StagePlan(
             stage.name,
-            _Chunks(stage, memory.of_cut(STAGE_BY_NAME[stage.name].cut)),
+            _Chunks(stage, memory.task_bytes(STAGE_BY_NAME[stage.name].cut)),
             stage.code_sha256,
             provider if STAGE_BY_NAME[stage.name].runs_networks else "",
         )

@@ -11,7 +11,7 @@ from pipeline.association.clustering.cluster_people import find_poses, first_len
 from pipeline.association.clustering.instant.candidates import FieldEvidence
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import derive_parameters
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.joints import COCO_18
 from pipeline.geometry.camera import image_from_world
 from pipeline.run.warm_up import warm_up
@@ -28,7 +28,7 @@ def _poses_s(simulation: Simulation) -> float:
     """Shortest of several times for all frames, with known bone lengths of all people."""
     cameras, timebase = simulation.cameras, simulation.timebase
     parameters = derive_parameters(cameras, GRID.tau2)
-    skeleton = skeleton_of(COCO_18)
+    skeleton = clustering_skeleton(COCO_18)
     projections = np.array([image_from_world(camera) for camera in cameras])
     fields = render(simulation.sketches, simulation.times, (-np.inf, np.inf))
     seen = FieldEvidence(cameras, simulation.times, fields, timebase, skeleton, parameters)

@@ -20,8 +20,8 @@ from pipeline.association.clustering.skeleton import (
     TORSO,
     LimbLengths,
     Skeleton,
+    clustering_skeleton,
     measure_lengths,
-    skeleton_of,
     unknown_lengths,
     unlimited_lengths,
 )
@@ -46,6 +46,21 @@ def find_poses(
 
     People whose bodies agree in several views come first. The paper's steps find the rest: joints that these people
     lack, and other people.
+
+    Parameters
+    ----------
+    image_from_world
+        Projection matrices of ideal lenses.
+    instant
+        Candidates of joints in undistorted pixels, and the evidence of limbs.
+    lengths
+        Lengths of bones in metres; ``unknown_lengths`` before they are measured.
+    limits
+        Limits of the work at the instant; they note whether the result is exact.
+
+    Returns
+    -------
+        Poses with joints in metres, NaN where a joint was not found, and the candidates behind them.
     """
     whole = match_people(image_from_world, instant.candidates, skeleton, lengths, parameters, limits)
     joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, limits, whole.joints)
@@ -66,9 +81,20 @@ def find_people(
     parameters: ClusteringParameters,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Poses3D:
-    """Find the poses of all people in some output frames.
+    """Find the poses of all people in some output frames; the result does not depend on the other frames.
 
-    ``evidence`` is that of the cameras for these frames; ``lengths`` are ``unknown_lengths`` for the first pass.
+    Parameters
+    ----------
+    evidence
+        Evidence of the cameras at least for these frames.
+    frames
+        Numbers of output frames, ascending.
+    lengths
+        Lengths of bones in metres; ``unknown_lengths`` for the first pass.
+
+    Returns
+    -------
+        Poses with joints (poses, joints, 3) in metres, NaN where a joint was not found.
     """
     projections = np.array([image_from_world(camera) for camera in cameras])
     if not parameters.use_lengths:
@@ -140,7 +166,7 @@ def link_people(
     -------
         Tracks on the output frames, in order of first appearance, and the observations behind them.
     """
-    skeleton = skeleton_of(joints)
+    skeleton = clustering_skeleton(joints)
     on_links, on_people = split(on_share, (1, 1))
     linked = _linked_rows(poses, timebase, skeleton, parameters, on_links)
     parts = split(on_people, [len(rows) for rows in linked])
@@ -162,9 +188,38 @@ def reconstruct_by_clustering(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct tracks from the bodies that a detector found: all three steps.
 
-    Raises ``ValueError`` if the detector lacks a joint of the paper's skeleton other than the neck.
+    Parameters
+    ----------
+    times, detections
+        Times of the frames in seconds, and bodies in distorted pixels, by name of the camera.
+    timebase
+        Output frames.
+    joints
+        Joints of the detections.
+
+    Returns
+    -------
+        Tracks with joints (frames, joints, 3) in metres, and observations with pixels (frames, cameras, joints, 2), in
+        the same order; NaN where unknown.
+
+    Raises
+    ------
+    ValueError
+        If the detector lacks a joint of the paper's skeleton other than the neck.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from pipeline.association.clustering.parameters import derive_parameters
+    >>> from pipeline.validation.simulation.scenes import SCENES, record
+    >>> take = record(replace(SCENES["room"], duration_s=0.4), seed=0)
+    >>> tracks, observations = reconstruct_by_clustering(
+    ...     take.cameras, take.times, take.detections, take.timebase, take.joints, derive_parameters(take.cameras)
+    ... )
+    >>> len(tracks)
+    3
     """
-    evidence = BodyEvidence(cameras, times, detections, timebase, skeleton_of(joints), parameters)
+    evidence = BodyEvidence(cameras, times, detections, timebase, clustering_skeleton(joints), parameters)
     return reconstruct_evidence(cameras, lambda _: evidence, [range(timebase.num_frames)], timebase, joints, parameters)
 
 
@@ -181,7 +236,7 @@ def reconstruct_evidence(
     The ranges cover all output frames in order; ``evidence_in`` gives the evidence of one, and is called twice for
     each.
     """
-    skeleton = skeleton_of(joints)
+    skeleton = clustering_skeleton(joints)
     sampled = sampled_frames(timebase, parameters)
     chunks = ((evidence_in(frames), [frame for frame in frames if frame in sampled]) for frames in ranges)
     lengths = first_lengths(cameras, chunks, timebase, skeleton, parameters)

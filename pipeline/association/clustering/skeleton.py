@@ -91,7 +91,7 @@ class Skeleton:
         return [self.names.index(name) for name in names]
 
 
-def skeleton_of(joints: JointSet) -> Skeleton:
+def clustering_skeleton(joints: JointSet) -> Skeleton:
     """Make the skeleton of a detector's joints.
 
     Raises ``ValueError`` if it lacks any of the paper's 13 joints other than the neck.

@@ -59,7 +59,7 @@ def _follow(
     """Continue a track behind its last frame (``step`` 1) or before its first one (-1); claims the bodies it takes."""
     track, _ = person
     rate_hz = timebase.frame_rate_hz
-    body_m, velocity_m = _end_of(track, step, rate_hz)
+    body_m, velocity_m = _track_end(track, step, rate_hz)
     end = track.start_frame + (track.num_frames - 1 if step > 0 else 0)
     bodies: list[tuple[int, int, Float[np.ndarray, "joints 3"]]] = []
     last_found = 0
@@ -79,7 +79,9 @@ def _follow(
     return _longer(person, step, bodies, left, cameras, min_score) if bodies else person
 
 
-def _end_of(track: Track3D, step: int, rate_hz: float) -> tuple[Float[np.ndarray, "joints 3"], Float[np.ndarray, " 3"]]:
+def _track_end(
+    track: Track3D, step: int, rate_hz: float
+) -> tuple[Float[np.ndarray, "joints 3"], Float[np.ndarray, " 3"]]:
     """Joints at an end of a track in metres, NaN where they are unknown, and the body's way from frame to frame.
 
     A joint that is unknown at the end itself is where it was shortly before, moved with the body.

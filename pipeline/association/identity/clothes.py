@@ -94,7 +94,7 @@ def mean_clothes(
     return Clothes(total / np.where(sums > 0, sums, 1.0), num_detections)
 
 
-def clothes_of(
+def measure_clothes(
     detection: Int[np.ndarray, "frames _"], colour: UInt8[np.ndarray, "detections parts bins"], num_cameras: int
 ) -> Clothes:
     """Average the colours of some frames of a person.
@@ -120,7 +120,7 @@ def log_likelihood_ratios(pieces: Sequence[Clothes], contrast: Contrast) -> Floa
     return ratios
 
 
-def log_likelihood_ratios_of(
+def clothes_likelihood_ratios(
     piece: Clothes, others: Sequence[Clothes], contrast: Contrast
 ) -> Float[np.ndarray, " others"]:
     """Logarithm of the likelihoods' ratio of a piece's colours and those of each other one.
@@ -192,7 +192,7 @@ def tracklet_ratios(
 ) -> Float[np.ndarray, "tracklets tracklets"]:
     """Ratios of all pairs of tracklets, with the contrast of their session; 0 beside the longest tracklets.
 
-    Tracklets were cut from ``pieces``; ``colour`` is as of ``clothes_of``.
+    Tracklets were cut from ``pieces``; ``colour`` is as of ``measure_clothes``.
     """
     ratios = np.zeros((len(tracklets), len(tracklets)))
     length = np.array([tracklet.stop_frame - tracklet.start_frame for tracklet in tracklets])
@@ -202,7 +202,7 @@ def tracklet_ratios(
     def clothes(tracklet: Tracklet, start_frame: int, stop_frame: int) -> Clothes:
         track, seen = pieces[tracklet.track]
         rows = slice(start_frame - track.start_frame, stop_frame - track.start_frame)
-        return clothes_of(seen.detection[rows], colour, num_cameras)
+        return measure_clothes(seen.detection[rows], colour, num_cameras)
 
     whole = [clothes(tracklet, tracklet.start_frame, tracklet.stop_frame) for tracklet in chosen]
     middles = [(tracklet.start_frame + tracklet.stop_frame) // 2 for tracklet in chosen]

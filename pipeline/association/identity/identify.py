@@ -31,7 +31,7 @@ from pipeline.association.identity.tracklets import (
     encounters,
     first_ends,
     last_ends,
-    path_of,
+    make_path,
     viewed_area_m2,
 )
 from pipeline.core.data.arrays import no_detections
@@ -75,7 +75,7 @@ def identify(
     tracks: list[Person] = list(zip(people.tracks, people.observations, strict=True))
     recorded = timebase.num_frames if num_recorded is None else num_recorded
     num_bodies = mean_bodies(people.observations, recorded)
-    whole = cut_at_gaps([path_of(track, joints) for track, _ in tracks], timebase.frame_rate_hz)
+    whole = cut_at_gaps([make_path(track, joints) for track, _ in tracks], timebase.frame_rate_hz)
     pieces = [cut(tracks[piece.track], piece.start_frame, piece.stop_frame) for piece in whole]
     pieces = merge_doubles(pieces, cameras, joints, timebase, min_score)
     session = _session(pieces, joints, timebase.frame_rate_hz)
@@ -133,7 +133,7 @@ def _most_seen(
 
 def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> TrackletLinks:
     """Cut pieces of tracks at all moments of doubt, and measure what links the tracklets."""
-    paths = [path_of(track, joints) for track, _ in pieces]
+    paths = [make_path(track, joints) for track, _ in pieces]
     lengths_m = [limb_lengths_m(track, joints) for track, _ in pieces]
     spread_m = spread_of_a_second_m(lengths_m, frame_rate_hz)
     moments = encounters(paths, frame_rate_hz) + [

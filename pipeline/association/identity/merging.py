@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.association.identity.tracklets import Path, pairs_within, path_of
+from pipeline.association.identity.tracklets import Path, make_path, pairs_within
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Source
 from pipeline.core.joints import JointSet
@@ -131,7 +131,7 @@ def merge_doubles(
 
     The pieces have no long gaps; ``min_score`` is as of ``merging.merge``.
     """
-    paths = [path_of(track, joints) for track, _ in pieces]
+    paths = [make_path(track, joints) for track, _ in pieces]
     shared = {
         (first, second): min(paths[first].stop_frame, paths[second].stop_frame) - paths[second].start_frame
         for first, second in pairs_within(paths, _SAME_PLACE_M)

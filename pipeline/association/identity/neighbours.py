@@ -46,7 +46,7 @@ def present(persons: Sequence[Person], frames: range) -> list[int]:
     return [k for k, (track, _) in enumerate(persons) if _life(track.start_frame, track.num_frames, frames)]
 
 
-def window_of(persons: Sequence[Person], frames: range) -> Window:
+def select_window(persons: Sequence[Person], frames: range) -> Window:
     """Cut the output frames of a range out of everybody's tracks and observations."""
     there = present(persons, frames)
     num_cameras, num_joints = persons[0][1].score.shape[1:]
@@ -177,7 +177,7 @@ def _taken(
     margin = int(np.ceil(REACH_S * timebase.frame_rate_hz)) + 2
     taken: list[TakenJoint] = []
     for block, frames in _blocks(persons, range(first, stop), margin):
-        window = window_of(persons, frames)
+        window = select_window(persons, frames)
         near = near_neighbours(window, cameras)
         near[..., : block.start - frames.start] = False
         near[..., block.stop - frames.start :] = False
@@ -186,10 +186,10 @@ def _taken(
         ideal_px = np.stack([undistort_views(cameras, points_px) for points_px in window.points_px])
         for number in np.flatnonzero(near.any((0, 1, 3))).tolist():
             view = _View(window, ideal_px, number, cameras, limbs, sides, min_score)
-            at_stake = view.at_stake(near[:, :, number])
-            for rows in runs(binary_dilation(at_stake.any((0, 1)), np.ones(2 * margin + 1, bool))):
-                expected_m = view.expected_m(at_stake[..., rows], rows, timebase.frame_rate_hz)
-                taken += view.taken(at_stake[..., rows], rows, expected_m, frames[rows].start)
+            affected = view.affected(near[:, :, number])
+            for rows in runs(binary_dilation(affected.any((0, 1)), np.ones(2 * margin + 1, bool))):
+                expected_m = view.expected_m(affected[..., rows], rows, timebase.frame_rate_hz)
+                taken += view.taken(affected[..., rows], rows, expected_m, frames[rows].start)
     return taken
 
 
@@ -220,10 +220,10 @@ class _View:
     sides: Int[np.ndarray, "2 joints"]  # Joints of the same and of the other side
     min_score: float
 
-    def at_stake(self, near: Bool[np.ndarray, "people people frames"]) -> Bool[np.ndarray, "people people frames"]:
+    def affected(self, near: Bool[np.ndarray, "people people frames"]) -> Bool[np.ndarray, "people people frames"]:
         """Frames in which the place of a neighbour may explain a limb: a rough bound, from all views."""
         places_px, px_per_m = self._places(self.window.xyz_m)
-        at_stake = np.zeros_like(near)
+        affected = np.zeros_like(near)
         for row in np.flatnonzero(near.any((1, 2))).tolist():
             others = np.flatnonzero(near[row].any(-1))
             is_seen = self._is_seen(row, slice(None))
@@ -231,14 +231,14 @@ class _View:
             for limb in self.limbs:
                 cost = _means(unexplained[..., limb], is_seen[:, limb])
                 may_be_theirs = is_seen[:, limb].any(-1) & (cost.min(1) < 1.0 - _CLEARLY + _ROUGHLY)
-                at_stake[row, others] |= near[row, others] & may_be_theirs
-        return at_stake
+                affected[row, others] |= near[row, others] & may_be_theirs
+        return affected
 
     def expected_m(
-        self, at_stake: Bool[np.ndarray, "people people frames"], rows: slice, frame_rate_hz: float
+        self, affected: Bool[np.ndarray, "people people frames"], rows: slice, frame_rate_hz: float
     ) -> Float[np.ndarray, "people frames joints 3"]:
         """Places at which the other views expect the people at stake; NaN for the others."""
-        involved = at_stake.any((1, 2)) | at_stake.any((0, 2))
+        involved = affected.any((1, 2)) | affected.any((0, 2))
         expected_m = np.full((len(self.window), rows.stop - rows.start, *self.window.xyz_m.shape[2:]), np.nan)
         for row in np.flatnonzero(involved).tolist():
             seen = self.ideal_px[row, rows], self.window.score[row, rows]
@@ -247,7 +247,7 @@ class _View:
 
     def taken(
         self,
-        at_stake: Bool[np.ndarray, "people people frames"],
+        affected: Bool[np.ndarray, "people people frames"],
         rows: slice,
         expected_m: Float[np.ndarray, "people frames joints 3"],
         start_frame: int,
@@ -255,13 +255,13 @@ class _View:
         """Joints of the observations that show a neighbour."""
         places_px, px_per_m = self._places(expected_m)
         found: list[TakenJoint] = []
-        for row in np.flatnonzero(at_stake.any((1, 2))).tolist():
-            others = np.flatnonzero(at_stake[row].any(-1))
+        for row in np.flatnonzero(affected.any((1, 2))).tolist():
+            others = np.flatnonzero(affected[row].any(-1))
             is_seen = self._is_seen(row, rows)
             counts = is_seen & np.isfinite(places_px[row]).all(-1)
             own = self._unexplained(row, rows, places_px[[row]], px_per_m[[row]])[0].min(0)
             of_others = self._unexplained(row, rows, places_px[others], px_per_m[others])
-            of_others = np.where(at_stake[row][others][:, None, :, None], of_others, 1.0)
+            of_others = np.where(affected[row][others][:, None, :, None], of_others, 1.0)
             for limb in self.limbs:
                 cost = _means(of_others[..., limb], counts[:, limb])
                 gain = _means(own[:, limb], counts[:, limb]) - cost.min((0, 1))

@@ -41,7 +41,7 @@ class SeenRays(NamedTuple):
         """Rays in a slice of the frames."""
         return SeenRays(self.direction[frames], self.weight[frames], self.center_m)
 
-    def of_joints(self, joints: list[int]) -> "SeenRays":
+    def select_joints(self, joints: list[int]) -> "SeenRays":
         """Rays of some joints."""
         return SeenRays(self.direction[:, :, joints], self.weight[:, :, joints], self.center_m)
 

@@ -63,7 +63,7 @@ class LimbStates:
         return np.asarray(np.isfinite(self.first_m[:, 0, ..., 0]).any((1, 2)))
 
 
-def states_of(
+def limb_states(
     times_s: tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]],
     places_m: tuple[
         Float[np.ndarray, "moments candidates 2 joints 3"], Float[np.ndarray, "moments candidates 2 joints 3"]

@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation
 from pipeline.association.identity.limbs import LimbPair, arms_and_legs
 from pipeline.association.identity.merging import relocate
 from pipeline.association.identity.side_candidates import SeenRays, SideCandidates, find_candidates, locate_limbs
-from pipeline.association.identity.side_chain import LimbStates, cost_of_way, most_likely, states_of
+from pipeline.association.identity.side_chain import LimbStates, cost_of_way, limb_states, most_likely
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Source, Track3D
@@ -154,12 +154,12 @@ def _states(
     rays = [_rays(person, of_moments, cameras, min_score) for of_moments in frames]
     first, last = (locate_limbs(of_moments, limbs, exchanged) for of_moments in rays)
     first_s, last_s = (of_moments / timebase.frame_rate_hz for of_moments in frames)
-    return states_of(
+    return limb_states(
         (first_s, last_s),
         (first.xyz_m, last.xyz_m),
         np.where(np.isfinite(cost), first.residual * np.diff(borders)[:, None], np.inf),
         exchanged,
-        rays[0].of_joints(limbs.both),
+        rays[0].select_joints(limbs.both),
         np.add.reduceat(weight.mean(-1), start),
     )
 

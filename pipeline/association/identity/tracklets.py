@@ -42,7 +42,7 @@ class Path:
         return np.where(inside[:, None], self.xyz_m[rows], np.nan)
 
 
-def path_of(track: Track3D, joints: JointSet) -> Path:
+def make_path(track: Track3D, joints: JointSet) -> Path:
     """Way of a track's trunk; see ``Path``."""
     torso = [joints.index(name) for name in _TORSO if name in joints.names]
     return Path(track.start_frame, _first_known(_mean(track.xyz_m[:, torso]), _mean(track.xyz_m)))

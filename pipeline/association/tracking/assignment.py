@@ -85,7 +85,7 @@ def _partition_by_best(
     _, labels = connected_components(csr_array(linked), directed=False)
     if not np.array_equal(linked, labels[:, None] == labels):
         return None
-    return _parts_of(labels)
+    return _group_parts(labels)
 
 
 def _partition_connected(
@@ -126,7 +126,7 @@ def _partition_connected(
     for (i, j), value in zip(pairs, np.round(solution.x), strict=True):
         chosen[i, j] = value > 0
     _, labels = connected_components(csr_array(chosen), directed=False)
-    return _parts_of(labels)
+    return _group_parts(labels)
 
 
 def _partition_camera_by_camera(
@@ -142,10 +142,10 @@ def _partition_camera_by_camera(
         for part, member in assign(part_gains[np.ix_(parts, members)]):
             labels[members[member]] = parts[part]
         part_gains[labels[members]] += gains[members]
-    return _parts_of(labels)
+    return _group_parts(labels)
 
 
-def _parts_of(labels: Int[np.ndarray, " nodes"]) -> tuple[tuple[int, ...], ...]:
+def _group_parts(labels: Int[np.ndarray, " nodes"]) -> tuple[tuple[int, ...], ...]:
     """Group nodes by label, labels of a single node left out, in order of the first nodes."""
     in_order = np.argsort(labels, kind="stable")
     parts = np.split(in_order, np.flatnonzero(np.diff(labels[in_order])) + 1)

@@ -109,7 +109,7 @@ def _best_in_frame(bodies: Detections2D, rows: Int[np.ndarray, " rows"]) -> Int[
     return rows[ranked[is_first]]
 
 
-def sampling_of(
+def make_sampling(
     timebase: Timebase, bodies: Detections2D, rows: Int[np.ndarray, " rows"], num_cameras: int, lambda_t_hz: float
 ) -> Sampling:
     """Prepare the sampling of a person's observations at the output instants.
@@ -143,7 +143,7 @@ def observed_by(
     points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
     if len(rows):
         times_s = timebase.start_time_s + (track.start_frame + np.arange(track.num_frames)) / timebase.frame_rate_hz
-        sampling = sampling_of(timebase, bodies, rows, num_cameras, lambda_t_hz)
+        sampling = make_sampling(timebase, bodies, rows, num_cameras, lambda_t_hz)
         sampling = sampling._replace(start_frame=track.start_frame, instants_s=times_s)
         flat_px = bodies.seen_px.reshape(len(bodies.seen_px), 2 * num_joints)
         sample(sampling, bodies, flat_px, points_px.reshape(*shape[:2], 2 * num_joints), score)

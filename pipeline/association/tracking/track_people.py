@@ -10,9 +10,9 @@ from pipeline.association.tracking.observations import (
     Detections2D,
     detections_at,
     gather,
+    make_sampling,
     rows_by_person,
     sampled_in,
-    sampling_of,
     undistorted,
 )
 from pipeline.association.tracking.parameters import TrackingParameters
@@ -27,16 +27,28 @@ from pipeline.geometry.kernels import make_solver
 from pipeline.geometry.track_assembly import close_gaps, find_life, make_person, number_people
 
 
-def associate(
+def assign_detections(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
     detections: Mapping[str, Detections],
     parameters: TrackingParameters,
 ) -> dict[str, Int[np.ndarray, " _"]]:
-    """Assign detections to people.
+    """Assign detections to people (Chen et al. 2020, algorithm 1).
 
-    Returns the identity of each detection by camera name; ``NOBODY`` if it belongs to no target, or to a target that
-    was never confirmed.
+    Parameters
+    ----------
+    cameras
+        Calibrated cameras, in any order.
+    times, detections
+        Times of the frames in seconds, and bodies in distorted pixels, by name of the camera. Joints are NaN where the
+        detector found none. Cameras need not be synchronised.
+    parameters
+        Parameters of ``derive_parameters``.
+
+    Returns
+    -------
+        Identity of each detection by name of the camera; ``NOBODY`` if it belongs to no target, or to a target that was
+        never confirmed.
     """
     bodies = gather(cameras, times, detections)
     identity = _identify(cameras, times, bodies, undistorted(cameras, bodies), parameters, ignore, ignore)
@@ -53,8 +65,21 @@ def locate_people(
 ) -> People:
     """Triangulate every person at the output frames from all detections of the person's identity.
 
-    Returns tracks, numbered from 1 in order of their first frame, the observations behind each of them, and the bodies
-    that are left.
+    Joints are located by weighted incremental triangulation (Chen et al. 2020, eq. 10-11), robust against single views.
+
+    Parameters
+    ----------
+    cameras, times, detections, parameters
+        See ``assign_detections``.
+    identities
+        Result of ``assign_detections``.
+    timebase
+        Output frames.
+
+    Returns
+    -------
+        Tracks, numbered from 1 in order of their first frame, with joints in metres, NaN where a joint is absent; the
+        observations behind each of them; and the bodies that are left.
     """
     bodies = gather(cameras, times, detections)
     identity = np.concatenate([identities[camera.name] for camera in cameras])
@@ -70,7 +95,26 @@ def reconstruct_tracks(
     timebase: Timebase,
     parameters: TrackingParameters,
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
-    """Associate detections, then locate every person; see ``associate`` and ``locate_people``."""
+    """Associate detections, then locate every person; see ``assign_detections`` and ``locate_people``.
+
+    Returns
+    -------
+        Tracks with joints (frames, joints, 3) in metres, and observations with pixels (frames, cameras, joints, 2), in
+        the same order; NaN where unknown.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from pipeline.association.tracking.parameters import derive_parameters
+    >>> from pipeline.validation.simulation.scenes import SCENES, record
+    >>> take = record(replace(SCENES["room"], duration_s=2.0), seed=0)
+    >>> parameters = derive_parameters(take.cameras, take.timebase.frame_rate_hz)
+    >>> tracks, observations = reconstruct_tracks(
+    ...     take.cameras, take.times, take.detections, take.timebase, parameters
+    ... )
+    >>> [track.track_id for track in tracks]
+    [1, 2, 3]
+    """
     people = track_bodies(cameras, times, gather(cameras, times, detections), timebase, parameters)
     return tuple(people.tracks), tuple(people.observations)
 
@@ -86,8 +130,20 @@ def track_bodies(
 ) -> People:
     """Associate gathered detections, then locate every person; the detections themselves may have been freed.
 
-    ``on_share`` gets the completed share of the work, of which association is a half; ``on_approximate`` is as of
-    ``Tracker.run``.
+    Parameters
+    ----------
+    cameras, times, timebase, parameters
+        See ``assign_detections`` and ``locate_people``.
+    bodies
+        Detections of all cameras in one record; see ``observations.gather``.
+    on_share
+        Called with the completed share of the work, of which association is a half.
+    on_approximate
+        Called with the time in seconds of each frame that exceeds a limit of the exact method.
+
+    Returns
+    -------
+        People; see ``locate_people``.
     """
     ideal_px = undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, part_of(on_share, 0.0, 0.5), on_approximate)
@@ -106,7 +162,7 @@ def _identify(
     on_share: OnShare,
     on_approximate: Callable[[float], object],
 ) -> Int[np.ndarray, " detections"]:
-    """Run the tracker; see ``associate``."""
+    """Run the tracker; see ``assign_detections``."""
     frames = make_frames([times[camera.name] for camera in cameras], bodies, ideal_px, parameters.min_score)
     return Tracker(cameras, frames, parameters).run(on_share, on_approximate)
 
@@ -120,7 +176,7 @@ def _samplings(
 ) -> list[Sampling]:
     """Prepare the sampling of each person's observations."""
     return [
-        sampling_of(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
+        make_sampling(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
         for rows in rows_by_person(bodies, identity)
     ]
 

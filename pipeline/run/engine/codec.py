@@ -117,7 +117,7 @@ def _document(value: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
         return None
     if isinstance(value, np.generic):
         return value.item()
-    if (defaults := _defaults_of(value)) is not None:
+    if (defaults := _record_defaults(value)) is not None:
         changed = (name for name, default in defaults.items() if not _equal(getattr(value, name), default))
         return {name: _document(getattr(value, name), _joined(path, name), arrays) for name in changed}
     if isinstance(value, Mapping):
@@ -140,7 +140,7 @@ def _defaults(kind: Any) -> Mapping[str, Any] | None:
     return None
 
 
-def _defaults_of(value: Any) -> Mapping[str, Any] | None:
+def _record_defaults(value: Any) -> Mapping[str, Any] | None:
     kind: Any = type(value)
     return _defaults(kind)
 
@@ -156,7 +156,7 @@ def _equal(value: Any, default: Any) -> bool:
         return False
     if isinstance(value, np.ndarray):
         return value.dtype == default.dtype and value.shape == default.shape and np.array_equal(value, default)
-    if (names := _defaults_of(value)) is not None:
+    if (names := _record_defaults(value)) is not None:
         return all(_equal(getattr(value, name), getattr(default, name)) for name in names)
     return bool(value == default)
 

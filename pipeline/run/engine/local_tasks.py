@@ -70,7 +70,7 @@ class LocalJob:
     files: FilesDestination | None = None  # Destination of result files; ``None``: no task makes any
     pool: "TaskPool | None" = None  # Pool of its processes; ``None`` in these processes
 
-    def tasks_of(self, stage: str) -> Iterable[Task]:
+    def stage_tasks(self, stage: str) -> Iterable[Task]:
         """Tasks of a stage; none if it is not planned."""
         return next((planned.tasks for planned in self.stages if planned.name == stage), ())
 
@@ -150,10 +150,10 @@ class _TaskContext(Context):
         return contextlib.nullcontext()
 
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
-        return [_read(self.job.outputs, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
+        return [_read(self.job.outputs, task) for task in islice(self.job.stage_tasks(stage), tasks.start, tasks.stop)]
 
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
-        return [_read(self.job.interim, task) for task in islice(self.job.tasks_of(stage), tasks.start, tasks.stop)]
+        return [_read(self.job.interim, task) for task in islice(self.job.stage_tasks(stage), tasks.start, tasks.stop)]
 
     def stored_output(self) -> bytes | None:
         return None if self.task is None else self.job.outputs.read(self.task.key)
@@ -179,7 +179,7 @@ def run_stage(job: LocalJob, stage: PlannedStage, on_progress: OnProgress) -> li
 
 def _needs_interim(job: LocalJob, stage: PlannedStage) -> bool:
     """Whether a later stage will read the stage's interim outputs: not if its own output is there already."""
-    following = (task for name in followers(stage.name) for task in job.tasks_of(name))
+    following = (task for name in followers(stage.name) for task in job.stage_tasks(name))
     return STAGE_BY_NAME[stage.name].leaves_interim(job.config) and any(
         job.outputs.read(task.key) is None for task in following
     )

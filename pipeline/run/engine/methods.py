@@ -24,7 +24,7 @@ from pipeline.association.clustering.cluster_people import (
 from pipeline.association.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
 from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.parameters import derive_parameters as derive_clustering
-from pipeline.association.clustering.skeleton import LimbLengths, skeleton_of
+from pipeline.association.clustering.skeleton import LimbLengths, clustering_skeleton
 from pipeline.association.hands.attach import attach_hands
 from pipeline.association.identity.alone import follow_alone
 from pipeline.association.identity.identify import identify
@@ -125,7 +125,7 @@ class Association:
             (self._evidence(frames, detections), [frame for frame in frames if frame in sampled])
             for frames, detections in chunks
         )
-        skeleton = skeleton_of(self.joints)
+        skeleton = clustering_skeleton(self.joints)
         return first_lengths(self.cameras, evidence, self.timebase, skeleton, self._clustering, on_frame)
 
     def locate_people(
@@ -136,7 +136,7 @@ class Association:
         on_frame: Callable[[], None] = lambda: None,
     ) -> Poses3D:
         """Find all people in a range of output frames; the result does not depend on the cut into ranges."""
-        evidence, skeleton = self._evidence(frames, detections), skeleton_of(self.joints)
+        evidence, skeleton = self._evidence(frames, detections), clustering_skeleton(self.joints)
         return find_people(self.cameras, evidence, frames, skeleton, lengths, self._clustering, on_frame)
 
     def link(self, chunks: Iterable[Poses3D], on_share: OnShare = ignore) -> People:
@@ -214,7 +214,7 @@ class Association:
 
     def _evidence(self, frames: range, detections: DetectionsByCamera) -> ViewEvidence:
         """Evidence in a range of output frames."""
-        skeleton, parameters = skeleton_of(self.joints), self._clustering
+        skeleton, parameters = clustering_skeleton(self.joints), self._clustering
         fields = {camera: value for camera, value in detections.items() if isinstance(value, PafFields)}
         if fields:
             return FieldEvidence(self.cameras, self.times, fields, self.timebase, skeleton, parameters)

@@ -100,6 +100,10 @@ def plan(
 
     Parameters
     ----------
+    facts
+        Facts of the session: digests of its inputs, output frames and their rate in Hz, stretches, cameras.
+    config
+        What to do. It decides which stages are planned, and its effective choices are part of the keys.
     codes
         Digest of each stage's code, by name of the stage; see ``pipeline.run.engine.code.stage_codes``.
     chunk_frames
@@ -110,7 +114,21 @@ def plan(
 
     Returns
     -------
-        The planned stages of ``STAGES``, in their order.
+        The planned stages of ``STAGES``, in their order. Equal arguments give equal keys on every machine.
+
+    Raises
+    ------
+    KeyError
+        If ``codes`` lacks a stage.
+
+    Examples
+    --------
+    >>> facts = SessionFacts((), 250, 25.0, (range(250),), {"left": 25.0, "right": 25.0}, has_videos=False)
+    >>> stages = plan(facts, ReconstructionConfig(), dict.fromkeys(STAGE_BY_NAME, ""))
+    >>> [stage.name for stage in stages]
+    ['check_session', 'associate', 'identify', 'fit', 'hold_feet', 'export']
+    >>> [len(list(stage.tasks)) for stage in stages]
+    [1, 1, 1, 4, 4, 1]
     """
     whole = range(facts.num_frames)
     cut = FrameCut(config.frames or whole, facts.stretches, _bounded_length(facts, chunk_frames))
@@ -123,7 +141,7 @@ def plan(
     for stage in STAGES:
         if stage.is_planned(facts, config):
             inputs = [keys[name] for name in stage.follows if name in keys] or facts.inputs
-            keys[stage.name] = _hash([stage.name, codes[stage.name], _choices_of(stage, choices), inputs])
+            keys[stage.name] = _hash([stage.name, codes[stage.name], _stage_choices(stage, choices), inputs])
             own_cut = cut_by_camera if stage.cut == "camera ranges" else cut
             tasks = _tasks(stage, keys[stage.name], facts, own_cut, _cameras(facts, config))
             if stage.pieces_of:
@@ -137,11 +155,11 @@ def _piece_key(stage: Stage, keys: Mapping[str, str], codes: Mapping[str, str], 
     """Key of all that pieces of a stage's output depend on but the edits of people."""
     edit_stages = [other.name for other in STAGES if other.is_of_edits]
     before = [keys[name] for name in stage.follows if name in keys and name not in edit_stages]
-    own = {name: value for name, value in _choices_of(stage, choices).items() if name not in _OF_EDITS}
+    own = {name: value for name, value in _stage_choices(stage, choices).items() if name not in _OF_EDITS}
     return _hash([stage.name, codes[stage.name], own, before, [codes[name] for name in edit_stages]])
 
 
-def _choices_of(stage: Stage, choices: Mapping[str, Any]) -> dict[str, Any]:
+def _stage_choices(stage: Stage, choices: Mapping[str, Any]) -> dict[str, Any]:
     """Choices of a stage, and those that no stage names: they count for all, so that no output is reused wrongly."""
     named = {name for other in STAGES for name in other.choices}
     return {name: choices[name] for name in (*stage.choices, *(choices.keys() - named))}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.association.clustering.skeleton import skeleton_of, unknown_lengths
+from pipeline.association.clustering.skeleton import clustering_skeleton, unknown_lengths
 from pipeline.association.hands.attach import without_fingers
 from pipeline.association.identity.likenesses import without_likenesses
 from pipeline.association.tracking.observations import gather
@@ -50,7 +50,7 @@ def refine_from_fields(
     ``chunks`` gives ranges of output frames in order of time, with their detections.
     """
     frames = sampled_frames(association.timebase)
-    lengths = unknown_lengths(skeleton_of(association.joints))
+    lengths = unknown_lengths(clustering_skeleton(association.joints))
 
     def associate(current: Association, on_round: OnShare) -> Iterable[Poses3D]:
         numbers = itertools.count(1)

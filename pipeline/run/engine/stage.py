@@ -260,7 +260,19 @@ def indexed(files: Sequence[ResultFile], **figures: Any) -> Output:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Declaration of a stage."""
+    """Declaration of a stage: its function, its cut into tasks, and what its outputs depend on.
+
+    A module of ``pipeline.run.steps`` holds the declaration; ``plan`` collects all of them. Labels of forms and
+    progress bars, keys of outputs and totals of progress are derived from it.
+
+    Examples
+    --------
+    >>> def count(task: Task, context: Context) -> Output:
+    ...     return Output(str(len(task.frames)).encode())
+    >>> stage = Stage("count", "Count frames", count, cut="people", follows=(IDENTIFY,), choices=("frame_range",))
+    >>> stage.num_parts(range(60))
+    2
+    """
 
     name: str  # Name in the service's API, in keys and in logs
     label: str  # What forms and progress bars call it

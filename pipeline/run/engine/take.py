@@ -39,7 +39,7 @@ def assemble(context: Context) -> Reconstruction:
     """
     session = wanted_frames(context, context.outline())
     identified = found_people(context, IDENTIFY)
-    people, animation = identified.people, animation_of(context)
+    people, animation = identified.people, found_animation(context)
     take = None
     if context.config.edits:
         take = edited_take(identified.spans, context.config, session.timebase)
@@ -74,7 +74,7 @@ def assemble(context: Context) -> Reconstruction:
     return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
 
 
-def animation_of(context: Context) -> Animation:
+def found_animation(context: Context) -> Animation:
     """Animation of everybody who was found, before any edit."""
     return united(list(output_records(context, HOLD, Animation)))
 

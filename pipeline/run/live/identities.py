@@ -20,8 +20,8 @@ from jaxtyping import Float, UInt8
 from pipeline.association.identity.clothes import (
     Clothes,
     Contrast,
+    clothes_likelihood_ratios,
     learn_contrast,
-    log_likelihood_ratios_of,
     mean_clothes,
 )
 from pipeline.association.identity.proportions import NUM_LIMBS, LimbProportions, Measured, limb_lengths_m, measure
@@ -104,7 +104,7 @@ class LiveClothes:
         ratios = dict.fromkeys(others, 0.0)
         if number in self._halves and known:
             wholes = [self._halves[other].whole for other in known]
-            of_known = log_likelihood_ratios_of(self._halves[number].whole, wholes, self._contrast())
+            of_known = clothes_likelihood_ratios(self._halves[number].whole, wholes, self._contrast())
             ratios |= zip(known, of_known.tolist(), strict=True)
         return ratios
 

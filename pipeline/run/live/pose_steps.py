@@ -18,7 +18,7 @@ _INERTIA, _AT_END_RAD, _HELD = 1.0, 1e-9, 1e12
 _LEAST_TWIST_SQUARE = 0.05
 
 
-def quat_xyzw_of(matrices: Float[np.ndarray, "joints 3 3"]) -> Float[np.ndarray, "joints 4"]:
+def quaternions_from_matrices(matrices: Float[np.ndarray, "joints 3 3"]) -> Float[np.ndarray, "joints 4"]:
     """Quaternions (x, y, z, w) of rotation matrices.
 
     The products of a quaternion's components are sums of the matrix's entries; those with the largest component are
@@ -88,7 +88,7 @@ class PoseSteps:
         matrix = np.zeros((count, count))
         rows, columns = self._square
         matrix[rows, columns] = lower[columns, rows - columns]
-        quat = quat_xyzw_of(poses.local[0])
+        quat = quaternions_from_matrices(poses.local[0])
         self._draw_to_rest(quat, matrix, force)
         self._draw_twist(quat, matrix, force)
         angle_rad = poses.angle_rad[0]

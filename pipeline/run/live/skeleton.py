@@ -25,7 +25,7 @@ from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m
 from pipeline.motion.skeleton.marks import centers_from_marks, mark_offsets_m, trunk_length_m
 from pipeline.motion.skeleton.rigid_parts import landmark_offsets_m
 from pipeline.run.live.feet import StandingFeet
-from pipeline.run.live.pose_steps import PoseSteps, quat_xyzw_of
+from pipeline.run.live.pose_steps import PoseSteps, quaternions_from_matrices
 from pipeline.run.live.records import LiveSkeleton
 
 # Most instants from which bones are learnt, and the least: a person may be hidden for most of the time.
@@ -215,7 +215,7 @@ class _FootPair:
     is_held: list[bool]
 
 
-def _feet_of(skeleton: Articulation, joints: JointSet) -> Iterator[_FootPair]:
+def _pair_feet(skeleton: Articulation, joints: JointSet) -> Iterator[_FootPair]:
     """Joints of feet that the skeleton carries."""
     carried = skeleton.landmark.tolist()
     for part in _FOOT_JOINTS:
@@ -240,7 +240,7 @@ class PoseFilter:
         usual_m_s2 = usual_step_m(joints, Timebase(0.0, 1.0, 1))[bones.skeleton.landmark]
         self._noise_m_s2 = _MANOEUVRE * usual_m_s2
         self._state: tuple[JointPoses, _Motion] | None = None
-        self._feet = list(_feet_of(bones.skeleton, joints))
+        self._feet = list(_pair_feet(bones.skeleton, joints))
         self._pose_s = -np.inf
         self._quat: np.ndarray | None = None
 
@@ -320,7 +320,7 @@ class PoseFilter:
 
     def _shown(self, poses: JointPoses) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]]:
         """Skeleton in a pose, and positions of the detector's joints; rotations continue those before."""
-        posed, quat = Posed(poses, self.bones.skeleton), quat_xyzw_of(poses.local[0])
+        posed, quat = Posed(poses, self.bones.skeleton), quaternions_from_matrices(poses.local[0])
         if self._quat is not None:
             quat = quat * np.where((quat * self._quat).sum(-1) < 0, -1.0, 1.0)[:, None]
         self._quat = quat

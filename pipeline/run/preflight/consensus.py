@@ -122,7 +122,9 @@ def locate_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> L
     return LocatedPeople(np.concatenate(instants), np.concatenate(people_px), np.concatenate(normals))
 
 
-def agreement_of(camera: Camera, number: int, sightings: SimultaneousPeople, located: LocatedPeople) -> CameraAgreement:
+def measure_agreement(
+    camera: Camera, number: int, sightings: SimultaneousPeople, located: LocatedPeople
+) -> CameraAgreement:
     """Compare the people of a camera with the people located by the other cameras.
 
     ``number`` is the position of the camera. People who three other cameras see count, if there are enough of them.

@@ -93,7 +93,7 @@ class PairDisagreement:
 
         self._pair: Callable[[tuple[int, int, Move], tuple[int, int, Move]], PeopleAgreement] = pair
 
-    def of_pair(self, first: int, second: int, hypothesis: Hypothesis) -> PeopleAgreement:
+    def pair_agreement(self, first: int, second: int, hypothesis: Hypothesis) -> PeopleAgreement:
         """PeopleAgreement of two cameras."""
         left, right = (
             (number, hypothesis.places[number], hypothesis.moves[number]) for number in sorted((first, second))
@@ -107,7 +107,7 @@ class PairDisagreement:
         others, however few they are: distances of different people are spread evenly, those of the same people are
         nearly 0.
         """
-        known = [self.of_pair(*pair, hypothesis) for pair in pairs]
+        known = [self.pair_agreement(*pair, hypothesis) for pair in pairs]
         num_compared = sum(agreement.num_pairs for agreement in known)
         num_exact = sum(agreement.exact_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
         num_near = sum(agreement.near_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
@@ -120,28 +120,28 @@ class PairDisagreement:
 
     def disagrees(self, pairs: Sequence[tuple[int, int]], hypothesis: Hypothesis) -> bool:
         """Whether pairs of cameras disagree on average, for no other reason than that something is wrong."""
-        values = [self.of_pair(*pair, hypothesis).disagreement for pair in pairs]
+        values = [self.pair_agreement(*pair, hypothesis).disagreement for pair in pairs]
         known = [value for value in values if np.isfinite(value)]
         return bool(known) and float(np.mean(known)) > DOUBTFUL and self.is_clear(pairs, hypothesis)
 
     def certainty(self, changed: Sequence[int], hypothesis: Hypothesis) -> Severity:
         """Severity of an explanation that changes some cameras: an error if enough people decide."""
         pairs = [pair for pair in itertools.combinations(range(self.num_cameras), 2) if set(pair) & set(changed)]
-        return "error" if self._is_enough([self.of_pair(*pair, hypothesis) for pair in pairs]) else "warning"
+        return "error" if self._is_enough([self.pair_agreement(*pair, hypothesis) for pair in pairs]) else "warning"
 
     def _is_enough(self, known: Sequence[PeopleAgreement]) -> bool:
         num_instants = max((self._num_independent(agreement.instants) for agreement in known), default=0)
         return num_instants >= MIN_INSTANTS and sum(agreement.num_pairs for agreement in known) >= _MIN_COMPARED
 
-    def of_pairs(self, hypothesis: Hypothesis, among: Sequence[int]) -> Mapping[tuple[int, int], float]:
+    def pair_agreements(self, hypothesis: Hypothesis, among: Sequence[int]) -> Mapping[tuple[int, int], float]:
         """Disagreement of all pairs with one of some cameras, as far as it is known."""
         pairs = itertools.combinations(range(self.num_cameras), 2)
-        values = {pair: self.of_pair(*pair, hypothesis).disagreement for pair in pairs if set(pair) & set(among)}
+        values = {pair: self.pair_agreement(*pair, hypothesis).disagreement for pair in pairs if set(pair) & set(among)}
         return {pair: value for pair, value in values.items() if np.isfinite(value)}
 
-    def of_cameras(self, hypothesis: Hypothesis) -> list[float]:
+    def camera_agreements(self, hypothesis: Hypothesis) -> list[float]:
         """Mean disagreement of each camera with the others; NaN if it is not known."""
-        by_pair = self.of_pairs(hypothesis, range(self.num_cameras))
+        by_pair = self.pair_agreements(hypothesis, range(self.num_cameras))
         of_camera = [[value for pair, value in by_pair.items() if number in pair] for number in range(self.num_cameras)]
         return [float(np.mean(values)) if values else np.nan for values in of_camera]
 
@@ -177,9 +177,10 @@ def explain(evidence: PairDisagreement, doubted: Collection[int]) -> Hypothesis:
 
 
 def _best_step(evidence: PairDisagreement, believed: Hypothesis, doubted: Collection[int]) -> Hypothesis | None:
-    of_cameras = evidence.of_cameras(believed)
+    agreements = evidence.camera_agreements(believed)
     doubtful = sorted(
-        (number for number in doubted if of_cameras[number] > DOUBTFUL), key=lambda number: -of_cameras[number]
+        (number for number in doubted if agreements[number] > DOUBTFUL),
+        key=lambda number: -agreements[number],
     )
     best, best_gain = None, 0.0
     for candidate in _candidates(believed, doubtful, evidence.names):
@@ -188,7 +189,7 @@ def _best_step(evidence: PairDisagreement, believed: Hypothesis, doubted: Collec
             for number in range(evidence.num_cameras)
             if (candidate.places[number], candidate.moves[number]) != (believed.places[number], believed.moves[number])
         ]
-        before, after = evidence.of_pairs(believed, changed), evidence.of_pairs(candidate, changed)
+        before, after = evidence.pair_agreements(believed, changed), evidence.pair_agreements(candidate, changed)
         gain = sum(before.values()) - sum(after.values())
         is_explained = (
             bool(before) and before.keys() == after.keys() and sum(after.values()) <= _LEFT * sum(before.values())

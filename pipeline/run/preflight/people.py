@@ -23,7 +23,7 @@ from pipeline.core.problems.findings import (
 )
 from pipeline.export.quality.camera_shifts import find_shifted
 from pipeline.export.quality.names import first_names
-from pipeline.run.preflight.consensus import CameraAgreement, LocatedPeople, agreement_of, locate_people
+from pipeline.run.preflight.consensus import CameraAgreement, LocatedPeople, locate_people, measure_agreement
 from pipeline.run.preflight.explain import (
     DOUBTFUL,
     MIN_INSTANTS,
@@ -34,7 +34,7 @@ from pipeline.run.preflight.explain import (
     move_points,
 )
 from pipeline.run.preflight.sightings import FAR, NUM_INSTANTS, SimultaneousPeople
-from pipeline.run.preflight.world import check_world, locate, of_movers
+from pipeline.run.preflight.world import check_world, locate, select_movers
 
 # Instants with the same points in two cameras that are no chance: detectors find the same in equal noise.
 _MIN_SAME = 3
@@ -79,10 +79,10 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Pe
     is_agreed = located.is_view.sum(1) > 2
     for number in np.flatnonzero(~is_agreed):
         first, second = np.flatnonzero(located.is_view[number]).tolist()
-        is_agreed[number] = evidence.of_pair(first, second, best).disagreement <= DOUBTFUL
+        is_agreed[number] = evidence.pair_agreement(first, second, best).disagreement <= DOUBTFUL
     instants, poses_m = locate(rig, located.subset(is_agreed))
     is_certain = sightings.num_independent(set(instants)) >= MIN_INSTANTS
-    of_world = check_world(rig, of_movers(instants, poses_m), sightings.joints, is_certain)
+    of_world = check_world(rig, select_movers(instants, poses_m), sightings.joints, is_certain)
     return PeopleCheck((*seen, *explained, *disagreeing, *of_world), len(poses_m))
 
 
@@ -91,7 +91,7 @@ def _agreements(
 ) -> tuple[LocatedPeople, Sequence[CameraAgreement]]:
     """Locate the people, and compare each camera with the others."""
     located = locate_people(cameras, sightings)
-    return located, [agreement_of(camera, number, sightings, located) for number, camera in enumerate(cameras)]
+    return located, [measure_agreement(camera, number, sightings, located) for number, camera in enumerate(cameras)]
 
 
 def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
@@ -183,8 +183,8 @@ def _moved(
 
 def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothesis, number: int) -> Mapping[str, float]:
     return {
-        "disagreement": round(evidence.of_cameras(given)[number], 3),
-        "disagreement_mended": round(evidence.of_cameras(best)[number], 3),
+        "disagreement": round(evidence.camera_agreements(given)[number], 3),
+        "disagreement_mended": round(evidence.camera_agreements(best)[number], 3),
     }
 
 
@@ -199,7 +199,7 @@ def _check_rest(
     """Find cameras whose disagreement is not explained. The rig and the sightings are as they would fit."""
     names = evidence.names
     agreeing = [number for number, agreement in enumerate(agreements) if agreement.agrees]
-    by_pair = {} if agreeing else evidence.of_pairs(best, range(len(rig)))
+    by_pair = {} if agreeing else evidence.pair_agreements(best, range(len(rig)))
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
         message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."

@@ -21,7 +21,7 @@ from pipeline.detection.chunk import concatenate, stack_bodies
 from pipeline.detection.decoders.fields import ImageFields
 from pipeline.detection.decoders.grouping import group
 from pipeline.run.preflight.people import check_people
-from pipeline.run.preflight.sightings import choose_instants, frames_at, sightings_of
+from pipeline.run.preflight.sightings import choose_instants, collect_sightings, frames_at
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.timeline import frames_in
 
@@ -167,7 +167,7 @@ def check_bodies(
     instants = choose_instants(parts)
     time_s = [session.timebase.time_s(instant) for instant in instants]
     frames = frames_at_instants(session.times, session.timebase, parts)
-    sightings = sightings_of(session.cameras, detections, frames, joints, time_s)
+    sightings = collect_sightings(session.cameras, detections, frames, joints, time_s)
     people = {camera.name: sightings.num_people(number) for number, camera in enumerate(session.cameras)}
     checked = check_people(session.cameras, sightings)
     return SessionCheck(checked.findings, people, len(instants), checked.num_located)

@@ -83,7 +83,7 @@ def frames_at(times: FrameTimes, timebase: Timebase, instants: Sequence[int]) ->
     return frames
 
 
-def sightings_of(
+def collect_sightings(
     cameras: Sequence[Camera],
     detections: Mapping[str, Detections],
     frames: Mapping[str, Sequence[int | None]],
@@ -180,10 +180,10 @@ def body_distances(
     of_left = np.concatenate([left, np.ones_like(left[..., :1])], axis=-1)
     of_right = np.concatenate([right, np.ones_like(right[..., :1])], axis=-1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        of_pairs = np.broadcast_arrays(left[:, None], right[None])
+        both_px = np.broadcast_arrays(left[:, None], right[None])
         lines = np.broadcast_arrays((of_right @ fundamental.T)[None], (of_left @ fundamental)[:, None])
-        in_left = distance_to_line_px(of_pairs[0], lines[0]) / extents_px(left)[:, None, None]
-        in_right = distance_to_line_px(of_pairs[1], lines[1]) / extents_px(right)[None, :, None]
+        in_left = distance_to_line_px(both_px[0], lines[0]) / extents_px(left)[:, None, None]
+        in_right = distance_to_line_px(both_px[1], lines[1]) / extents_px(right)[None, :, None]
     shares = (in_left + in_right) / 2
     is_known = np.isfinite(shares)
     # The median of the known joints: unknown ones are sorted to the end.

@@ -82,7 +82,7 @@ def check_world(
     return wrong or list(_check_heights(cameras, poses_m, joints))
 
 
-def of_movers(
+def select_movers(
     instants: Sequence[int], poses_m: Float[np.ndarray, "poses joints 3"]
 ) -> Float[np.ndarray, "moving joints 3"]:
     """Poses of people who are not at one place at half of the instants, as pictures on walls are; all without any.

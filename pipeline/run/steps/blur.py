@@ -38,13 +38,13 @@ def find_heads(task: Task, context: Context) -> Output:
     from pipeline.run.engine.codec import encode, output_records
     from pipeline.run.engine.detections import detection_source
     from pipeline.run.engine.stored_people import found_people
-    from pipeline.run.engine.take import animation_of
+    from pipeline.run.engine.take import found_animation
     from pipeline.run.engine.wanted_frames import wanted_frames
     from pipeline.video.timeline import frames_in
 
     session, detections = wanted_frames(context, context.outline()), detection_source(context)
     joints, timebase = detections.joints(session), session.timebase
-    tracks = [*found_people(context, IDENTIFY).people.tracks, *animation_of(context).tracks]
+    tracks = [*found_people(context, IDENTIFY).people.tracks, *found_animation(context).tracks]
     people = [path for track in tracks if (path := head_path(track, joints, timebase)) is not None]
     seen = seen_heads(output_records(context, DETECT, PafFields if detections.finds_fields else Detections), joints)
     on_share, regions = context.on_share(task), []

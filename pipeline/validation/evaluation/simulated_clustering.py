@@ -19,7 +19,7 @@ from typing import Any
 from pipeline.association.clustering.cluster_people import reconstruct_evidence
 from pipeline.association.clustering.instant.candidates import FieldEvidence
 from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.detections import PafFields
 from pipeline.core.data.people import Observations, Track3D
@@ -86,7 +86,7 @@ def cluster_fields(
     by name.
     """
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
-    skeleton, timebase = skeleton_of(COCO_18), simulation.timebase
+    skeleton, timebase = clustering_skeleton(COCO_18), simulation.timebase
 
     def evidence_in(frames: range) -> FieldEvidence:
         fields = files.read(frames)

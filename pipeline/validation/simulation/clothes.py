@@ -17,12 +17,12 @@ _CONCENTRATION = 0.15
 _LEAST_SHOWN = 0.3
 
 
-def dress(simulation: Simulation, clothes_of: Callable[[int, float], int]) -> Simulation:
+def dress(simulation: Simulation, measure_clothes: Callable[[int, float], int]) -> Simulation:
     """Give the people clothes.
 
     Parameters
     ----------
-    clothes_of
+    measure_clothes
         Number of the clothes that a person wears at a time in seconds; each number has its own colours.
 
     Returns
@@ -33,7 +33,7 @@ def dress(simulation: Simulation, clothes_of: Callable[[int, float], int]) -> Si
     for name, of_camera in simulation.detections.items():
         persons, times_s = simulation.identities[name], simulation.times[name].time_s[of_camera.frame]
         worn = zip(persons.tolist(), times_s.tolist(), strict=True)
-        shares = [_share(None if person == NOBODY else clothes_of(person, time_s)) for person, time_s in worn]
+        shares = [_share(None if person == NOBODY else measure_clothes(person, time_s)) for person, time_s in worn]
         shown = np.reshape(shares, (-1, len(PARTS), NUM_BINS))
         shown = shown * rng.uniform(_LEAST_SHOWN, 1.0, shown.shape)
         total = shown.sum(-1, keepdims=True)

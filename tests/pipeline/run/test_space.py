@@ -15,7 +15,7 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.errors import InputError
 from pipeline.core.options.config import FILE_FORMATS, Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.run.engine.local import reconstruct_to_files
-from pipeline.run.space import CameraFrames, ForeseenSpace, foreseen_memory, foreseen_space, shown_bytes, space_of
+from pipeline.run.space import CameraFrames, ForeseenSpace, estimate_space, foreseen_memory, foreseen_space, shown_bytes
 from pipeline.validation.simulation.scenes import SCENES, record
 
 MAX_RATIO = 1.5
@@ -37,7 +37,7 @@ def preflight_of(session: KeypointSession) -> Preflight:
 
 def of_videos(config: ReconstructionConfig, num_frames: int = 18_000) -> ForeseenSpace:
     cameras = [CameraFrames((3840, 2160), num_frames) for _ in range(8)]
-    return space_of(cameras, num_frames, 30.0, (range(num_frames),), config, has_viewers=True)
+    return estimate_space(cameras, num_frames, 30.0, (range(num_frames),), config, has_viewers=True)
 
 
 def num_bytes(paths: Iterable[Path]) -> int:
@@ -115,10 +115,10 @@ def test_memory_of_tasks_on_the_whole_session_grows_with_its_joints(session: Key
     num_people = max(len(detections.frame) for detections in session.detections.values())
     assert memory.whole_bytes == 300 * 2**20 + 65 * num_joints + 5_000 * num_people
     # Every task on keypoints holds all of them; of videos only those on the whole session do.
-    assert memory.of_cut("ranges") == memory.of_cut("whole") == memory.of_cut("people") == memory.whole_bytes
+    assert {memory.task_bytes(cut) for cut in ("ranges", "whole", "people")} == {memory.whole_bytes}
     uncounted = [replace(camera, num_bodies=None, num_joints=None) for camera in preflight.cameras]
     of_videos = replace(preflight, cameras=tuple(uncounted))
     memory = foreseen_memory(of_videos, ReconstructionConfig())
-    assert memory.of_cut("camera ranges") == 300 * 2**20 < memory.of_cut("whole")
+    assert memory.task_bytes("camera ranges") == 300 * 2**20 < memory.task_bytes("whole")
     half = ReconstructionConfig(frame_range=(0, preflight.timebase.num_frames // 2))
     assert foreseen_memory(of_videos, half).whole_bytes < memory.whole_bytes

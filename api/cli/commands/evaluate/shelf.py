@@ -14,7 +14,7 @@ from api.cli.options import checked, with_choices
 from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
 from pipeline.association.clustering.parameters import derive_parameters as clustering_parameters
 from pipeline.association.tracking.parameters import derive_parameters
-from pipeline.association.tracking.track_people import associate, locate_people
+from pipeline.association.tracking.track_people import assign_detections, locate_people
 from pipeline.core.data.people import People
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
@@ -73,7 +73,7 @@ def command(
             people = People(*reconstruct_by_clustering(*views, benchmark.timebase, COCO_17, parameters))
         else:
             limits = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
-            identities = associate(*views, limits)
+            identities = assign_detections(*views, limits)
             people = locate_people(*views, identities, benchmark.timebase, limits)
         people = identified(people, benchmark.cameras, benchmark.times, benchmark.timebase, COCO_17, config)
         tracks = animate(

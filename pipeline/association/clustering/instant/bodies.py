@@ -39,7 +39,7 @@ class InstantBodies(NamedTuple):
     candidate: np.ndarray
 
 
-def bodies_of(candidates: Candidates, num_joints: int) -> InstantBodies:
+def collect_bodies(candidates: Candidates, num_joints: int) -> InstantBodies:
     """Gather the bodies of candidates, in order of their views; candidates without a body are left out."""
     rows = np.flatnonzero(candidates.body >= 0)
     rows = rows[np.argsort(candidates.score[rows], kind="stable")]

@@ -93,7 +93,7 @@ class AffinityFields:
         self, views: Sequence[ViewFields], limbs: Int[np.ndarray, "limbs 2"], skeleton: Skeleton, tau2: float
     ) -> None:
         self._views = views
-        self._limb_of = limbs_of(skeleton, limbs)
+        self._limb_of = number_limbs(skeleton, limbs)
         self.least = tau2 * np.array(skeleton.field_share)
 
     def connect(
@@ -116,7 +116,7 @@ class AffinityFields:
         return scores
 
 
-def limbs_of(skeleton: Skeleton, limbs: Int[np.ndarray, "limbs 2"]) -> Int[np.ndarray, " joints"]:
+def number_limbs(skeleton: Skeleton, limbs: Int[np.ndarray, "limbs 2"]) -> Int[np.ndarray, " joints"]:
     """Number of the field of each joint's limb, ``NOWHERE`` if the network has no such field."""
     numbers = {tuple(limb): number for number, limb in enumerate(limbs.tolist())}
     sources = skeleton.sources

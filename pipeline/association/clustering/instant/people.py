@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.association.clustering.instant.bodies import bodies_of, match_bodies
+from pipeline.association.clustering.instant.bodies import collect_bodies, match_bodies
 from pipeline.association.clustering.instant.clusters import Joints, adopt, no_joints
 from pipeline.association.clustering.instant.constraints import pose_length_error
 from pipeline.association.clustering.instant.evidence import NOWHERE, JointPoints
@@ -102,7 +102,7 @@ def match_people(
 
     A joint counts for the person with whom it agrees in space, whatever body it is part of.
     """
-    bodies = bodies_of(candidates, len(skeleton.names))
+    bodies = collect_bodies(candidates, len(skeleton.names))
     matched = match_bodies(image_from_world, candidates, bodies, skeleton, lengths, parameters, limits)
     if not len(matched):
         return MatchedPeople(no_joints(len(image_from_world)), np.empty((0, len(skeleton.names)), int))

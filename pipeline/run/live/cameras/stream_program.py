@@ -116,7 +116,7 @@ class _Stream:
         """Decode to the end of the stream, and say how it ended."""
         try:
             with _opened(self._request) as container:
-                self._show(container, _video_of(container))
+                self._show(container, _find_video(container))
         except UnusableError as error:
             _say_end(error)
         except MemoryError:
@@ -184,7 +184,7 @@ class _Stream:
                     yield time_s, frame
 
 
-def _video_of(container: InputContainer) -> VideoStream:
+def _find_video(container: InputContainer) -> VideoStream:
     """Stream of a container that is decoded; raises ``UnusableError`` if there is none."""
     stream = first_video(container)
     if stream is None:
@@ -199,7 +199,7 @@ def _video_of(container: InputContainer) -> VideoStream:
 def _rate_hz(request: StreamRequest) -> float:
     """Rate of a file by the times of its first frames, which are right where its header is not; 0 if there are few."""
     with _opened(request) as container:
-        stream = _video_of(container)
+        stream = _find_video(container)
         packets = itertools.islice(container.demux(stream), _NUM_MEASURED)
         ticks = sorted(packet.pts for packet in packets if packet.pts is not None)
         steps = [after - before for before, after in itertools.pairwise(ticks) if after > before]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.association.tracking.parameters import derive_parameters
-from pipeline.association.tracking.track_people import associate, locate_people
+from pipeline.association.tracking.track_people import assign_detections, locate_people
 from pipeline.validation.evaluation.datasets.shelf import (
     FRAME_RATE_HZ,
     NUM_SCORED_ACTORS,
@@ -53,7 +53,7 @@ def _association(benchmark: ShelfBenchmark) -> dict[str, dict[str, float | None]
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
     return {
         "pairs_of_views": association_accuracy(associate_pairwise(*views, parameters), benchmark, by_frame=True),
-        "tracking": association_accuracy(associate(*views, parameters), benchmark, by_frame=True),
+        "tracking": association_accuracy(assign_detections(*views, parameters), benchmark, by_frame=True),
     }
 
 
@@ -64,7 +64,7 @@ def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
             derive_parameters(benchmark.cameras, FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
         )
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
-        identities = associate(*views, parameters)
+        identities = assign_detections(*views, parameters)
         tracks = locate_people(*views, identities, benchmark.timebase, parameters).tracks
         rows.append(
             {
@@ -81,7 +81,7 @@ def _triangulations(benchmark: ShelfBenchmark) -> dict[str, dict[str, float]]:
     """PCP by kind of triangulation; ``robust`` is the triangulation of whole tracks."""
     parameters = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
-    identities = associate(*views, parameters)
+    identities = assign_detections(*views, parameters)
     by_kind = {}
     for kind in Triangulation:
         tracks, _ = locate_incrementally(*views, identities, benchmark.timebase, parameters, kind)

@@ -120,7 +120,7 @@ def association_accuracy(
     Parameters
     ----------
     identities
-        Identity of each detection by camera name, negative for none; see ``tracking.associate.associate``.
+        Identity of each detection by camera name, negative for none; see ``tracking.track_people.assign_detections``.
     by_frame
         Whether identities are matched to actors in each frame separately, for methods without identities over time.
 

@@ -12,7 +12,7 @@ from pipeline.association.clustering.instant.evidence import Membership
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
-from pipeline.association.clustering.skeleton import LimbLengths, skeleton_of, unknown_lengths
+from pipeline.association.clustering.skeleton import LimbLengths, clustering_skeleton, unknown_lengths
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
@@ -22,7 +22,7 @@ from pipeline.validation.evaluation.simulated import score_simulated
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.cases import slow_but
 
-SKELETON = skeleton_of(COCO_17)
+SKELETON = clustering_skeleton(COCO_17)
 EVIDENCE = Membership(SKELETON, 0.3)
 
 
@@ -142,7 +142,7 @@ def test_bone_lengths_tell_whose_joint_it_is(ring: tuple[Camera, ...]) -> None:
 
 @pytest.mark.parametrize("joints", [COCO_17, COCO_18, BODY_25])
 def test_tracks_have_the_detectors_joints(ring: tuple[Camera, ...], joints: JointSet) -> None:
-    skeleton = skeleton_of(joints)
+    skeleton = clustering_skeleton(joints)
     people_m = two_people(0.5)
     named_m = dict(zip(SKELETON.names, people_m.swapaxes(0, 1), strict=True))
     known = [name for name in joints.names if name in named_m]
@@ -199,4 +199,4 @@ def test_nobody_anywhere(ring: tuple[Camera, ...]) -> None:
 def test_a_detector_without_knees_is_refused() -> None:
     names = tuple(name for name in COCO_17.names if "knee" not in name)
     with pytest.raises(ValueError, match="left_knee, right_knee"):
-        skeleton_of(JointSet(names, ()))
+        clustering_skeleton(JointSet(names, ()))

@@ -10,9 +10,9 @@ from pipeline.association.identity.clothes import (
     Clothes,
     ColourDistances,
     Contrast,
+    clothes_likelihood_ratios,
     learn_contrast,
     log_likelihood_ratios,
-    log_likelihood_ratios_of,
     mean_clothes,
 )
 
@@ -114,7 +114,7 @@ def test_all_pairs_are_as_each_pair() -> None:
 def test_a_piece_against_others_is_a_row_of_all_pairs() -> None:
     rng = np.random.default_rng(5)
     pieces = [seen(0, rng, [0]), seen(9, rng), seen(9, rng, [1, 2]), seen(0, rng), seen(0, rng, [])]
-    row = log_likelihood_ratios_of(pieces[0], pieces[1:], CONTRAST)
+    row = clothes_likelihood_ratios(pieces[0], pieces[1:], CONTRAST)
     np.testing.assert_allclose(row, log_likelihood_ratios(pieces, CONTRAST)[0, 1:], rtol=1e-12)
     assert row[2] > 0.0 > row[0]
 

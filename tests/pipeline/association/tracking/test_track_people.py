@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.association.identity.clothes import clothes_of
+from pipeline.association.identity.clothes import measure_clothes
 from pipeline.association.tracking.observations import gather
 from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
@@ -254,7 +254,7 @@ def test_observations_name_the_detections_and_so_their_colours() -> None:
         rows = seen.detection[frames, cameras]
         assert (bodies.camera[rows] == cameras).all()
         assert np.abs(bodies.time_s[rows] - at_s[frames]).max() <= 0.5 / scene.timebase.frame_rate_hz + 1e-9
-        clothes = clothes_of(seen.detection, bodies.colour, len(scene.cameras))
+        clothes = measure_clothes(seen.detection, bodies.colour, len(scene.cameras))
         assert clothes.num_detections.sum() == 2 * len(rows)
         worn.append(int(clothes.share.sum((0, 1)).argmax()))
         assert clothes.share[..., worn[-1]].min() > 0.9

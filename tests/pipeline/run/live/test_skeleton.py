@@ -17,7 +17,7 @@ from pipeline.motion.skeleton.fitting.articulated import Posed, refine, start_fr
 from pipeline.motion.skeleton.fitting.articulation import articulate
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.pose_steps import PoseSteps, quat_xyzw_of
+from pipeline.run.live.pose_steps import PoseSteps, quaternions_from_matrices
 from pipeline.run.live.records import LiveInstant
 from pipeline.run.live.settings import LiveSettings
 from pipeline.run.live.skeleton import PoseEvidence
@@ -116,7 +116,7 @@ def test_quaternions_are_those_of_scipy() -> None:
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     angle_rad = np.append(rng.uniform(0.0, np.pi, 150), np.full(50, np.pi))
     rotations = Rotation.concatenate([Rotation.from_rotvec(angle_rad[:, None] * axes), Rotation.identity(1)])
-    again = Rotation.from_quat(quat_xyzw_of(rotations.as_matrix()))
+    again = Rotation.from_quat(quaternions_from_matrices(rotations.as_matrix()))
     assert (again * rotations.inv()).magnitude().max() < 1e-7
 
 

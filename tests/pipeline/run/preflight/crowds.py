@@ -13,7 +13,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import center_in_world
-from pipeline.run.preflight.sightings import NUM_INSTANTS, SimultaneousPeople, sightings_of
+from pipeline.run.preflight.sightings import NUM_INSTANTS, SimultaneousPeople, collect_sightings
 from pipeline.validation.simulation.motion.director import Cast, improvise
 from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
@@ -63,7 +63,7 @@ def crowded_session(seed: int) -> CrowdedSession:
     )
     detections = {camera.name: detect(camera, _STEP_S, people_m, boxes, detector, rng)[0] for camera in cameras}
     frames = {camera.name: range(NUM_INSTANTS) for camera in cameras}
-    return CrowdedSession(cameras, sightings_of(cameras, detections, frames, COCO_17, time_s.tolist()), num_people)
+    return CrowdedSession(cameras, collect_sightings(cameras, detections, frames, COCO_17, time_s.tolist()), num_people)
 
 
 def disturbed(session: CrowdedSession, seed: int, degrees: float = 0.5, shift_m: float = 0.01) -> tuple[Camera, ...]:

@@ -11,7 +11,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import project
-from pipeline.run.preflight.sightings import SimultaneousPeople, choose_instants, frames_at, sightings_of
+from pipeline.run.preflight.sightings import SimultaneousPeople, choose_instants, collect_sightings, frames_at
 from pipeline.validation.simulation.scenes import Simulation
 
 
@@ -20,7 +20,7 @@ def sightings(simulation: Simulation) -> SimultaneousPeople:
     instants = choose_instants([range(simulation.timebase.num_frames)])
     frames = {name: frames_at(times, simulation.timebase, instants) for name, times in simulation.times.items()}
     time_s = [simulation.timebase.time_s(instant) for instant in instants]
-    return sightings_of(simulation.cameras, simulation.detections, frames, simulation.joints, time_s)
+    return collect_sightings(simulation.cameras, simulation.detections, frames, simulation.joints, time_s)
 
 
 def bumped(camera: Camera, degrees: float) -> Camera:

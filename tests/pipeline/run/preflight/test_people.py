@@ -13,7 +13,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding
 from pipeline.run.preflight.explain import MOVES, Move, move_points
 from pipeline.run.preflight.people import check_people
-from pipeline.run.preflight.sightings import SimultaneousPeople, choose_instants, frames_at, sightings_of
+from pipeline.run.preflight.sightings import SimultaneousPeople, choose_instants, collect_sightings, frames_at
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.run.preflight.rigs import bumped, in_other_world, posed, seen_by, sightings
 
@@ -214,7 +214,7 @@ def test_a_camera_has_no_frame_before_it_starts() -> None:
     frames = frames_at(late, simulation.timebase, [0, round(4.0 * simulation.timebase.frame_rate_hz) + 3])
     assert frames[0] is None
     assert frames[1] == 3
-    people = sightings_of(
+    people = collect_sightings(
         CAMERAS, simulation.detections, {camera.name: [None] for camera in CAMERAS}, simulation.joints, [0.0]
     )
     assert people.points_px[0] == (None,)

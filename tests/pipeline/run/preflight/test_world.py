@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.run.preflight.world import of_movers
+from pipeline.run.preflight.world import select_movers
 from tests.pipeline.association.identity.test_likenesses import moving, poster
 
 INSTANTS = np.arange(10, 240, 20)
@@ -17,10 +17,10 @@ def test_pictures_judge_no_world_while_somebody_moves() -> None:
         [np.repeat(poster(1)[INSTANTS], 3, axis=0), np.repeat(moving(2)[INSTANTS[4:]], 3, axis=0), nothing_m]
     )
     poses_m += rng.normal(0.0, 0.01, poses_m.shape)
-    np.testing.assert_array_equal(of_movers(instants, poses_m), poses_m[36:60])
+    np.testing.assert_array_equal(select_movers(instants, poses_m), poses_m[36:60])
 
 
 def test_people_at_one_place_judge_the_world_alone() -> None:
     poses_m = poster(1)[INSTANTS]
-    np.testing.assert_array_equal(of_movers(range(12), poses_m), poses_m)
-    assert len(of_movers([], np.zeros((0, 17, 3)))) == 0
+    np.testing.assert_array_equal(select_movers(range(12), poses_m), poses_m)
+    assert len(select_movers([], np.zeros((0, 17, 3)))) == 0

@@ -8,7 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.association.clustering.instant import bodies as module
-from pipeline.association.clustering.instant.bodies import agree, bodies_of, join_bodies, least_agreement, match_bodies
+from pipeline.association.clustering.instant.bodies import (
+    agree,
+    collect_bodies,
+    join_bodies,
+    least_agreement,
+    match_bodies,
+)
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import ClusteringParameters
@@ -24,7 +30,7 @@ UNKNOWN = unknown_lengths(SKELETON)
 def people_of(candidates: Candidates, cameras: tuple[Camera, ...], lengths: LimbLengths = UNKNOWN) -> list[list[int]]:
     """Detection of each person in each view, -1 for none, sorted."""
     projections = np.array([image_from_world(camera) for camera in cameras])
-    bodies = bodies_of(candidates, len(SKELETON.names))
+    bodies = collect_bodies(candidates, len(SKELETON.names))
     matched = match_bodies(projections, candidates, bodies, SKELETON, lengths, PARAMETERS, WorkLimits())
     number = candidates.body[bodies.candidate.max(-1)]
     return sorted(np.where(matched >= 0, number[matched], -1).tolist())
@@ -61,7 +67,7 @@ def test_bone_lengths_tell_bodies_apart(ring: tuple[Camera, ...]) -> None:
     people_m[:, SKELETON.indices(("left_elbow", "right_elbow"))] += [[0.0, 0.14, 0.0], [0.0, -0.14, 0.0]]
     candidates = candidates_of(ring[:2], people_m)
     projections = np.array([image_from_world(camera) for camera in ring[:2]])
-    bodies = bodies_of(candidates, len(SKELETON.names))
+    bodies = collect_bodies(candidates, len(SKELETON.names))
 
     def agreement(known: LimbLengths) -> float:
         return float(agree(projections, candidates, bodies, SKELETON, known, PARAMETERS, WorkLimits())[0, 1])
@@ -127,7 +133,7 @@ def test_more_bodies_need_more_joints_that_agree(ring: tuple[Camera, ...]) -> No
         """Least agreement, in joints, if each body is there some times."""
         copies = [candidates._replace(body=candidates.body + 2 * copy) for copy in range(num_copies)]
         crowd = Candidates(*(np.concatenate(parts) for parts in zip(*copies, strict=True)))
-        return least_agreement(crowd, bodies_of(crowd, len(SKELETON.names))) / 0.9
+        return least_agreement(crowd, collect_bodies(crowd, len(SKELETON.names))) / 0.9
 
     assert least(1) == pytest.approx(1.5)
     # 400 pairs of bodies in two views, each with the chance 0.05 a joint.
@@ -137,7 +143,7 @@ def test_more_bodies_need_more_joints_that_agree(ring: tuple[Camera, ...]) -> No
 def test_limits_leave_bodies_out_and_say_so(ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     candidates = candidates_of(ring, two_people(0.2))
     projections = np.array([image_from_world(camera) for camera in ring])
-    bodies = bodies_of(candidates, len(SKELETON.names))
+    bodies = collect_bodies(candidates, len(SKELETON.names))
 
     def matched() -> tuple[int, bool]:
         limits = WorkLimits()

@@ -14,7 +14,7 @@ from pipeline.association.clustering.instant.clusters import cluster_hypotheses
 from pipeline.association.clustering.instant.hypotheses import meet
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.parameters import derive_parameters
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.geometry.camera import image_from_world
 from pipeline.validation.simulation.scenes import simulate
 
@@ -51,7 +51,7 @@ def test_clusters_are_those_of_brute_force(data: st.DataObject, num_points: int)
 @pytest.mark.parametrize("scene", ["room", "walk", "store"])
 def test_clusters_of_simulated_instants_are_those_of_brute_force(scene: str) -> None:
     simulation = simulate(scene, 3, 4)
-    skeleton, parameters = skeleton_of(simulation.joints), derive_parameters(simulation.cameras)
+    skeleton, parameters = clustering_skeleton(simulation.joints), derive_parameters(simulation.cameras)
     projections = np.array([image_from_world(camera) for camera in simulation.cameras])
     evidence = BodyEvidence(
         simulation.cameras, simulation.times, simulation.detections, simulation.timebase, skeleton, parameters

@@ -2,12 +2,12 @@ import numpy as np
 
 from pipeline.association.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import JointPoints, Membership
-from pipeline.association.clustering.skeleton import LimbLengths, measure_lengths, skeleton_of, unknown_lengths
+from pipeline.association.clustering.skeleton import LimbLengths, clustering_skeleton, measure_lengths, unknown_lengths
 from pipeline.core.joints import COCO_17
 
 
 def test_membership_is_the_share_of_views_that_agree() -> None:
-    evidence = Membership(skeleton_of(COCO_17), 0.6)
+    evidence = Membership(clustering_skeleton(COCO_17), 0.6)
     parents = places(np.array([[0, 1, 2, -1], [3, -1, -1, 5]]))
     points = places(np.array([[0, 1, -1, -1], [0, 7, -1, -1], [-1, -1, -1, 5], [-1, 1, -1, -1]]))
     score = evidence.connect(parents, points, np.ones((2, 4), bool))
@@ -33,7 +33,7 @@ def places(body: np.ndarray) -> JointPoints:
 
 
 def test_a_length_fits_the_nearest_of_the_known() -> None:
-    skeleton = skeleton_of(COCO_17)
+    skeleton = clustering_skeleton(COCO_17)
     shoulder, elbow, wrist = skeleton.indices(("left_shoulder", "left_elbow", "left_wrist"))
     known_m = np.full((len(skeleton.names), 2), np.nan)
     known_m[elbow] = [0.30, 0.40]
@@ -52,7 +52,7 @@ def test_a_length_fits_the_nearest_of_the_known() -> None:
 
 
 def test_lengths_are_a_persons_medians() -> None:
-    skeleton = skeleton_of(COCO_17)
+    skeleton = clustering_skeleton(COCO_17)
     elbow = skeleton.names.index("left_elbow")
     poses_m = np.full((5, len(skeleton.names), 3), np.nan)
     poses_m[:, skeleton.parents[elbow]] = 0.0
@@ -64,7 +64,7 @@ def test_lengths_are_a_persons_medians() -> None:
 
 
 def test_the_error_is_that_of_the_best_of_many_lengths() -> None:
-    skeleton = skeleton_of(COCO_17)
+    skeleton = clustering_skeleton(COCO_17)
     shoulder, elbow = skeleton.names.index("left_shoulder"), skeleton.names.index("left_elbow")
     rng = np.random.default_rng(0)
     known_m = np.full((len(skeleton.names), 40), np.nan)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association.clustering.instant.evidence import AffinityFields, JointPoints, ViewFields, limbs_of
-from pipeline.association.clustering.skeleton import skeleton_of
+from pipeline.association.clustering.instant.evidence import AffinityFields, JointPoints, ViewFields, number_limbs
+from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.detections import MapGrid
 from pipeline.core.joints import COCO_18
@@ -14,7 +14,7 @@ from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.geometry.camera import project
 from pipeline.geometry.fields import connectivity, quantise
 
-SKELETON = skeleton_of(COCO_18)
+SKELETON = clustering_skeleton(COCO_18)
 ELBOW, WRIST = SKELETON.indices(("left_elbow", "left_wrist"))
 GRID = MapGrid(offset_px=(3.5, 3.5), pitch_px=(8.0, 8.0))
 ELBOW_M, WRIST_M = np.array([[0.1, 0.2, 1.2]]), np.array([[0.1, 0.4, 1.3]])
@@ -30,7 +30,7 @@ def field_towards(camera: Camera, strength: float) -> ViewFields:
     unit = (end - begin) / np.linalg.norm(end - begin)
     shape = camera.size_px[1] // 8, camera.size_px[0] // 8
     fields = np.zeros((len(LIMBS), 2, *shape))
-    fields[limbs_of(SKELETON, LIMBS)[WRIST]] = strength * unit[:, None, None]
+    fields[number_limbs(SKELETON, LIMBS)[WRIST]] = strength * unit[:, None, None]
     return ViewFields(camera, quantise(fields), GRID)
 
 
@@ -57,7 +57,7 @@ def test_a_view_that_does_not_show_both_ends_says_nothing(ring: tuple[Camera, ..
 
 
 def test_every_limb_of_the_skeleton_has_its_field() -> None:
-    numbers = limbs_of(SKELETON, LIMBS)
+    numbers = number_limbs(SKELETON, LIMBS)
     assert numbers[0] == -1  # the root hangs on nothing
     assert (numbers[1:] >= 0).all()
     for j, number in enumerate(numbers.tolist()):
