@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.gzip import GZipMiddleware
 
 from api.web import errors, page
 from api.web.contract import description as contract
@@ -79,7 +80,7 @@ def create_app(settings: Settings) -> FastAPI:
     for resource in RESOURCES:
         app.include_router(resource.router, responses={} if resource.is_open else contract.problems(401, 429))
     app.include_router(page.router)
-    app.mount("/portal", page.PortalFiles())
+    app.mount("/portal", GZipMiddleware(page.PortalFiles(), minimum_size=1024))
     declare_webhooks(app)
     errors.install(app)
     validation.install(app)

@@ -9,10 +9,10 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from starlette.responses import FileResponse, Response
+from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
 from api.web.dependencies import ServicesDep
-from api.web.http.compression import CompressedFiles
 from api.web.http.middleware import SAFE_HEADERS
 from api.web.live.asyncapi import describe_live
 from api.web.recordings.asyncapi import describe_recordings
@@ -34,7 +34,7 @@ _PAGE_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' blob: data:").r
 _DOCS_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' data:")
 
 
-class PortalFiles(CompressedFiles):
+class PortalFiles(StaticFiles):
     """Static files of the page and of Swagger UI.
 
     Only the release files of the package ``fastapi_swagger`` are served. Its code, which loads a script, is not used.

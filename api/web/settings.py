@@ -72,13 +72,8 @@ class Settings(StorageSettings):
     max_connections: int = Field(
         default=4096,
         gt=0,
-        description="Largest number of open connections of an API process; the limit on open files may lower it.",
-    )
-    max_client_connections: int = Field(
-        default=512,
-        gt=0,
-        description="Largest number of open connections of a client's address (IPv6: its /64); trusted proxies are "
-        "exempt.",
+        description="Largest number of open connections of an API process; requests beyond it are answered by 503. The "
+        "limit on open files may lower it.",
     )
     max_wrong_keys_per_minute: int = Field(
         default=30,
@@ -160,8 +155,7 @@ class Settings(StorageSettings):
     client_idle_s: float = Field(
         default=60.0,
         gt=0,
-        description="Longest time in which a client neither sends nor receives a byte of a body, and longest time of "
-        "the request headers.",
+        description="Longest time in which a client neither sends nor receives a byte of a body.",
     )
     client_min_bytes_per_s: float = Field(
         default=1000.0, ge=0, description="Smallest average rate of a client's body, checked from client_idle_s on."

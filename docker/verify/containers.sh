@@ -144,7 +144,8 @@ small() {
     local job
     job=$(client send http://127.0.0.1:8000)
     client finish http://127.0.0.1:8000 "$job" /expected
-    healthy api && healthy redis || fail "health checks of compose.yml"
+    client crowd http://127.0.0.1:8000
+    healthy proxy && healthy api && healthy redis || fail "health checks of compose.yml"
     down "$FILE"
     say "compose.yml is down"
 }
@@ -188,6 +189,7 @@ cluster() {
     podman restart --time 5 "$(containers proxy)" >>"$WORK/compose.log" 2>&1
     wait_until "the proxy answers again" status https://$SITE/healthz
     client finish https://$SITE "$FIRST" /expected
+    client crowd https://$SITE
 
     SECOND=$(client send https://$SITE "$upload")
     upgrade

@@ -1,18 +1,21 @@
 """Client of ``containers.sh``, run in the image: sends the sample, waits, compares results with a quiet run's.
 
 ``take.py begin URL``, ``take.py continue URL UPLOAD PART``, ``take.py send URL [UPLOAD]``,
-``take.py finish URL JOB EXPECTED``, ``take.py watch URL``; the key is in ``KEY``.
+``take.py finish URL JOB EXPECTED``, ``take.py watch URL``, ``take.py crowd URL``; the key is in ``KEY``.
 """
 
 import base64
 import contextlib
 import hashlib
 import os
+import socket
+import ssl
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx2
 
@@ -22,6 +25,10 @@ SAMPLE = Path("/sample")
 # File that appears when ``watch`` is to end.
 END = Path("/watch/end")
 TUS = {"Tus-Resumable": "1.0.0"}
+# Idle connections at a time, and the time in which the proxy ends one that brings no request.
+NUM_IDLE, SILENT_S = 1500, 60.0
+# Time in which a body that trickles is answered: CLIENT_IDLE_S and a busy machine.
+TRICKLING_S = 180.0
 
 
 def connect(url: str) -> Client:
@@ -118,7 +125,11 @@ def finish(url: str, job_id: str, expected: str) -> None:
         ]
         if digests[0] != digests[1] or not digests[0]:
             sys.exit(f"The results differ: {set(digests[0].items()) ^ set(digests[1].items())}")
-        sys.stdout.write(f"{len(digests[0])} files of job {job_id}: the same bytes as the quiet run's.\n")
+        for path in Path(expected).iterdir():
+            answer = client.http.get(f"/v1/jobs/{job_id}/results/{path.name}", headers={"Range": "bytes=100-299"})
+            if answer.status_code != 206 or answer.content != path.read_bytes()[100:300]:
+                sys.exit(f"a range of {path.name}: status {answer.status_code}, {len(answer.content)} bytes")
+        sys.stdout.write(f"{len(digests[0])} files of job {job_id}: the bytes of the quiet run, also of ranges.\n")
 
 
 def watch(url: str) -> None:
@@ -137,12 +148,64 @@ def watch(url: str) -> None:
     sys.stdout.write(f"{answers} requests were answered, the slowest after {longest_s:.1f} s\n")
 
 
+def crowd(url: str) -> None:
+    """Be many clients and slow ones: others are answered meanwhile, and the proxy or the API ends the slow ones."""
+    with contextlib.ExitStack() as stack:
+        silent = [stack.enter_context(opened(url)) for _ in range(NUM_IDLE)]
+        trickling = stack.enter_context(opened(url))
+        host = urlsplit(url).netloc
+        key = f"Authorization: Bearer {os.environ['KEY']}\r\n" if os.environ.get("KEY") else ""
+        head = f"POST /v1/sessions HTTP/1.1\r\nHost: {host}\r\n{key}Content-Length: 1000000\r\n"
+        head += "Content-Type: multipart/form-data; boundary=x\r\n\r\n--x\r\n"
+        head += 'Content-Disposition: form-data; name="videos"; filename="a.mp4"\r\n\r\n'
+        trickling.sendall(head.encode() + bytes(2**17))
+        with connect(url) as client:
+            start_s = time.monotonic()
+            client.http.get("/healthz").raise_for_status()
+            answered_s = time.monotonic() - start_s
+        endless = stack.enter_context(opened(url))
+        with contextlib.suppress(ConnectionError, ssl.SSLError):
+            endless.sendall(f"GET /healthz HTTP/1.1\r\nHost: {host}\r\nX-Endless: ".encode())
+            for _ in range(1000):
+                endless.sendall(b"x" * 2**14)
+            sys.exit("headers have no end")
+        for connection in (silent[0], silent[-1]):
+            connection.settimeout(SILENT_S)
+            with contextlib.suppress(ConnectionError):
+                if connection.recv(1):
+                    sys.exit("a client without a request was answered")
+        trickling.settimeout(1.0)
+        end_s = time.monotonic() + TRICKLING_S
+        with contextlib.suppress(ConnectionError, ssl.SSLError):  # the proxy may close it without the API's answer
+            while time.monotonic() < end_s:
+                with contextlib.suppress(TimeoutError):
+                    if (answer := trickling.recv(4096)) and not answer.startswith(b"HTTP/1.1 408 "):
+                        sys.exit(f"a body that trickles was answered by {answer!r}")
+                    break
+                trickling.sendall(b"x")
+            else:
+                sys.exit("a body may trickle")
+    sys.stdout.write(f"beside {NUM_IDLE} idle connections a request took {answered_s:.1f} s; slow clients were ended\n")
+
+
+def opened(url: str) -> socket.socket:
+    """Connection to the proxy."""
+    parts = urlsplit(url)
+    host = parts.hostname or "localhost"
+    address = host, parts.port or (443 if parts.scheme == "https" else 80)
+    connection = socket.create_connection(address, timeout=30)
+    if parts.scheme == "https":
+        return ssl.create_default_context().wrap_socket(connection, server_hostname=host)
+    return connection
+
+
 COMMANDS: Mapping[str, Callable[..., None]] = {
     "begin": begin,
     "continue": continue_upload,
     "send": send,
     "finish": finish,
     "watch": watch,
+    "crowd": crowd,
 }
 
 if __name__ == "__main__":

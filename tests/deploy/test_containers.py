@@ -1,6 +1,7 @@
 """Container files: pinned images, closed containers, secrets that exist, settings and programs that exist."""
 
 import importlib.util
+import os
 import re
 import shutil
 import stat
@@ -30,7 +31,9 @@ OTHER_VARIABLES = {
     "AWS_ENDPOINT_URL", "AWS_REGION", "MULTICAP_HOME", "WORKER_PROCESSES",
 }  # fmt: skip
 # Variables of the compose files themselves.
-COMPOSE_VARIABLES = {"MULTICAP_SITE", "MULTICAP_TLS", "POSTGRES_USER", "POSTGRES_DB", "POSTGRES_PASSWORD_FILE"}
+COMPOSE_VARIABLES = {
+    "MULTICAP_API", "MULTICAP_SITE", "MULTICAP_TLS", "POSTGRES_USER", "POSTGRES_DB", "POSTGRES_PASSWORD_FILE",
+}  # fmt: skip
 
 
 def settings() -> set[str]:
@@ -93,7 +96,9 @@ def test_api_processes_share_uploads_as_the_proxy_takes_turns() -> None:
     assert {services[name]["environment"]["MULTICAP_SHARED_UPLOADS"] for name in names} == {"true"}
     proxy = (DOCKER / "Caddyfile").read_text()
     assert re.findall(r"lb_policy (.*)", proxy) == ["round_robin"]
-    assert re.findall(r"reverse_proxy (.*) \{", proxy) == [" ".join(f"{name}:8000" for name in names)]
+    assert re.findall(r"reverse_proxy \{\$MULTICAP_API:(.*)\} \{", proxy) == [
+        " ".join(f"{name}:8000" for name in names)
+    ]
     by_kind = {document["kind"]: document for _, document in documents()}
     assert by_kind["ConfigMap"]["data"]["MULTICAP_SHARED_UPLOADS"] == "true"
     assert not [name for name in by_kind["Ingress"]["metadata"]["annotations"] if "hash" in name or "affinity" in name]
@@ -179,9 +184,13 @@ def test_objects_of_kubernetes_name_each_other() -> None:
 
 
 @pytest.mark.skipif(shutil.which("caddy") is None, reason="Caddy is not installed")
-def test_the_proxy_accepts_its_file() -> None:
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
+def test_the_proxy_accepts_its_file(path: Path) -> None:
+    # The values of the compose file, without those that Compose itself fills in.
+    given = yaml.safe_load(path.read_text())["services"]["proxy"]["environment"]
     subprocess.run(
         ["caddy", "validate", "--config", str(DOCKER / "Caddyfile"), "--adapter", "caddyfile"],
         check=True,
         capture_output=True,
+        env=os.environ | {name: value for name, value in given.items() if "$" not in value},
     )

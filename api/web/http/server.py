@@ -1,12 +1,12 @@
-"""Configuration of the HTTP server: limits on connections and open files, and trusted proxies."""
+"""Configuration of the HTTP server: number of connections, sizes of messages, trusted proxies."""
 
 from functools import partial
 
 import uuid_utils
 from fastapi import FastAPI
 from uvicorn import Config
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from api.web.http.connections import Connections, bounded_protocol
 from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, message_of
 from api.web.http.websockets import bounded_websocket
 from api.web.live.problems import too_large, wrong_text
@@ -21,10 +21,35 @@ _GRACE_S = 5
 # Idle connections stay open for longer than clients and proxies keep theirs (httpx 5 s, nginx and load balancers 60 s):
 # the side that sends has to close first, or a request meets a connection that is being closed.
 _KEEP_ALIVE_S = 75
+_MAX_HEAD_BYTES = 64 * 2**10
 # Descriptors for the database, files and child processes.
 _RESERVED_DESCRIPTORS = 256
 # A connection's socket, and a file that is received or sent.
 _DESCRIPTORS_PER_CONNECTION = 2
+
+
+class BoundedHead(HttpToolsProtocol):
+    """Protocol of the HTTP server that closes connections whose request headers are too large."""
+
+    _num_bytes = 0
+    _is_in_head = False
+
+    def data_received(self, data: bytes) -> None:
+        """Parse data; close the connection if the headers do not end."""
+        super().data_received(data)
+        self._num_bytes += len(data)
+        if self._is_in_head and self._num_bytes > _MAX_HEAD_BYTES:
+            self.transport.close()
+
+    def on_message_begin(self) -> None:
+        """Begin to count the bytes of a request's headers."""
+        super().on_message_begin()
+        self._num_bytes, self._is_in_head = 0, True
+
+    def on_headers_complete(self) -> None:
+        """Let a body be of any size."""
+        self._is_in_head = False
+        super().on_headers_complete()
 
 
 def _wrong_frames(settings: Settings, path: str, close_code: int) -> str | None:
@@ -47,13 +72,13 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
     reserved = min(_RESERVED_DESCRIPTORS, descriptors // 2)
     max_connections = max(1, (descriptors - reserved) // _DESCRIPTORS_PER_CONNECTION)
     proxies = settings.trusted_proxies
-    connections = Connections(min(settings.max_connections, max_connections), settings.max_client_connections, proxies)
     return Config(
         app,
         host=settings.host,
         port=settings.port,
-        http=bounded_protocol(settings.client_idle_s, connections),
-        ws=bounded_websocket(connections, partial(_wrong_frames, settings)),
+        http=BoundedHead,
+        limit_concurrency=min(settings.max_connections, max_connections),
+        ws=bounded_websocket(partial(_wrong_frames, settings)),
         ws_max_size=max(
             settings.max_live_message_bytes, settings.max_recording_message_bytes, settings.max_thumbnail_bytes
         ),

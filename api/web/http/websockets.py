@@ -1,4 +1,4 @@
-"""WebSockets of the HTTP server: their places among the connections, refusals before they open, and wrong frames."""
+"""WebSockets of the HTTP server: refusals before they open, messages by pieces, and wrong frames."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,6 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import Frame, Opcode
 
 from api.web.errors import ApiError, problem_response
-from api.web.http.connections import Connections
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
 
 _PROTOCOL_ERROR = 1002
@@ -44,10 +43,8 @@ class WebSocketGuard:
         await self._app(scope, receive, send)
 
 
-def bounded_websocket(
-    connections: Connections, message_of: Callable[[str, int], str | None]
-) -> type[WebSocketsSansIOProtocol]:
-    """Protocol of WebSockets that count among the open connections.
+def bounded_websocket(message_of: Callable[[str, int], str | None]) -> type[WebSocketsSansIOProtocol]:
+    """Protocol of WebSockets that lets no client hold up others.
 
     Of what a client sends at once, a piece is parsed at a time, and no more than is received. A client whose frames are
     wrong gets a last message before the connection is closed: ``message_of`` the path and the close code, ``None`` for
@@ -55,22 +52,12 @@ def bounded_websocket(
     """
 
     class BoundedWebSocket(WebSocketsSansIOProtocol):
-        _admitted: Any = None
         _is_discarding = False
         _discarding_until_s = 0.0
 
         def __init__(self, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
             self._unread = bytearray()
-
-        def connection_made(self, transport: Any) -> None:
-            # The connection was admitted with the protocol that has read the request.
-            self._admitted = transport.get_protocol()
-            super().connection_made(transport)
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            connections.remove(self._admitted)
-            super().connection_lost(exc)
 
         def data_received(self, data: bytes) -> None:
             if self._is_discarding:

@@ -64,17 +64,16 @@ def test_only_files_for_browsers_are_served(live: Live) -> None:
         assert live.client.get(f"/portal/{name}").status_code == 404, name
 
 
-def test_texts_are_compressed_with_own_entity_tag(live: Live) -> None:
+def test_texts_are_sent_compressed(live: Live) -> None:
     path = "/portal/shared/base.css"
     plain = live.client.get(path, headers={"Accept-Encoding": "identity"})
     packed = live.client.get(path, headers={"Accept-Encoding": "br, gzip;q=0.5"})
     assert "content-encoding" not in plain.headers
     assert packed.headers["content-encoding"] == "gzip"
     assert packed.content == plain.content == (PORTAL / "shared/base.css").read_bytes()
-    assert int(packed.headers["content-length"]) < len(plain.content) / 2
+    assert packed.num_bytes_downloaded < len(plain.content) / 2
     assert plain.headers["vary"].startswith("Accept-Encoding")
     assert packed.headers["vary"].startswith("Accept-Encoding")
-    assert packed.headers["etag"] != plain.headers["etag"]
     for answer, encoding in ((plain, "identity"), (packed, "gzip")):
         headers = {"Accept-Encoding": encoding, "If-None-Match": answer.headers["etag"]}
         assert live.client.get(path, headers=headers).status_code == 304
@@ -203,7 +202,7 @@ def test_page_is_small(live: Live) -> None:
     names = [path.relative_to(PORTAL) for path in paths if "node_modules" not in path.parts]
     headers = {"Accept-Encoding": "gzip"}
     sizes = {
-        name.as_posix(): int(live.client.get(f"/portal/{name.as_posix()}", headers=headers).headers["content-length"])
+        name.as_posix(): live.client.get(f"/portal/{name.as_posix()}", headers=headers).num_bytes_downloaded
         for name in names
     }
     assert sizes["vendor/three/three.core.js"] > 100_000

@@ -52,7 +52,7 @@ class Gate:
 
 @pytest.fixture(scope="module")
 def live(make_settings: Callable[..., Settings]) -> Iterator[Live]:
-    with running(make_settings(max_client_connections=1000)) as live:
+    with running(make_settings()) as live:
         yield live
 
 

@@ -1,5 +1,6 @@
 """Slow clients: they stop sending or receiving, or send a few bytes at a time."""
 
+import contextlib
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -101,40 +102,13 @@ def test_a_client_of_an_event_stream_is_not_slow(strict: Live) -> None:
         assert any('"state":"canceled"' in line.replace(" ", "") for line in lines)
 
 
-@pytest.mark.parametrize("head", [b"", b"GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n"])
-def test_a_client_that_sends_no_headers_is_disconnected(strict: Live, head: bytes) -> None:
-    with socket.create_connection(strict.address[:2], timeout=30) as connection:
-        connection.sendall(head)
-        assert answer_of(connection) == b""
-
-
-def send_until_cut(connection: socket.socket, data: bytes, pause_s: float) -> None:
-    deadline_s = time.monotonic() + 120
-    while time.monotonic() < deadline_s:
-        connection.sendall(data)
-        time.sleep(pause_s)
-
-
-@pytest.mark.parametrize(
-    ("head", "more", "pause_s"),
-    [(b"GET /v1/jobs HTTP/1.1\r\n", b"X-A: b\r\n", 0.05), (b"GET /v1/jobs HTTP/1.1\r\nX-Endless: ", b"x" * 2**14, 0.0)],
-)
-def test_headers_have_an_end(strict: Live, head: bytes, more: bytes, pause_s: float) -> None:
-    with socket.create_connection(strict.address[:2], timeout=30) as connection:
-        connection.sendall(head)
-        with pytest.raises((BrokenPipeError, ConnectionResetError)):
-            send_until_cut(connection, more, pause_s)
-
-
-def test_further_requests_of_a_connection_have_their_own_time(strict: Live) -> None:
-    request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
-    with socket.create_connection(strict.address[:2], timeout=30) as connection:
-        for _ in range(4):  # in total longer than the time limit of the headers
-            time.sleep(IDLE_S / 2)
-            connection.sendall(request)
-            assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")
-        connection.sendall(request[:-2])
-        assert answer_of(connection) == b""
+def test_endless_headers_are_cut(strict: Live) -> None:
+    with socket.create_connection(strict.address[:2], timeout=30) as connection, contextlib.suppress(ConnectionError):
+        connection.sendall(b"GET /v1/jobs HTTP/1.1\r\nX-Endless: ")
+        for _ in range(1000):
+            connection.sendall(b"x" * 2**14)
+            time.sleep(0.01)
+        pytest.fail("the headers had no end")
 
 
 def test_large_bodies_are_no_large_heads(strict: Live) -> None:
