@@ -87,7 +87,7 @@ def nest(source: bytes) -> bytes:
 
     >>> nest(b"from pipeline.core.data import Camera")
     b'from multicap.pipeline.data import Camera'
-    >>> nest(b"pool = 'worker.run.process.pool:PromptPool'")
+    >>> nest(b"pool = 'worker.run.app:PromptPool'")
     b"pool = 'multicap.worker.process.pool:PromptPool'"
 
     Raises

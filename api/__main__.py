@@ -15,9 +15,9 @@ from api.web.app import create_app
 from api.web.http.server import server_config
 from api.web.settings import Settings
 from api.web.startup import ExposedError, require_keys_if_exposed, unusable_database
+from worker.run import tracing
+from worker.run.logs import configure_logs
 from worker.run.settings import read_settings
-from worker.run.telemetry import tracing
-from worker.run.telemetry.logs import configure_logs
 from worker.store.errors import NewerDatabase
 from worker.store.files.disk import DiskSpace
 from worker.store.files.private_files import keep_files_private, make_private

@@ -100,7 +100,7 @@ COLD = (
     "pipeline/video/test_decoder_process.py",
     "pipeline/video/test_probe_children.py",
     "test_warm_programs.py",
-    "worker/run/process/",
+    *(f"worker/run/test_{name}.py" for name in ("app", "embedded", "presence", "supervisor")),
 )
 
 

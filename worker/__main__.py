@@ -11,9 +11,9 @@ from pipeline.detection.providers.find import current_provider
 from pipeline.run.engine.code import stage_codes
 from worker.run import tasks
 from worker.run.app import create_celery
-from worker.run.process.compilation import compile_kernels
+from worker.run.logs import configure_logs
+from worker.run.presence import compile_kernels
 from worker.run.settings import WorkerSettings, read_settings, require_usable_database
-from worker.run.telemetry.logs import configure_logs
 from worker.store.files.private_files import keep_files_private
 from worker.store.queue import Queue
 from worker.store.store import JobStore

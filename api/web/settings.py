@@ -7,8 +7,8 @@ from pydantic import Field, IPvAnyNetwork, ValidationInfo, field_validator
 
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.runtime.child_processes import module_command
+from worker.run.logs import LogLevel
 from worker.run.settings import StorageSettings
-from worker.run.telemetry.logs import LogLevel
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
 

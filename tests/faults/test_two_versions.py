@@ -20,7 +20,7 @@ from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
 from tests.waiting import wait_for
-from worker.run.process.embedded import DataDirectory
+from worker.run.embedded import DataDirectory
 
 
 @contextmanager

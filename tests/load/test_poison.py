@@ -29,9 +29,9 @@ from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.load.poisoned_worker import POISON
 from tests.waiting import wait_for
+from worker.run import embedded
 from worker.run.planning import plan_job
-from worker.run.process import embedded
-from worker.run.process.supervisor import Supervisor
+from worker.run.supervisor import Supervisor
 from worker.store.database.totals import Total
 from worker.store.errors import Conflict
 from worker.store.files.artifacts import LocalArtifacts, record_key

@@ -1,14 +1,20 @@
-"""Celery application of the workers: one task, and handlers that prepare each worker process.
+"""Celery application of the workers: one task, its pool of processes, and handlers that prepare each process.
 
 A message only tells workers that there is work; they claim it in the database. A message is acknowledged after its
 work, and returns to the queue if its worker is lost.
 """
 
 import os
+import stat
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
 
+from billiard.pool import CLOSE, RUN
 from celery import Celery, Task
+from celery.concurrency.prefork import TaskPool
 from celery.signals import (
     celeryd_init,
     setup_logging,
@@ -20,13 +26,10 @@ from celery.signals import (
 )
 
 from pipeline.core.runtime.resources import limit_memory, lower_priority
-from worker.run import tasks
-from worker.run.process.pool import release_sockets_of_parent
-from worker.run.process.presence import Presence
-from worker.run.process.scratch import remove_abandoned
+from worker.run import tasks, tracing
+from worker.run.logs import configure_logs
+from worker.run.presence import Presence, remove_abandoned
 from worker.run.settings import WorkerSettings
-from worker.run.telemetry import tracing
-from worker.run.telemetry.logs import configure_logs
 from worker.store.queue import TASK_NAME, Queue, transport_options
 
 # Time after which the broker sends a message again that no worker has acknowledged: it only wakes a worker once more.
@@ -40,6 +43,9 @@ _LOOK_S = 0.1
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+_LAST_STREAM = 2
+
+
 def create_celery(settings: WorkerSettings) -> Celery:
     """Create the Celery application with its only task."""
     celery = Celery("multicap", broker=settings.broker_url)
@@ -48,7 +54,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
         task_ignore_result=True,
         task_acks_late=True,
         task_reject_on_worker_lost=True,
-        worker_pool="worker.run.process.pool:PromptPool",
+        worker_pool="worker.run.app:PromptPool",
         worker_prefetch_multiplier=1,
         # Numeric libraries take seconds to load on a busy machine. Without a cache for compiled kernels every process
         # compiles them first, which takes minutes.
@@ -102,7 +108,7 @@ def _report_loading(**_: object) -> None:
 
 
 def _load(**_: object) -> None:
-    release_sockets_of_parent()
+    release_inherited_sockets()
     limit_memory(WorkerSettings().memory_bytes)
     presence = tasks.start_presence()
     worker_process_shutdown.connect(lambda exitcode, **_: _unload(presence, exitcode), weak=False)
@@ -137,3 +143,36 @@ def _consume(**_: object) -> None:
 def _return_chunks(**_: object) -> None:
     """Tell running tasks to return their chunks: a shutdown waits for them, and a chunk may take long."""
     tasks.shutting_down.set()
+
+
+class PromptPool(TaskPool):  # type: ignore[misc]  # Celery has no types
+    """Pool that ends as soon as its last process has ended.
+
+    Celery's own pool acknowledges messages from a thread while it ends, and checks twice a second whether it has ended.
+    A message without an acknowledgement is delivered again and announces work once more, which does no harm here.
+    """
+
+    _pool: Any
+
+    def on_stop(self) -> None:
+        """Wait until the processes have returned their chunks and ended."""
+        if self._pool is not None and self._pool._state in {RUN, CLOSE}:
+            self._pool.close()
+            self._pool.join()
+            self._pool = None
+
+
+def release_inherited_sockets() -> None:
+    """Put ``/dev/null`` in place of the sockets that this process, which was just forked, has of its parent.
+
+    A child that replaces a lost one inherits the connections to the broker. As long as it holds one that both ends have
+    closed since, as when the broker restarts, Linux reports it to the parent again and again, which then does nothing
+    but ask. The numbers stay taken: objects of the parent that close them later close no file of this process.
+    Standard streams stay, which may be sockets of a journal.
+    """
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in [int(entry.name) for entry in Path("/dev/fd").iterdir()]:
+        with suppress(OSError):  # the folder itself was open
+            if number > _LAST_STREAM and stat.S_ISSOCK(os.fstat(number).st_mode):
+                os.dup2(nothing, number, inheritable=False)
+    os.close(nothing)

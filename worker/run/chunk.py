@@ -1,13 +1,35 @@
-"""A chunk at work: its claim, its session, and its way to the worker that holds it. No science is loaded."""
+"""A chunk at work: its claim, its session, and its lease, which a thread renews. No science is loaded."""
 
-from collections.abc import Callable, Collection
+import contextlib
+import math
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import structlog
+
+from worker.store.errors import DamagedDatabase
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.model.sessions import Session
 from worker.store.model.work import Claim
+from worker.store.outages import outage_of
+from worker.store.store import JobStore
+
+log = structlog.get_logger()
+
+# Time in which the work must react to the signal to stop, before its process is ended.
+STOP_GRACE_S = 2.0
+_LOOK_S = 0.25
+
+# Time that a unit is foreseen to take: networks of the default profile take a tenth of a second for a frame of a camera
+# (docs/measurements.md), and units of other stages as long. Few units take no less than the shortest limit.
+_UNIT_S = 0.1
+_SHORTEST_LIMIT_S = 600.0
 
 
 class StoppedError(Exception):
@@ -46,3 +68,120 @@ class Work:
     found: bytes | None  # Output of the chunk if it is stored already, and only the interim output is missing
     # Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it
     piece: Callable[[str], bytes | None] = lambda _: None
+
+
+def time_limit_s(num_units: int, factor: float) -> float:
+    """Time after which a chunk of some units is stopped: a multiple of its foreseen time, beyond the shortest limit.
+
+    >>> time_limit_s(100, 10.0)
+    700.0
+    """
+    return _SHORTEST_LIMIT_S + factor * _UNIT_S * num_units
+
+
+class Lease:
+    """Lease of a claimed chunk, renewed by a thread of its own.
+
+    While the database does not respond, the work goes on: it is not known to be lost. If another worker gets the chunk
+    meanwhile, the lease's token is old, and what the work reports changes nothing.
+
+    Parameters
+    ----------
+    lease_s
+        Time after the last heartbeat at which the lease is lost.
+    heartbeat_s
+        Time between heartbeats.
+    stopping
+        Returns whether the worker shuts down.
+    on_stuck
+        Called from the thread when the work has not stopped within ``STOP_GRACE_S``, for example during one long call.
+        A worker process ends itself here.
+    limit_s
+        Time after which the work is stopped: it renews the lease, but hangs.
+    """
+
+    def __init__(
+        self,
+        store: JobStore,
+        claim: Claim,
+        lease_s: float,
+        heartbeat_s: float,
+        stopping: Callable[[], bool],
+        on_stuck: Callable[[], None],
+        limit_s: float = math.inf,
+    ) -> None:
+        self._store, self._claim, self._limit_s = store, claim, limit_s
+        self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
+        self._stopping, self._on_stuck = stopping, on_stuck
+        self._done_units = 0
+        self._lost = False
+        self._is_too_long = False
+        self._was_cut_off = False
+        self._ended = threading.Event()
+
+    @property
+    def was_cut_off(self) -> bool:
+        """Whether a heartbeat failed because the database did not respond."""
+        return self._was_cut_off
+
+    @property
+    def is_too_long(self) -> bool:
+        """Whether the work was stopped because it took longer than its limit."""
+        return self._is_too_long
+
+    def on_unit(self) -> None:
+        """Count a unit of work; raise ``StoppedError`` if the work must stop."""
+        self._done_units += 1
+        self.check()
+
+    def check(self) -> None:
+        """Raise ``StoppedError`` if the work must stop."""
+        if self._must_stop():
+            raise StoppedError
+
+    def _must_stop(self) -> bool:
+        return self._lost or self._is_too_long or self._stopping()
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Renew the lease during the block."""
+        thread = threading.Thread(
+            target=self._beat_until_ended, args=[threading.get_ident()], name="lease", daemon=True
+        )
+        thread.start()
+        try:
+            yield
+        finally:
+            self._ended.set()
+            thread.join()
+
+    def _beat_until_ended(self, worker_thread: int) -> None:
+        started_s = beat_s = time.monotonic()
+        while not self._ended.wait(_LOOK_S):
+            now_s = time.monotonic()
+            if now_s - started_s > self._limit_s:
+                self._is_too_long = True
+                stack = traceback.format_stack(sys._current_frames()[worker_thread])
+                log.error("chunk_too_long", chunk=self._claim.chunk_id, limit_s=self._limit_s, stack="".join(stack))
+            if self._must_stop():
+                break
+            if now_s - beat_s < self._heartbeat_s:
+                continue
+            beat_s = now_s
+            try:
+                self._lost |= not self._beat()
+            except DamagedDatabase:
+                self._lost = True
+            except Exception as error:
+                if outage_of(error) is None:
+                    log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
+                elif not self._was_cut_off:  # logged once
+                    log.warning("heartbeat_failed", chunk=self._claim.chunk_id, reason=type(error).__name__)
+                self._was_cut_off = True
+        if not self._ended.wait(STOP_GRACE_S):
+            self._on_stuck()
+
+    def _beat(self) -> bool:
+        claim = self._claim
+        done_units = min(self._done_units, claim.unit_count)
+        return self._store.leases.heartbeat(claim.chunk_id, claim.lease_token, done_units, self._lease_s)

@@ -35,7 +35,7 @@ def too_long(stage: str) -> JobProblem:
     )
 
 
-def problem_of(error: Exception, stage: str) -> JobProblem:
+def job_problem(error: Exception, stage: str) -> JobProblem:
     """Build the problem of a chunk that failed with an exception; with the errors of a session that was refused."""
     return _refusal(error, stage) if isinstance(error, SessionRefused) else _failure(error, stage)
 

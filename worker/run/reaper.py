@@ -21,10 +21,10 @@ import structlog
 
 from pipeline.core.runtime.resources import raise_descriptor_limit
 from pipeline.run.engine.code import stage_codes
+from worker.run.logs import configure_logs
 from worker.run.planning import plan_again, plan_visuals
 from worker.run.problems import waiting_for
 from worker.run.settings import WorkerSettings, read_settings, require_usable_database
-from worker.run.telemetry.logs import configure_logs
 from worker.run.webhooks.sender import Sender, deliver_forever
 from worker.store.errors import Conflict, DamagedDatabase, NotFound
 from worker.store.files.artifacts import ArtifactStore

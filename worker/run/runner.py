@@ -13,12 +13,10 @@ from opentelemetry.trace import StatusCode
 from pipeline.core.runtime.pauses import Pauses
 from pipeline.run.engine.plan import STAGE_BY_NAME, followers
 from pipeline.run.engine.stage import Output, ResultFile
-from worker.run.chunk import DamagedOutputsError, StoppedError, Work
-from worker.run.lease import Lease, time_limit_s
-from worker.run.problems import problem_of, too_long, waiting_for
-from worker.run.process.presence import process_name
-from worker.run.process.scratch import scratch_folder
-from worker.run.telemetry import tracing
+from worker.run import tracing
+from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, time_limit_s
+from worker.run.presence import process_name, scratch_folder
+from worker.run.problems import job_problem, too_long, waiting_for
 from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
 from worker.store.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
 from worker.store.files.interim import read_interim, write_interim
@@ -195,7 +193,7 @@ class Runner:
         self._outage = outage_of(error)
         if self._outage is None:
             log.error("chunk_failed", attempt=claim.attempt, exc_info=error)
-            return partial(self._store.leases.fail, *_held(claim), problem_of(error, claim.stage))
+            return partial(self._store.leases.fail, *_held(claim), job_problem(error, claim.stage))
         log.warning("chunk_given_back", outage=self._outage, exc_info=error)
         return partial(self._store.leases.give_back, *_held(claim), waiting_for(self._outage, claim.stage))
 

@@ -14,7 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from pipeline.core.options.providers import ProviderChoice
 from pipeline.core.options.requirements import Schema, requirement
-from worker.run.telemetry.logs import LogLevel
+from worker.run.logs import LogLevel
 from worker.store.errors import DamagedDatabase, NewerDatabase
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.secret_files import S3_KEYS, FileVariableError, file_variable

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -20,11 +21,8 @@ from pipeline.detection.providers.find import current_provider
 from pipeline.run.engine.code import stage_codes
 from pipeline.run.engine.plan import STAGES
 from pipeline.run.engine.stage import Output
-from worker.run.chunk import Work
-from worker.run.lease import STOP_GRACE_S, time_limit_s
-from worker.run.process.compilation import COMPILING
-from worker.run.process.machine_memory import machine_memory_bytes
-from worker.run.process.presence import Presence, process_name, remove_killed
+from worker.run.chunk import STOP_GRACE_S, Work, time_limit_s
+from worker.run.presence import COMPILING, Presence, process_name, remove_killed
 from worker.run.runner import Runner
 from worker.run.settings import WorkerSettings
 from worker.store.errors import DamagedDatabase
@@ -45,6 +43,15 @@ LOADING, CONNECTING = "A worker loads its libraries", "A worker connects to the 
 NO_ROOM = "A worker has no free space on its disk"
 FAILED = "A worker can't load its libraries; its log says why"
 WORKING = "A worker works on ready chunks"
+
+
+# Set when this process could not load its libraries. Celery forks another process in its place when it ends.
+_failed = threading.Event()
+
+# Share of the memory that chunks may use: the rest is for the system, and for code.
+_MEMORY_SHARE = 0.9
+_CGROUPS = Path("/sys/fs/cgroup")
+_PROCESS_GROUP = Path("/proc/self/cgroup")
 
 
 class ForkedFlag:
@@ -68,10 +75,6 @@ class ForkedFlag:
 shutting_down = ForkedFlag()
 # Set when the main process receives messages from the broker: a loaded child can get work.
 consuming = ForkedFlag()
-
-
-# Set when this process could not load its libraries. Celery forks another process in its place when it ends.
-_failed = threading.Event()
 
 
 def load() -> None:
@@ -226,3 +229,25 @@ def _sweep_forever(artifacts: ArtifactStore) -> None:
 
 def _end_process() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def machine_memory_bytes(cgroups: Path = _CGROUPS, process_group: Path = _PROCESS_GROUP) -> int:
+    """Memory for all chunks at once: nine tenths of the machine's, or of the least limit of the process's cgroups.
+
+    Parameters
+    ----------
+    cgroups, process_group
+        Folder of cgroups (version 2), and file that names that of this process.
+    """
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    try:
+        (name,) = (line[len("0::/") :] for line in process_group.read_text().splitlines() if line.startswith("0::/"))
+    except (OSError, ValueError):  # no Linux, or cgroups of version 1
+        name = ""
+    group = cgroups / name
+    for folder in (group, *group.parents):
+        try:
+            limits.append(int((folder / "memory.max").read_text()))
+        except (OSError, ValueError):  # the root has no limit; others have "max"
+            continue
+    return int(_MEMORY_SHARE * min(limits))

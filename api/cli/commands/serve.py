@@ -21,9 +21,9 @@ from api.web.startup import ExposedError, require_keys_if_exposed
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.resources import raise_descriptor_limit
 from pipeline.detection import models
-from worker.run.process import embedded
-from worker.run.process.presence import remove_killed
-from worker.run.process.supervisor import Program, Supervisor
+from worker.run import embedded
+from worker.run.presence import remove_killed
+from worker.run.supervisor import Program, Supervisor
 from worker.store.files.private_files import keep_files_private
 from worker.store.repositories.rights.keys import Keys
 from worker.store.spec import JobSpec

@@ -8,8 +8,8 @@ from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.http.idempotency import Answer
 from api.web.jobs.schemas import JobOut
 from api.web.sessions.intake import stored
+from worker.run import tracing
 from worker.run.planning import plan_job
-from worker.run.telemetry import tracing
 from worker.store.model.jobs import JobRecord
 from worker.store.model.sessions import Session
 from worker.store.model.work import StagePlan

@@ -31,8 +31,8 @@ from pipeline.core.problems.requests import (
     WEBHOOK_SECRET_MISSING,
 )
 from pipeline.run.space import foreseen_space, shown_bytes
+from worker.run import tracing
 from worker.run.planning import PlannableSession, has_videos, plan_job
-from worker.run.telemetry import tracing
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import job_character_key, job_prefix

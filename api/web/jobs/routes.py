@@ -29,8 +29,8 @@ from api.web.sessions.form import CAPTURE_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import CONFLICT
+from worker.run import tracing
 from worker.run.planning import has_videos, plan_again, plan_visuals
-from worker.run.telemetry import tracing
 from worker.store.files.removals import remove_files
 from worker.store.model.jobs import JobKind, JobRecord
 from worker.store.model.states import RETRYABLE, JobState

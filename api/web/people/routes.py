@@ -19,8 +19,8 @@ from api.web.people.schemas import PeopleEdits, PeopleOut, frames_of
 from pipeline.core.errors import InputError
 from pipeline.core.options.edits import MAX_PIECES, PersonSpan, apply_edits
 from pipeline.core.problems.requests import CONFLICT
+from worker.run import tracing
 from worker.run.planning import plan_job
-from worker.run.telemetry import tracing
 from worker.store.model.jobs import JobRecord
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=SmallBodyRoute)

@@ -14,10 +14,10 @@ from types import ModuleType
 from pipeline.run.engine.stage import DETECT, Output
 from tests.worker.conftest import LIGHT_STAGES, detect
 from worker import __main__ as worker_main
+from worker.run import embedded
 from worker.run.chunk import Work
-from worker.run.process import embedded
-from worker.run.process.supervisor import Supervisor
 from worker.run.settings import WorkerSettings
+from worker.run.supervisor import Supervisor
 from worker.store.store import JobStore
 
 

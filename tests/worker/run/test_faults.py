@@ -21,8 +21,8 @@ from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.run.engine.code import stage_codes
 from tests.waiting import is_alive, wait_for
 from tests.worker.conftest import RESULT, RunnerBench, new_session, open_bench
+from worker.run import embedded
 from worker.run.planning import plan_job
-from worker.run.process import embedded
 from worker.store.database.totals import Total
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import FINISHED, JobState

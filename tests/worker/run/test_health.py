@@ -8,7 +8,7 @@ import pytest
 
 from tests.waiting import wait_for
 from worker.run import health
-from worker.run.process.presence import Presence, process_name
+from worker.run.presence import Presence, process_name
 from worker.store.store import JobStore
 from worker.store.worker_status import WorkerState, WorkerStatus
 

@@ -31,7 +31,7 @@ from tests.worker.conftest import (
     run_side_by_side,
     slow_detect,
 )
-from worker.run import lease
+from worker.run import chunk
 from worker.run.chunk import Work
 from worker.run.planning import plan_job
 from worker.store.model.jobs import JobRecord
@@ -227,8 +227,8 @@ def test_a_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
 
 def limit_to(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every chunk be stopped after some seconds."""
-    monkeypatch.setattr(lease, "_SHORTEST_LIMIT_S", seconds)
-    monkeypatch.setattr(lease, "_UNIT_S", 0.0)
+    monkeypatch.setattr(chunk, "_SHORTEST_LIMIT_S", seconds)
+    monkeypatch.setattr(chunk, "_UNIT_S", 0.0)
 
 
 def test_a_chunk_that_renews_its_lease_without_progress_is_stopped_twice_and_fails_its_job(
@@ -276,9 +276,9 @@ def test_a_chunk_that_hangs_in_one_call_loses_its_try_before_its_process_ends(
 
 
 def test_the_time_limit_grows_with_the_units_of_a_chunk() -> None:
-    assert lease.time_limit_s(10_000, 10.0) - lease.time_limit_s(1_000, 10.0) == pytest.approx(9_000.0)
-    assert lease.time_limit_s(1_000, 20.0) - lease.time_limit_s(1_000, 10.0) == pytest.approx(1_000.0)
-    assert lease.time_limit_s(1, 10.0) > 300.0
+    assert chunk.time_limit_s(10_000, 10.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(9_000.0)
+    assert chunk.time_limit_s(1_000, 20.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(1_000.0)
+    assert chunk.time_limit_s(1, 10.0) > 300.0
 
 
 def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from api.web.settings import KIB, Settings
 from api.web.uploads.routes import PIECE_TYPE
 from pipeline.core.options.config import FILE_FORMATS, NETWORKS, NETWORKS_OF_PROFILES
 from tests.api.conftest import Live, running
-from worker.run.process.presence import Presence, process_name
+from worker.run.presence import Presence, process_name
 from worker.store.model.rights import Scope
 from worker.store.worker_status import WorkerState, WorkerStatus
 

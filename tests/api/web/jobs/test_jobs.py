@@ -13,7 +13,7 @@ from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import INTERNAL_ERROR
 from pipeline.core.problems.sessions import VIDEO_TRUNCATED
 from tests.api.conftest import Live, form, problem_of
-from worker.run.problems import problem_of as job_problem_of
+from worker.run.problems import job_problem
 from worker.store.model.jobs import JobProblem
 from worker.store.repositories.jobs import Jobs
 
@@ -251,7 +251,7 @@ def test_refused_session_has_its_errors(live: Live) -> None:
         Problem(MIRRORED_WORLD, "The world is mirrored."),
     ]
     live.services.store.leases.fail(
-        claim.chunk_id, claim.lease_token, job_problem_of(SessionRefused(problems), "check_session")
+        claim.chunk_id, claim.lease_token, job_problem(SessionRefused(problems), "check_session")
     )
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     error = job["error"]

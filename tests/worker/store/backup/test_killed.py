@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.worker.store.backups import Data, opened_data, restored
-from worker.run.process import embedded
+from worker.run import embedded
 from worker.store.backup.linked import held_files
 
 CREATE = """

@@ -1,7 +1,7 @@
 """Logs on stderr, one JSON object a line, for events of Multicap and of its libraries.
 
 The parent process stores the lines: the supervisor of ``multicap serve`` in rotated files
-(``worker.run.process.log_files``), a container engine in its own log. A line that can't be written, on a full disk or
+(``worker.run.supervisor``), a container engine in its own log. A line that can't be written, on a full disk or
 to a closed pipe, is lost; the work goes on.
 """
 

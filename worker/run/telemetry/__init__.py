@@ -1,1 +1,0 @@
-"""Logs as JSON, and traces by OpenTelemetry."""
