@@ -19,8 +19,7 @@ from worker.run import tracing
 from worker.run.logs import configure_logs
 from worker.run.settings import read_settings
 from worker.store.errors import NewerDatabase
-from worker.store.files.disk import DiskSpace
-from worker.store.files.private_files import keep_files_private, make_private
+from worker.store.files.disk import DiskSpace, keep_files_private, make_private
 from worker.store.store import JobStore
 
 _SWITCH_S = 0.001

@@ -14,7 +14,7 @@ from worker.run.app import create_celery
 from worker.run.logs import configure_logs
 from worker.run.presence import compile_kernels
 from worker.run.settings import WorkerSettings, read_settings, require_usable_database
-from worker.store.files.private_files import keep_files_private
+from worker.store.files.disk import keep_files_private
 from worker.store.queue import Queue
 from worker.store.store import JobStore
 

@@ -11,8 +11,7 @@ from api.cli.console import refusal
 from api.web.settings import Settings
 from api.web.startup import unusable_database
 from worker.store.errors import NewerDatabase
-from worker.store.files.disk import DiskSpace
-from worker.store.files.private_files import keep_files_private, make_private
+from worker.store.files.disk import DiskSpace, keep_files_private, make_private
 from worker.store.store import JobStore
 
 

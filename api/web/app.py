@@ -43,9 +43,8 @@ from api.web.uploads.routes import VERSION as TUS_VERSION
 from api.web.uploads.spool import UploadSpool, sweep_forever
 from pipeline.run.engine.code import stage_codes
 from worker.store.backup.linked import release_abandoned
-from worker.store.files.disk import DiskSpace
-from worker.store.files.private_files import make_private
-from worker.store.files.stores import open_artifacts
+from worker.store.files.artifacts import open_artifacts
+from worker.store.files.disk import DiskSpace, make_private
 from worker.store.queue import WorkQueue
 from worker.store.store import JobStore
 

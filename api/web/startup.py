@@ -4,8 +4,8 @@ import shlex
 
 from api.web.settings import Settings
 from worker.store.errors import DamagedDatabase
+from worker.store.files.artifacts import default_data_dir
 from worker.store.files.disk import is_disk_full
-from worker.store.files.stores import default_data_dir
 from worker.store.store import JobStore
 
 

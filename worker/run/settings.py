@@ -16,15 +16,15 @@ from pipeline.core.options.providers import ProviderChoice
 from pipeline.core.options.requirements import Schema, requirement
 from worker.run.logs import LogLevel
 from worker.store.errors import DamagedDatabase, NewerDatabase
-from worker.store.files.artifacts import ArtifactStore
-from worker.store.files.secret_files import S3_KEYS, FileVariableError, file_variable
-from worker.store.files.stores import (
+from worker.store.files.artifacts import (
     ARTIFACTS_URL,
     DEFAULT_CACHE_BYTES,
     DEFAULT_CACHE_HOURS,
+    ArtifactStore,
     default_data_dir,
     open_artifacts,
 )
+from worker.store.files.secret_files import S3_KEYS, FileVariableError, file_variable
 from worker.store.store import JobStore
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)

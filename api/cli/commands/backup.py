@@ -13,9 +13,9 @@ from api.cli.store import settings_in
 from api.web.settings import Settings
 from pipeline.core.problems.findings import BACKUP_FAILED, BAD_USAGE
 from pipeline.core.problems.requests import DATABASE_DAMAGED
+from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.backup.contents import BackupReport
 from worker.store.backup.create import create_backup
-from worker.store.backup.errors import BackupError, BackupUsageError
 from worker.store.backup.restore import restore_backup, verify_backup
 from worker.store.errors import DamagedDatabase, NewerDatabase
 

@@ -7,9 +7,9 @@ import typer
 
 from api.cli.console import JsonOption, emit
 from api.cli.store import opened_store, settings_in
+from worker.store.files.artifacts import open_artifacts
 from worker.store.files.disk import DiskSpace
-from worker.store.files.orphans import orphaned_prefixes
-from worker.store.files.stores import open_artifacts
+from worker.store.files.unneeded import orphaned_prefixes
 
 _GIB = 2**30
 

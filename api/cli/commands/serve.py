@@ -24,7 +24,7 @@ from pipeline.detection import models
 from worker.run import embedded
 from worker.run.presence import remove_killed
 from worker.run.supervisor import Program, Supervisor
-from worker.store.files.private_files import keep_files_private
+from worker.store.files.disk import keep_files_private
 from worker.store.repositories.rights.keys import Keys
 from worker.store.spec import JobSpec
 

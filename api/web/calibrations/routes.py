@@ -28,7 +28,7 @@ from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.jobs.schemas import JobOut
 from api.web.sessions.creation import Creation, Texts, add_creation
 from pipeline.core.problems.requests import NOT_FINISHED, NOT_FOUND
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
 # A route that takes JSON; the form has its own limits.

@@ -29,7 +29,7 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, c
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.sessions.creation import Creation, Texts, add_creation
 from api.web.sessions.preflight import CharacterContents
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.characters import Character
 from worker.store.tenant_records import TenantRecords
 

@@ -31,7 +31,7 @@ from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import CONFLICT
 from worker.run import tracing
 from worker.run.planning import has_videos, plan_again, plan_visuals
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.jobs import JobKind, JobRecord
 from worker.store.model.states import RETRYABLE, JobState
 from worker.store.spec import JobSpec

@@ -17,7 +17,7 @@ from api.web.sessions.creation import Creation, Texts, add_creation
 from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.schemas import SessionChanges, SessionOut, SessionPage
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.sessions import Capture
 from worker.store.model.states import JobState
 

@@ -16,7 +16,7 @@ from pipeline.core.options.job_choices import blurred_name, proxy_name
 from pipeline.core.problems.requests import NOT_FINISHED, VIDEOS_DELETED
 from worker.run.planning import has_videos
 from worker.store.errors import NotFound
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.jobs import Result
 from worker.store.model.sessions import Session
 from worker.store.tenant_records import TenantRecords

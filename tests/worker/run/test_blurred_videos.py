@@ -4,7 +4,7 @@ from pipeline.core.options.edits import Remove
 from pipeline.run.engine.stage import BLUR, DETECT, HEADS
 from tests.worker.conftest import RESULT, RunnerBench
 from worker.run.planning import plan_job, plan_visuals
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec

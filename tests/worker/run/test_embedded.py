@@ -11,8 +11,7 @@ import pytest
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.small_disk import fill, small_disk
 from worker.run import embedded
-from worker.store.files.disk import DiskSpace
-from worker.store.files.private_files import make_private
+from worker.store.files.disk import DiskSpace, make_private
 from worker.store.queue import WorkQueue
 
 

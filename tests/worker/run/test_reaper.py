@@ -22,7 +22,7 @@ from worker.store.database.totals import Total
 from worker.store.errors import Conflict
 from worker.store.files.artifacts import record_key, result_key, stage_key
 from worker.store.files.disk import DiskSpace
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.states import JobState
 from worker.store.store import JobStore
 

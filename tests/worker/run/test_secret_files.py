@@ -8,8 +8,7 @@ from api.web.settings import Settings
 from tests.s3 import S3
 from worker.run.embedded import lock
 from worker.run.settings import WorkerSettings, read_settings
-from worker.store.files.file_cache import FileCache
-from worker.store.files.s3_artifacts import S3Artifacts
+from worker.store.files.s3 import FileCache, S3Artifacts
 
 URL = "postgresql://multicap:geheim@db.example/multicap"
 

@@ -12,7 +12,7 @@ from worker.run.planning import plan_job, plan_visuals
 from worker.run.reaper import Reaper
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.disk import DiskSpace
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import remove_files
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec

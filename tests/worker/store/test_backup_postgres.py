@@ -9,8 +9,8 @@ import sqlalchemy as sa
 
 from tests.worker.store.backups import Data, busy_writers, opened_data, restored
 from tests.worker.store.conftest import postgres_database
+from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.backup.create import create_backup
-from worker.store.backup.errors import BackupError, BackupUsageError
 from worker.store.backup.restore import verify_backup
 from worker.store.database.tables import metadata
 from worker.store.model.rights import Scope

@@ -1,25 +1,67 @@
-"""Archive files of backups: uncompressed tar, written and read as a stream.
+"""Archive files of backups, uncompressed tar, written and read as a stream; and errors as sentences for an operator.
 
 The reader accepts exactly the output of the writer: regular files under plain names, headers and padding in one
 canonical form, and at the end ``SHA256SUMS``, in the format of ``sha256sum``, with every member before it. So a change
 of any byte is noticed, and so is a missing end.
 """
 
+import contextlib
 import hashlib
+import sqlite3
 import tarfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
-from worker.store.backup.errors import BackupError
+from sqlalchemy.exc import SQLAlchemyError
+
+from worker.store.errors import DamagedDatabase
+from worker.store.files.disk import is_disk_full
 
 CHECKSUMS = "SHA256SUMS"
-
 _BLOCK_BYTES = 2**20
 _MAX_NAME_BYTES = 1024
 _END = bytes(2 * tarfile.BLOCKSIZE)
 
 OnBytes = Callable[[int], None]
+
+
+class BackupError(Exception):
+    """A backup can't be made, read or restored. ``faults`` holds one sentence for each problem."""
+
+    def __init__(self, *faults: str) -> None:
+        super().__init__(" ".join(faults))
+        self.faults = faults
+
+
+class BackupUsageError(BackupError):
+    """An argument or a setting can't be used; nothing was done."""
+
+
+@contextlib.contextmanager
+def writing_to(place: Path) -> Iterator[None]:
+    """Raise ``BackupError`` if a file or a database can't be written inside the block."""
+    try:
+        yield
+    except DamagedDatabase:
+        raise
+    except OSError as error:
+        if is_disk_full(error):
+            raise disk_full(Path(error.filename) if error.filename else place) from error
+        raise BackupError(f"{error.filename or place} can't be used: {error.strerror or error}.") from error
+    except ImportError as error:
+        raise BackupUsageError(f"There is no driver for the database at MULTICAP_DATABASE_URL: {error}.") from error
+    except (sqlite3.Error, SQLAlchemyError) as error:
+        cause = getattr(error, "orig", error)
+        if is_disk_full(error):
+            raise disk_full(place) from error
+        raise BackupError(f"The database failed: {str(cause).strip()}.") from error
+
+
+def disk_full(place: Path) -> BackupError:
+    """Error of a full disk."""
+    return BackupError(f"The disk of {place.parent} is full. Make room there, or choose another folder.")
 
 
 def _header(name: str, num_bytes: int, time_s: int) -> bytes:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter
 from sqlalchemy import Connection, func, select
 
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
-from worker.store.backup.errors import BackupError
+from worker.store.backup.archive import BackupError
 from worker.store.database.tables import artifacts, characters, jobs, results, sessions, uploads
 from worker.store.files.artifacts import record_key, require_key, stage_key, thumbnail_key
 from worker.store.model.states import JobState

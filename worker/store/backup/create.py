@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
-from worker.store.backup.archive import ArchiveWriter
+from worker.store.backup.archive import ArchiveWriter, BackupError, BackupUsageError, writing_to
 from worker.store.backup.contents import (
     DATABASE,
     FILE_PROBLEMS,
@@ -26,7 +26,6 @@ from worker.store.backup.contents import (
     count_rows,
     files_of_rows,
 )
-from worker.store.backup.errors import BackupError, BackupUsageError, writing_to
 from worker.store.backup.linked import HeldFile, HeldFiles, held_files
 from worker.store.backup.snapshot import (
     damage_is_of,

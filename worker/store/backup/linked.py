@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from worker.store.backup.errors import BackupUsageError
+from worker.store.backup.archive import BackupUsageError
 
 # In the data folder, on the file system of artifacts and uploads.
 _FOLDER = ".backup"

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 from filelock import FileLock, Timeout
 
-from worker.store.backup.archive import ArchiveReader, Member
+from worker.store.backup.archive import ArchiveReader, BackupError, BackupUsageError, Member, writing_to
 from worker.store.backup.contents import (
     DATABASE,
     FILE_PROBLEMS,
@@ -25,7 +25,6 @@ from worker.store.backup.contents import (
     files_of_rows,
     read_manifest,
 )
-from worker.store.backup.errors import BackupError, BackupUsageError, writing_to
 from worker.store.backup.snapshot import (
     load,
     new_private_file,

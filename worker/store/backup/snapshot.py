@@ -22,7 +22,7 @@ from sqlalchemy import (
     type_coerce,
 )
 
-from worker.store.backup.errors import BackupError, BackupUsageError
+from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.database.connection import (
     Database,
     damage_of,

@@ -32,10 +32,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol
 
+import platformdirs
+
 from pipeline.core.options.job_choices import BLURRED_KIND, VISUAL_KINDS
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.checksums import VerifiedFile, found, no_check, require_file
 from worker.store.files.disk import is_disk_full, sync
+from worker.store.model.work import Claim
 
 _KEY = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*(/[A-Za-z0-9_][A-Za-z0-9._-]*)*", re.ASCII)
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+", re.ASCII)
@@ -47,6 +50,14 @@ _ABANDONED_S = 24 * 3600
 _ExcInfo = tuple[type[BaseException], BaseException, TracebackType]
 
 _MODE = stat.S_IRUSR | stat.S_IWUSR  # mode of new temporary files
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+
+# Allowed URLs in the settings of API and workers.
+ARTIFACTS_URL = r"^(s3://[^/\s]+(/\S*)?)?$"
+
+DEFAULT_CACHE_BYTES = 64 * 2**30
+DEFAULT_CACHE_HOURS = 12.0
 
 
 def session_prefix(session_id: str) -> str:
@@ -334,3 +345,54 @@ def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
     """Ignore files that another process has removed in the meantime."""
     if not isinstance(error[1], FileNotFoundError | NotADirectoryError):
         raise error[1]
+
+
+def write_interim(artifacts: ArtifactStore, claim: Claim, content: bytes) -> None:
+    """Store the interim output of a claimed chunk."""
+    stored = hashlib.sha256(content).digest() + content
+    artifacts.put_bytes(interim_key(claim.job_id, claim.job_attempt, claim.output_key), stored)
+
+
+def read_interim(artifacts: ArtifactStore, claim: Claim, output_key: str) -> bytes | None:
+    """Read the interim output of a chunk of the claim's job by the key of the chunk's output.
+
+    ``None`` if it is missing or damaged.
+    """
+    try:
+        stored = read_artifact(artifacts, interim_key(claim.job_id, claim.job_attempt, output_key), None)
+    except NotFound:
+        return None
+    content = stored[_DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == stored[:_DIGEST_BYTES] else None
+
+
+def default_data_dir() -> Path:
+    """Default data folder of the service."""
+    return platformdirs.user_data_path("multicap", appauthor=False) / "service"
+
+
+def open_artifacts(
+    url: str, data_dir: Path, cache_bytes: int = DEFAULT_CACHE_BYTES, cache_hours: float = DEFAULT_CACHE_HOURS
+) -> ArtifactStore:
+    """Open the artifact store at a URL.
+
+    Parameters
+    ----------
+    url
+        ``s3://bucket/prefix``; empty: a folder of ``data_dir``.
+    data_dir
+        Data folder, which holds the artifacts, or copies of those in a bucket.
+    cache_bytes, cache_hours
+        Maximum size of the copies, and time that unused copies are kept.
+
+    Raises
+    ------
+    ValueError
+        The URL is of no known store.
+    """
+    if not url:
+        return LocalArtifacts(data_dir / "artifacts")
+    # The library is loaded only where it is needed.
+    from worker.store.files.s3 import FileCache, S3Artifacts  # noqa: PLC0415
+
+    return S3Artifacts(url, FileCache(data_dir / "cache", cache_bytes, cache_hours * 3600.0))

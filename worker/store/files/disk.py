@@ -1,4 +1,4 @@
-"""Disk: syncing of files, free space, and a reserve for deletions.
+"""Disk of the data folder: its mode, syncing of files, free space, and a reserve for deletions.
 
 Two amounts are kept free. With less than the *headroom* left, nothing new is accepted and no chunk is begun: the
 database, logs and work under way need it. The *reserve* is a file that keeps room for the case that other programs have
@@ -28,6 +28,11 @@ _SQLITE_FULL = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE, sql
 _POSTGRES_FULL = "53100"
 
 _Result = TypeVar("_Result")
+
+
+_OWNER_ONLY = 0o077
+_MODE = 0o700
+_OURS = ("multicap.db", "artifacts", "serve.lock")
 
 
 def sync(path: Path) -> None:
@@ -136,3 +141,20 @@ class DiskSpace:
             return act()
         finally:
             self.set_aside()
+
+
+def keep_files_private() -> None:
+    """Make new files of this process and its children readable by their owner only."""
+    os.umask(_OWNER_ONLY)
+
+
+def make_private(folder: Path) -> None:
+    """Make the data folder if it is missing, and close it to other users.
+
+    A folder with other files stays as it is: it was named by mistake. So does a folder of another owner, such as a
+    volume of containers.
+    """
+    folder.mkdir(mode=_MODE, parents=True, exist_ok=True)
+    with contextlib.suppress(PermissionError):
+        if not any(folder.iterdir()) or any((folder / name).exists() for name in _OURS):
+            folder.chmod(_MODE)

@@ -6,9 +6,8 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from tests.worker.store.files.test_orphans import id_of
-from worker.store.files.artifacts import record_key
-from worker.store.files.stores import open_artifacts
+from tests.worker.store.files.test_unneeded import id_of
+from worker.store.files.artifacts import open_artifacts, record_key
 
 runner = CliRunner()
 

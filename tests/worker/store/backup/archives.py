@@ -5,8 +5,7 @@ import tarfile
 from collections.abc import Callable
 from pathlib import Path
 
-from worker.store.backup.archive import ArchiveWriter
-from worker.store.backup.errors import BackupError
+from worker.store.backup.archive import ArchiveWriter, BackupError
 from worker.store.errors import NewerDatabase
 
 

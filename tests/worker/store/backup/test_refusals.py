@@ -13,9 +13,9 @@ from alembic import command
 from tests.worker.store.backup.archives import attempt, forged, members
 from tests.worker.store.backups import Data, ignore, opened_data, restored
 from tests.worker.store.database.test_migrations import CONFIG
+from worker.store.backup.archive import BackupUsageError
 from worker.store.backup.contents import DATABASE
 from worker.store.backup.create import create_backup
-from worker.store.backup.errors import BackupUsageError
 from worker.store.backup.linked import held_files
 from worker.store.database.connection import Database, schema_revisions
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.s3 import S3
-from worker.store.files.artifacts import ArtifactStore
-from worker.store.files.stores import open_artifacts
+from worker.store.files.artifacts import ArtifactStore, open_artifacts
 
 
 @pytest.fixture

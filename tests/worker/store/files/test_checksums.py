@@ -14,10 +14,9 @@ import pytest
 from tests.cases import slow_but
 from tests.s3 import S3
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.artifacts import ArtifactStore, LocalArtifacts, read_artifact
+from worker.store.files.artifacts import ArtifactStore, LocalArtifacts, open_artifacts, read_artifact
 from worker.store.files.checksums import Verified, require_file, sha256_of, version_of
-from worker.store.files.s3_artifacts import S3Artifacts
-from worker.store.files.stores import open_artifacts
+from worker.store.files.s3 import S3Artifacts
 
 KEY = "jobs/1/results/person-1.bvh"
 # More than a block. The tests' S3 server takes seconds for files of several.
@@ -83,7 +82,7 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return computed[-1]
 
     monkeypatch.setattr("worker.store.files.checksums.sha256_of", counted)
-    monkeypatch.setattr("worker.store.files.s3_artifacts.sha256_of", counted)
+    monkeypatch.setattr("worker.store.files.s3.sha256_of", counted)
     return computed
 
 

@@ -5,8 +5,7 @@ import uuid
 
 from tests.worker.store.conftest import StoreBench
 from worker.store.files.artifacts import ArtifactStore, record_key, result_key
-from worker.store.files.orphans import orphaned_prefixes
-from worker.store.files.removals import remove_files
+from worker.store.files.unneeded import orphaned_prefixes, remove_files
 
 
 def id_of(hours_ago: float) -> str:

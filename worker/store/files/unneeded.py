@@ -1,13 +1,39 @@
-"""Files of sessions, jobs and characters that the database does not know, as after a restore of an older backup."""
+"""Removal of files that no row of the database needs: due removals, and orphans.
+
+Orphans are files of sessions, jobs and characters that the database does not know, as after a restore of an older
+backup.
+"""
 
 import time
 import uuid
 
+import structlog
+
 from worker.store.files.artifacts import ArtifactStore, character_prefix, job_prefix, session_prefix
+from worker.store.outages import outage_of
 from worker.store.repositories.work.removals import Removals
+
+log = structlog.get_logger()
 
 # Files of a session take less than this to get their row; see ``worker.store.database.removal_notes``.
 _ARRIVAL_MS = 24 * 3600 * 1000
+
+
+def remove_files(removals: Removals, artifacts: ArtifactStore) -> None:
+    """Remove the files of all due removals. A removal that fails stays due, and is logged; an outage ends all."""
+    for removal in removals.due():
+        try:
+            if removal.prefix.endswith("/"):
+                artifacts.delete_prefix(removal.prefix)
+            else:
+                artifacts.delete(removal.prefix)
+        except OSError as error:
+            if outage_of(error) is not None:
+                log.warning("removals_wait", outage=outage_of(error))
+                return  # of hundreds of removals, each would wait for the store
+            log.exception("removal_failed", prefix=removal.prefix)
+        else:
+            removals.done(removal.id)
 
 
 def orphaned_prefixes(removals: Removals, artifacts: ArtifactStore) -> list[str]:
