@@ -20,8 +20,8 @@ from starlette.websockets import WebSocket
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError
 from api.web.http.browser_cookie import NAME, cookie_name, deletion
-from api.web.http.clients import client_network
 from api.web.http.keys_in_use import Credential
+from api.web.http.rates import client_network
 from pipeline.core.problems.requests import (
     CROSS_SITE_REQUEST,
     HEADER_INVALID,
@@ -76,7 +76,7 @@ class Caller:
     tenant: str
     scopes: frozenset[Scope]
     key: Key | None  # ``None`` as long as the service has no keys
-    network: str  # Network that the request comes from (``api.web.http.clients``)
+    network: str  # Network that the request comes from (``api.web.http.rates``)
     link: Link | None = None  # Link that the request brings in place of a key; ``None`` without one
     join: JoinLink | None = None  # Link of a recording, which a phone brings in place of a key
     phone: UploadingPhone | None = None  # Phone of the recording; ``None`` until it says which it is

@@ -12,11 +12,10 @@ from starlette.types import Receive, Scope, Send
 from api.web.contract.description import location
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem
-from api.web.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
-from api.web.http.conditional import NOT_MODIFIED, IfNoneMatch
+from api.web.http.conditional import NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
 from api.web.http.fair_share import FairThreads
-from api.web.http.file_names import disposition_of
-from pipeline.core.problems.requests import ARTIFACT_DAMAGED, EXPIRED, RANGE_NOT_SATISFIABLE, RESULT_DAMAGED
+from api.web.http.file_names import content_disposition
+from pipeline.core.problems.requests import ARTIFACT_DAMAGED, EXPIRED, RESULT_DAMAGED
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.model.jobs import Result
 
@@ -105,7 +104,7 @@ def send_file(
         "ETag": etag,
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, no-cache",
-        **disposition_of(file.name, file.disposition),
+        **content_disposition(file.name, file.disposition),
     }
     # A signed address is valid for GET only, so HEAD is answered here.
     is_signed = may_redirect and file.disposition == "attachment" and not request.scope["state"].get("by_head")
@@ -118,18 +117,11 @@ def send_file(
         content = stack.enter_context(opened(services, file))
         if matches(conditions.if_none_match, etag):
             return Response(status_code=304, headers=headers)
-        try:
-            wanted = requested_range(conditions.range, file.num_bytes) if conditions.if_range in {None, etag} else None
-        except UnsatisfiableRange:
-            size = {"Content-Range": f"bytes */{file.num_bytes}"}
-            raise ApiError(RANGE_NOT_SATISFIABLE, "The file has no such range.", headers=size) from None
+        sent, status, sizes = select_range(
+            conditions.range if conditions.if_range in {None, etag} else None, file.num_bytes
+        )
         stack.pop_all()
-    sent = wanted or ByteRange(0, file.num_bytes)
-    headers["Content-Length"] = str(sent.stop - sent.start)
-    if wanted:
-        headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{file.num_bytes}"
-    status = 206 if wanted else 200
-    return Stream(blocks_of(content, sent), status, headers=headers, media_type=file.media_type, file=content)
+    return Stream(blocks_of(content, sent), status, headers=headers | sizes, media_type=file.media_type, file=content)
 
 
 def opened(services: Services, file: Download) -> BinaryIO:

@@ -21,19 +21,14 @@ def _is_encrypted(connection: HTTPConnection) -> bool:
 
 def set_cookie(connection: HTTPConnection, response: Response, secret: str, lifetime_s: int) -> None:
     """Let a browser keep the secret of its session."""
-    is_secure = _is_encrypted(connection)
-    response.set_cookie(
-        cookie_name(connection), secret, max_age=lifetime_s, httponly=True, samesite="strict", secure=is_secure
-    )
-    if is_secure:  # a cookie of an older version
-        response.delete_cookie(NAME, httponly=True, samesite="strict", secure=True)
+    name, is_secure = cookie_name(connection), _is_encrypted(connection)
+    response.set_cookie(name, secret, max_age=lifetime_s, httponly=True, samesite="strict", secure=is_secure)
 
 
 def delete_cookie(connection: HTTPConnection, response: Response) -> None:
     """Let a browser forget its session."""
     is_secure = _is_encrypted(connection)
-    for name in sorted({cookie_name(connection), NAME}):
-        response.delete_cookie(name, httponly=True, samesite="strict", secure=is_secure)
+    response.delete_cookie(cookie_name(connection), httponly=True, samesite="strict", secure=is_secure)
 
 
 def deletion(connection: HTTPConnection) -> str:

@@ -29,12 +29,12 @@ def _words(text: str, max_bytes: int) -> str:
     return "-".join(words).encode()[:max_bytes].decode(errors="ignore").rstrip("-")
 
 
-def stem_of(session_name: str, revision: int = 0) -> str:
+def download_stem(session_name: str, revision: int = 0) -> str:
     """Beginning of the names of a job's downloads: the take, and the revision of the edits of its people.
 
-    >>> stem_of("Handshake, take 3")
+    >>> download_stem("Handshake, take 3")
     'handshake-take-3'
-    >>> stem_of("Handshake, take 3", revision=2)
+    >>> download_stem("Handshake, take 3", revision=2)
     'handshake-take-3_revision-2'
     """
     return take_name(session_name) + (f"_revision-{revision}" if revision else "")
@@ -63,7 +63,7 @@ def result_name(session_name: str, name: str, revision: int = 0, person_name: st
     'handshake_person-1-anna.angles.csv'
     """
     stem, _, suffix = name.partition(".")
-    return f"{stem_of(session_name, revision)}_{named_person(stem, person_name)}.{suffix}"
+    return f"{download_stem(session_name, revision)}_{named_person(stem, person_name)}.{suffix}"
 
 
 def archived_name(
@@ -74,7 +74,7 @@ def archived_name(
     return inside + result_name(session_name, name, revision, person_name)
 
 
-def disposition_of(name: str, disposition: str = "attachment") -> dict[str, str]:
+def content_disposition(name: str, disposition: str = "attachment") -> dict[str, str]:
     """Header with the name of a file: in ASCII, and with all its characters (RFC 6266, section 4.3)."""
     ascii_name = "".join(char if char.isascii() and char.isprintable() and char not in '"\\%' else "_" for char in name)
     both = f"filename=\"{ascii_name}\"; filename*=utf-8''{quote(name, safe='')}"

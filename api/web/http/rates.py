@@ -1,13 +1,16 @@
-"""Rate limits of a process: requests of each tenant, and wrong keys of each client network.
+"""Rate limits of a process: requests of each tenant, wrong keys of each client network, messages of a connection.
 
 The monotonic clock counts: a step of the system's clock shortens and prolongs no minute.
 """
 
+import ipaddress
 import math
 import threading
 import time
 from collections import OrderedDict, deque
 from typing import NamedTuple
+
+from starlette.requests import HTTPConnection
 
 from api.web.errors import ApiError
 from pipeline.core.problems.model import Code
@@ -16,8 +19,33 @@ from pipeline.core.problems.requests import TOO_MANY_REQUESTS, TOO_MANY_WRONG_KE
 RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 """Headers of the IETF's draft: requests a minute, requests left, and seconds until the limit resets."""
 
+_IPV6_NETWORK_BITS = 64
 _MINUTE_S = 60.0
 _MAX_KEYS = 10_000
+
+
+def address_network(host: str) -> str:
+    """Network whose addresses count as one client: an IPv4 address, or the /64 of an IPv6 address.
+
+    A subscriber of IPv6 has at least a /64. A host that is not an IP address is returned unchanged.
+
+    >>> address_network("192.0.2.7"), address_network("::ffff:192.0.2.7"), address_network("2001:db8:1:2:3::4")
+    ('192.0.2.7', '192.0.2.7', '2001:db8:1:2::/64')
+    """
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if isinstance(address, ipaddress.IPv4Address):
+        return str(address)
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped)
+    return str(ipaddress.IPv6Network((int(address), _IPV6_NETWORK_BITS), strict=False))
+
+
+def client_network(connection: HTTPConnection) -> str:
+    """Network of a request's client; behind a trusted proxy, the network of the address that the proxy names."""
+    return address_network(connection.client.host) if connection.client else "unknown"
 
 
 class MinuteState(NamedTuple):
@@ -130,3 +158,20 @@ def _headers(limit: int, state: MinuteState) -> dict[str, str]:
 def _too_many(code: Code, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
     retry_after = {"Retry-After": headers["RateLimit-Reset"]}
     return ApiError(code, detail, hint=hint, retryable=True, headers=retry_after | headers)
+
+
+class Pace:
+    """Average rate of messages, with a second's messages at once at most."""
+
+    def __init__(self, per_s: float) -> None:
+        self._per_s, self._left, self._at_s = per_s, max(per_s, 1.0), time.monotonic()
+
+    def has_room(self) -> bool:
+        """Count a message, unless it is above the rate; return whether it is within."""
+        now_s = time.monotonic()
+        self._left = min(max(self._per_s, 1.0), self._left + (now_s - self._at_s) * self._per_s)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True

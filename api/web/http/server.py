@@ -7,8 +7,7 @@ from fastapi import FastAPI
 from uvicorn import Config
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, message_of
-from api.web.http.websockets import bounded_websocket
+from api.web.http.websockets import TOO_LARGE, WRONG_DATA, bounded_websocket, problem_message
 from api.web.live.problems import too_large, wrong_text
 from api.web.live.schemas import LiveProblemOut
 from api.web.recordings import intake as recording_intake
@@ -63,7 +62,7 @@ def _wrong_frames(settings: Settings, path: str, close_code: int) -> str | None:
     if (problem := problems.get(close_code)) is None:
         return None
     model = RecordingProblemOut if is_recording else LiveProblemOut
-    return message_of(problem, str(uuid_utils.uuid7()), model).model_dump_json()
+    return problem_message(problem, str(uuid_utils.uuid7()), model).model_dump_json()
 
 
 def server_config(app: FastAPI, settings: Settings) -> Config:

@@ -1,23 +1,89 @@
-"""WebSockets of the HTTP server: refusals before they open, messages by pieces, and wrong frames."""
+"""WebSockets: problems that end them, refusals before they open, and a protocol that lets no client hold up others."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypeVar
 
 import uuid_utils
+from pydantic import Field
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame, Opcode
 
-from api.web.errors import ApiError, problem_response
+from api.web.contract.schemas import ResponseModel
+from api.web.errors import ApiError, ErrorItem, as_api_error, problem_response
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
+from pipeline.core.problems.model import Code
+
+WRONG_DATA, REFUSED, TOO_LARGE, FAILED, LATER = 1007, 1008, 1009, 1011, 1013
+"""Codes of RFC 6455, and 1013 of its registry, with which connections are closed."""
+
+_RETRYABLE = frozenset({FAILED, LATER})
+_STATUS_OF_LATER = frozenset({408, 429, 503, 507})
 
 _PROTOCOL_ERROR = 1002
 # Bytes that are parsed at once. A loop reads 256 KiB, and a thousand small messages would hold up other connections.
 _PIECE_BYTES = 4096
 # Longest time, and time without a byte, until the connection of a client with wrong frames is closed.
 _DISCARDING_S, _QUIET_S = 5.0, 0.3
+
+
+class SocketProblem(Exception):  # noqa: N818 - named as the message
+    """A connection ends by a problem."""
+
+    def __init__(
+        self,
+        code: Code,
+        detail: str,
+        close_code: int = REFUSED,
+        errors: Sequence[ErrorItem] = (),
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(detail)
+        self.code, self.detail, self.close_code = code, detail, close_code
+        self.errors, self.hint = tuple(errors), hint
+
+
+class SocketProblemOut(ResponseModel):
+    """Base of the messages that state a problem."""
+
+    type: Literal["problem"] = "problem"
+    code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
+    detail: str = Field(description="Description of the problem, a sentence for a person.")
+    errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the message.")
+    hint: str | None = Field(default=None, description="Advice to the caller.")
+    retryable: bool = Field(default=False, description="Whether the same may succeed later.")
+    close_code: int | None = Field(description="Code with which the connection is closed.")
+    request_id: str = Field(description="Id of the connection, also in the service's log.")
+
+
+_Message = TypeVar("_Message", bound=SocketProblemOut)
+
+
+def problem_message(error: Exception, request_id: str, model: type[_Message]) -> _Message:
+    """Message of any exception; an unforeseen one is ``internal_error``, without its text."""
+    problem = socket_problem(error)
+    return model(
+        code=problem.code,
+        detail=problem.detail,
+        errors=problem.errors,
+        hint=problem.hint,
+        retryable=problem.close_code in _RETRYABLE,
+        close_code=problem.close_code,
+        request_id=request_id,
+    )
+
+
+def socket_problem(error: Exception) -> SocketProblem:
+    """Problem of any exception, with the code that closes the connection."""
+    return error if isinstance(error, SocketProblem) else _from_api_error(as_api_error(error))
+
+
+def _from_api_error(error: ApiError) -> SocketProblem:
+    is_later = error.status in _STATUS_OF_LATER
+    close_code = LATER if is_later else FAILED if error.status >= 500 else REFUSED
+    return SocketProblem(error.code, error.detail, close_code, error.errors, error.hint)
 
 
 async def deny(websocket: WebSocket, error: ApiError) -> None:
@@ -43,12 +109,11 @@ class WebSocketGuard:
         await self._app(scope, receive, send)
 
 
-def bounded_websocket(message_of: Callable[[str, int], str | None]) -> type[WebSocketsSansIOProtocol]:
+def bounded_websocket(last_message: Callable[[str, int], str | None]) -> type[WebSocketsSansIOProtocol]:
     """Protocol of WebSockets that lets no client hold up others.
 
     Of what a client sends at once, a piece is parsed at a time, and no more than is received. A client whose frames are
-    wrong gets a last message before the connection is closed: ``message_of`` the path and the close code, ``None`` for
-    no message.
+    wrong gets ``last_message`` of the path and the close code, unless it is ``None``, before the connection is closed.
     """
 
     class BoundedWebSocket(WebSocketsSansIOProtocol):
@@ -104,7 +169,7 @@ def bounded_websocket(message_of: Callable[[str, int], str | None]) -> type[WebS
             close = self.conn.close_sent
             code, reason = (close.code, close.reason) if close is not None else (_PROTOCOL_ERROR, "")
             self.queue.put_nowait({"type": "websocket.disconnect", "code": code, "reason": reason})
-            text = message_of(self.scope["path"], code) if self.handshake_complete else None
+            text = last_message(self.scope["path"], code) if self.handshake_complete else None
             message = b"" if text is None else Frame(Opcode.TEXT, text.encode()).serialize(mask=False)
             self.transport.write(b"".join([message, *self.conn.data_to_send()]))
             self.close_sent = True

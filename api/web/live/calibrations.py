@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from api.web.auth import Caller
 from api.web.dependencies import Services
 from api.web.errors import ErrorItem
-from api.web.http.socket_problems import SocketProblem
+from api.web.http.websockets import SocketProblem
 from api.web.live.forks import ForkServer, start_limit_s
 from api.web.live.problems import failed
 from api.web.live.schemas import LiveStart

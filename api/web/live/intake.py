@@ -12,7 +12,7 @@ from pydantic_core import from_json
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.validation import model_items
-from api.web.http.socket_problems import WRONG_DATA, SocketProblem
+from api.web.http.websockets import WRONG_DATA, SocketProblem
 from api.web.live.problems import too_large
 from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
 from pipeline.core.problems.requests import (

@@ -1,6 +1,6 @@
 """Problems that end live captures from several places."""
 
-from api.web.http.socket_problems import FAILED, TOO_LARGE, WRONG_DATA, SocketProblem
+from api.web.http.websockets import FAILED, TOO_LARGE, WRONG_DATA, SocketProblem
 from pipeline.core.problems.requests import (
     LIVE_CAMERA,
     LIVE_FAILED,

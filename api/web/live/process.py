@@ -10,7 +10,7 @@ from pathlib import Path
 
 import structlog
 
-from api.web.http.socket_problems import SocketProblem
+from api.web.http.websockets import SocketProblem
 from api.web.live.forks import ForkServer
 from api.web.live.problems import failed
 from pipeline.core.runtime.forks import NUMBER, ForkRequest

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.web.http.pace import Pace
-from api.web.http.socket_problems import SocketProblem
+from api.web.http.rates import Pace
+from api.web.http.websockets import SocketProblem
 from api.web.live.backlog import Backlog, Waiting
 from api.web.live.intake import Intake, require_size, wrong_message
 from api.web.live.keeping import KeptPackets

@@ -18,8 +18,7 @@ from api.web.auth import Caller, websocket_caller
 from api.web.contract.resource import Resource
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, as_api_error
-from api.web.http.socket_problems import SocketProblem, message_of
-from api.web.http.websockets import deny
+from api.web.http.websockets import SocketProblem, deny, problem_message
 from api.web.live.calibrations import calibration_file
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import Intake, read_start
@@ -77,7 +76,7 @@ async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_e
     except WebSocketDisconnect as gone:
         code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
     except Exception as error:
-        problem = message_of(error, websocket.state.request_id, LiveProblemOut)
+        problem = problem_message(error, websocket.state.request_id, LiveProblemOut)
         code, close_code = problem.code, problem.close_code
         if not isinstance(error, SocketProblem | ApiError):
             _log.exception("live_capture_failed", code=code)

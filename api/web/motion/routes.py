@@ -15,11 +15,10 @@ from api.web.contract.resource import Resource
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import Download, Stream, opened
 from api.web.errors import ApiError
-from api.web.http.byte_ranges import ByteRange, UnsatisfiableRange, matches, requested_range
-from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch
+from api.web.http.conditional import ETAG, NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
 from api.web.motion import examples
 from api.web.motion.schemas import MotionDescription
-from pipeline.core.problems.requests import CONFLICT, NOT_FOUND, RANGE_NOT_SATISFIABLE
+from pipeline.core.problems.requests import CONFLICT, NOT_FOUND
 from pipeline.run.engine.stage import DESCRIPTION, MOTION
 from worker.store.model.jobs import Result
 from worker.store.tenant_records import TenantRecords
@@ -130,18 +129,10 @@ def get_motion(
         file = stack.enter_context(opened(services, Download.of(result)))
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
-        try:
-            cut = requested_range(range_, num_bytes)
-        except UnsatisfiableRange:
-            size = {"Content-Range": f"bytes */{num_bytes}"}
-            raise ApiError(RANGE_NOT_SATISFIABLE, "The answer has no such range.", headers=size) from None
+        sent, status, sizes = select_range(range_, num_bytes, "answer")
         stack.pop_all()
-    sent = cut or ByteRange(0, num_bytes)
-    headers["Content-Length"] = str(sent.stop - sent.start)
-    if cut:
-        headers["Content-Range"] = f"bytes {sent.start}-{sent.stop - 1}/{num_bytes}"
     content = _content(file, parts, sent)
-    return Stream(content, 206 if cut else 200, headers=headers, media_type=MEDIA_TYPE, file=file)
+    return Stream(content, status, headers=headers | sizes, media_type=MEDIA_TYPE, file=file)
 
 
 def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:

@@ -11,8 +11,7 @@ from api.web.contract.resource import Resource
 from api.web.dependencies import POLL_AFTER_S, JobId, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
-from api.web.http.byte_ranges import matches
-from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, tag_of
+from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, matches
 from api.web.jobs.schemas import JobOut
 from api.web.people import examples
 from api.web.people.schemas import PeopleEdits, PeopleOut, frames_of
@@ -107,7 +106,7 @@ def edit_job_people(
 
 def _tag(job: JobRecord) -> str:
     """Entity tag of a job's people; the edits are not applied for it."""
-    return tag_of(job.revision, job.edits, job.people, frames_of(job))
+    return entity_tag(job.revision, job.edits, job.people, frames_of(job))
 
 
 def _found(job: JobRecord) -> tuple[PersonSpan, ...]:

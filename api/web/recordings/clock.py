@@ -5,7 +5,7 @@ import time
 from collections.abc import Awaitable
 from typing import TypeVar
 
-from api.web.http.socket_problems import SocketProblem
+from api.web.http.websockets import SocketProblem
 from pipeline.core.problems.requests import RECORDING_IDLE
 
 _Result = TypeVar("_Result")

@@ -10,8 +10,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.validation import model_items
-from api.web.http.pace import Pace
-from api.web.http.socket_problems import TOO_LARGE, WRONG_DATA, SocketProblem
+from api.web.http.rates import Pace
+from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem
 from api.web.recordings.clock import in_time
 from api.web.settings import Settings
 from pipeline.core.problems.requests import (

@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
 from api.web.contract.schemas import ResponseModel, printable_name
-from api.web.http.socket_problems import SocketProblemOut
+from api.web.http.websockets import SocketProblemOut
 from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
 from worker.store.model.recordings import TakeState
 

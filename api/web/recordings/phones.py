@@ -7,8 +7,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket
 
 from api.web.errors import as_api_error
-from api.web.http.pace import Pace
-from api.web.http.socket_problems import SocketProblem
+from api.web.http.rates import Pace
+from api.web.http.websockets import SocketProblem
 from api.web.recordings.clock import in_time, server_s
 from api.web.recordings.intake import RecordingIntake, parsed, require_jpeg
 from api.web.recordings.messages import (

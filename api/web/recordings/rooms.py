@@ -13,7 +13,7 @@ from typing import Any, Literal
 import structlog
 from starlette.concurrency import run_in_threadpool
 
-from api.web.http.socket_problems import LATER, SocketProblem
+from api.web.http.websockets import LATER, SocketProblem
 from api.web.recordings.relay import RecordingRelay, RelayKind
 from pipeline.core.problems.requests import RECORDING_BUSY
 from worker.store.errors import NotFound

@@ -14,8 +14,7 @@ from api.web.auth import Caller, joining_caller, joining_secret, websocket_calle
 from api.web.contract.resource import Resource
 from api.web.dependencies import Services, canonical_id
 from api.web.errors import ApiError, as_api_error
-from api.web.http.socket_problems import LATER, SocketProblem, message_of, socket_problem
-from api.web.http.websockets import deny
+from api.web.http.websockets import LATER, SocketProblem, deny, problem_message, socket_problem
 from api.web.recordings.hosts import HostConnection
 from api.web.recordings.intake import RecordingIntake
 from api.web.recordings.messages import EndedOut, RecordingProblemOut
@@ -148,7 +147,7 @@ async def _served(websocket: WebSocket, side: Literal["phone", "host"], way: Cor
             code, close_code = problem.code, problem.close_code
             if close_code == 1011:
                 _log.exception("recording_connection_failed", code=code)
-            message = message_of(error, websocket.state.request_id, RecordingProblemOut)
+            message = problem_message(error, websocket.state.request_id, RecordingProblemOut)
             await _last(websocket, message, close_code, code)
     metrics.ended(code)
     _log.info("recording_connection", side=side, code=code, close_code=close_code)

@@ -22,8 +22,8 @@ from api.web.downloads import (
     file_responses,
     send_file,
 )
-from api.web.http.byte_ranges import ByteRange
-from api.web.http.file_names import archived_name, disposition_of, result_name, stem_of
+from api.web.http.conditional import ByteRange
+from api.web.http.file_names import archived_name, content_disposition, download_stem, result_name
 from api.web.results import examples
 from api.web.results.schemas import ResultList, ResultOut
 from pipeline.core.options.config import FILE_FORMATS
@@ -87,7 +87,7 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
         archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)
     headers = {
         "Cache-Control": "private, no-cache",
-        **disposition_of(f"{stem_of(job.session_name, job.results_revision or 0)}.zip"),
+        **content_disposition(f"{download_stem(job.session_name, job.results_revision or 0)}.zip"),
     }
     return Stream(iter(archive), headers=headers, media_type="application/zip")
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.web.http.file_names import archived_name, disposition_of, result_name, take_name
+from api.web.http.file_names import archived_name, content_disposition, result_name, take_name
 
 # Characters that Windows, macOS or a header would not take, and those with a meaning in paths.
 _FORBIDDEN = set('<>:"/\\|?*%;\x7f') | {chr(code) for code in range(32)}
@@ -43,7 +43,7 @@ def test_a_name_is_safe_everywhere(session: str) -> None:
 @given(st.text(max_size=50))
 def test_a_header_holds_every_character(session: str) -> None:
     name = result_name(session, "person-1.bvh")
-    header = disposition_of(name)["Content-Disposition"]
+    header = content_disposition(name)["Content-Disposition"]
     assert header.isascii()
     assert header.isprintable()
     assert unquote(header.partition("filename*=utf-8''")[2]) == name
