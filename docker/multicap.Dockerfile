@@ -34,7 +34,7 @@ RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packag
 FROM python:3.11-slim-bookworm
 RUN useradd --uid 10001 --create-home multicap && install --directory --owner multicap /data
 COPY --from=build /opt/multicap /opt/multicap
-# Owned by the worker: kernels are compiled anew where the processor is another.
+# Owned by the worker: kernels are compiled again for another processor.
 COPY --from=build --chown=10001:10001 /opt/multicap-home /opt/multicap-home
 ENV PATH=/opt/multicap/bin:$PATH \
     MULTICAP_DATA_DIR=/data \

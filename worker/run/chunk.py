@@ -82,8 +82,8 @@ def time_limit_s(num_units: int, factor: float) -> float:
 class Lease:
     """Lease of a claimed chunk, renewed by a thread of its own.
 
-    While the database does not respond, the work goes on: it is not known to be lost. If another worker gets the chunk
-    meanwhile, the lease's token is old, and what the work reports changes nothing.
+    While the database does not respond, the work continues: it is not known to be lost. If another worker gets the
+    chunk meanwhile, the lease's token is old, and reports of the work change nothing.
 
     Parameters
     ----------

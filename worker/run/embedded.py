@@ -51,7 +51,7 @@ class DataDirectory:
         return f"redis+socket://{quote(str(self.socket))}"
 
     def environment(self) -> dict[str, str]:
-        """Environment of all programs: that of this process, with the folder and the broker."""
+        """Environment of all programs: the environment of this process, with the folder and the broker."""
         # The service's own values replace those of files, too.
         inherited = {name: value for name, value in os.environ.items() if name not in _REPLACED_FILES}
         return {

@@ -28,7 +28,7 @@ from pipeline.run.engine.stage import Context, Origin, Output, SessionFacts, Tak
 from pipeline.run.warm_up import JOINT_SETS
 from pipeline.run.warm_up import warm_up as compile_kernels
 from worker.run.chunk import Work
-from worker.run.planning import has_videos, session_facts, task_of
+from worker.run.planning import claimed_task, has_videos, session_facts
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import ArtifactStore, read_artifact, record_key
 from worker.store.files.checksums import require_file
@@ -38,7 +38,7 @@ from worker.store.spec import JobSpec
 
 def run_chunk(work: Work) -> Output:
     """Run a claimed chunk."""
-    return STAGE_BY_NAME[work.claim.stage].function(task_of(work.claim), _TaskContext(work, _kept))
+    return STAGE_BY_NAME[work.claim.stage].function(claimed_task(work.claim), _TaskContext(work, _kept))
 
 
 def warm_up() -> None:

@@ -2,7 +2,7 @@
 
 The parent process stores the lines: the supervisor of ``multicap serve`` in rotated files
 (``worker.run.supervisor``), a container engine in its own log. A line that can't be written, on a full disk or
-to a closed pipe, is lost; the work goes on.
+to a closed pipe, is lost; the work continues.
 """
 
 import contextlib

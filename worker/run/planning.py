@@ -91,7 +91,7 @@ def chunk_length(preflight: Preflight, frame_s: float, chunk_s: float, default: 
 
 
 def plan_visuals(session: PlannableSession, job: JobRecord) -> tuple[StagePlan, ...]:
-    """Plan of the job that makes overlay videos, the report and the recording of an edited job anew."""
+    """Plan of the job that rebuilds overlay videos, the report and the recording of an edited job."""
     return plan_job(
         session,
         job.spec,
@@ -134,7 +134,7 @@ def has_videos(session: PlannableSession) -> bool:
     return not any(file.kind == "keypoints" for file in session.files)
 
 
-def task_of(claim: Claim) -> Task:
+def claimed_task(claim: Claim) -> Task:
     """Task of a claimed chunk."""
     payload = claim.payload
     return Task(

@@ -86,9 +86,9 @@ def remove_killed(workers: Workers) -> None:
 class Presence:
     """Reports the status of this process to the job store: every four seconds, and as soon as it changes.
 
-    The work goes on if the database does not respond; the report is repeated. ``workers`` is the list in the job store.
-    ``look`` returns the present status of this process, ``None`` when it accepts no more work; it is called from the
-    thread.
+    The work continues if the database does not respond; the report is repeated. ``workers`` is the list in the job
+    store. ``look`` returns the present status of this process, ``None`` when it accepts no more work; it is called from
+    the thread.
     """
 
     def __init__(self, workers: Workers, look: Callable[[], WorkerStatus | None]) -> None:

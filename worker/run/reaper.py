@@ -52,7 +52,7 @@ class Reaper:
     lease_s
         See ``WorkerSettings``.
     visuals_rest_s
-        Time after the last edit of a job's people at which its visuals are made anew; 0: never.
+        Time after the last edit of a job's people at which its visuals are rebuilt; 0: never.
     """
 
     def __init__(

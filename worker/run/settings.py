@@ -205,7 +205,7 @@ class WorkerSettings(StorageSettings):
         default=300.0,
         ge=0,
         description="Time after the last edit of a job's people at which its overlay videos, report and recording are "
-        "made anew; 0: only on request.",
+        "rebuilt; 0: only on request.",
     )
     reap_interval_s: float = Field(default=5.0, gt=0, description="Time between two checks for lost work.")
     nice: int = Field(

@@ -237,7 +237,7 @@ def machine_memory_bytes(cgroups: Path = _CGROUPS, process_group: Path = _PROCES
     Parameters
     ----------
     cgroups, process_group
-        Folder of cgroups (version 2), and file that names that of this process.
+        Folder of cgroups (version 2), and file that names the cgroup of this process.
     """
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     try:

@@ -142,7 +142,7 @@ class FairThreads(FairShare):
     async def run(
         self, owner: str, function: Callable[..., _Result], *arguments: object, further_wait_s: float = 0.0
     ) -> _Result:
-        """Run a function in a thread when it is its owner's turn; parameters and errors as of ``turn``."""
+        """Run a function in a thread when it is its owner's turn; parameters and errors as ``turn``."""
         async with self.turn(owner, further_wait_s):
             return await anyio.to_thread.run_sync(partial(function, *arguments), limiter=self._threads)
 

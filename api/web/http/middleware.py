@@ -186,7 +186,7 @@ class TusProtocol(HttpMiddleware):
     A HEAD that fails by the service's fault is 423: clients that meet 5xx there (tus-js-client) forget the upload and
     send the whole file again, while they ask again after 423.
 
-    ``prefix`` is that of the paths of uploads.
+    ``prefix`` begins the paths of uploads.
     """
 
     def __init__(self, app: ASGIApp, prefix: str, version: str) -> None:
@@ -275,7 +275,7 @@ class ForeignPageGuard(HttpMiddleware):
     def refusal(self, headers: Headers) -> ApiError | None:
         """Error of a request with these headers; ``None`` if it is allowed."""
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or _name_of(hosts[0]) not in self._allowed_hosts:
+        if len(hosts) != 1 or _host_name(hosts[0]) not in self._allowed_hosts:
             return ApiError(
                 HOST_NOT_ALLOWED,
                 "The request's Host is not a name of the service.",
@@ -292,7 +292,7 @@ class ForeignPageGuard(HttpMiddleware):
         return None
 
 
-def _name_of(host: str) -> str | None:
+def _host_name(host: str) -> str | None:
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:

@@ -100,7 +100,7 @@ async def received(
     if content_type not in types:
         raise _unsupported(types)
     names_uploads = content_type == JSON_TYPE
-    places = FieldPlaces.of(request, content_type)
+    places = FieldPlaces.declared_for(request, content_type)
     to_come = 0 if names_uploads else announced_bytes(request)
     # A request that comes again may need no more room than there is.
     is_answered = await run_in_threadpool(idempotent.is_answered)

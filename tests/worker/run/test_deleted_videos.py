@@ -15,7 +15,7 @@ from worker.run.chunk import Work
 from worker.run.execution import KeptSession
 from worker.run.planning import plan_again, plan_job, plan_visuals
 from worker.run.reaper import Reaper
-from worker.store.backup.contents import files_of_rows
+from worker.store.backup.contents import named_files
 from worker.store.errors import Conflict, NotFound, VideosDeleted
 from worker.store.files.artifacts import thumbnail_key
 from worker.store.files.disk import DiskSpace
@@ -236,10 +236,10 @@ def test_blurred_videos_are_results_and_stay(filled: RunnerBench) -> None:
 def test_a_backup_lacks_nothing(filled: RunnerBench) -> None:
     done(filled)
     with filled.store.sessions._access.reading() as connection:
-        assert any(path.endswith("left.mp4") for path in files_of_rows(connection, with_artifacts=True))
+        assert any(path.endswith("left.mp4") for path in named_files(connection, with_artifacts=True))
     reaper(filled).reap()
     with filled.store.sessions._access.reading() as connection:
-        named = files_of_rows(connection, with_artifacts=True)
+        named = named_files(connection, with_artifacts=True)
     assert not [path for path in named if path.endswith((".mp4", ".jpg"))]
     assert any(path.endswith("rig.toml") for path in named)
 

@@ -36,7 +36,7 @@ class RowCounts(BaseModel):
 class BackupManifest(BaseModel):
     """First member of a backup.
 
-    ``schema_revision`` is that of the database; ``artifacts_url`` names the bucket of artifacts that are not in the
+    ``schema_revision`` is the database's; ``artifacts_url`` names the bucket of artifacts that are not in the
     backup.
     """
 
@@ -113,16 +113,16 @@ def count_rows(connection: Connection) -> RowCounts:
     )
 
 
-def files_of_rows(connection: Connection, with_artifacts: bool) -> dict[str, StoredFile]:
+def named_files(connection: Connection, with_artifacts: bool) -> dict[str, StoredFile]:
     """Files that the rows of a database name, by path.
 
     ``with_artifacts``: artifacts are in the data folder; else only uploads are. Raises ``ValueError`` if a row names a
     file by a malformed key.
     """
-    found = list(_uploads(connection))
+    found = list(_upload_files(connection))
     if with_artifacts:
-        found += [*_of_sessions(connection), *_outputs(connection), *_results(connection)]
-        found += [*_of_characters(connection), *_of_moved_characters(connection)]
+        found += [*_session_files(connection), *_output_files(connection), *_result_files(connection)]
+        found += [*_character_files(connection), *_moved_character_files(connection)]
     return {file.path: file for file in found}
 
 
@@ -131,14 +131,14 @@ def _artifact(key: str, sha256: str | None, needed: bool) -> StoredFile:
     return StoredFile(f"artifacts/{key}", sha256, needed)
 
 
-def _uploads(connection: Connection) -> Iterator[StoredFile]:
+def _upload_files(connection: Connection) -> Iterator[StoredFile]:
     # The file of an upload may just have been moved to a session; the client then begins the upload again.
     for upload_id in connection.scalars(select(uploads.c.id).order_by(uploads.c.id)):
         require_key(upload_id)
         yield StoredFile(f"uploads/{upload_id}", None, needed=False)
 
 
-def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
+def _session_files(connection: Connection) -> Iterator[StoredFile]:
     columns = (
         *(sessions.c.id, sessions.c.files, sessions.c.record_sha256, sessions.c.preflight),
         sessions.c.videos_deleted_at,
@@ -157,14 +157,14 @@ def _of_sessions(connection: Connection) -> Iterator[StoredFile]:
             yield _artifact(key, thumbnail.sha256, needed=False)
 
 
-def _outputs(connection: Connection) -> Iterator[StoredFile]:
+def _output_files(connection: Connection) -> Iterator[StoredFile]:
     """Outputs of chunks; workers compute missing and damaged ones again."""
     query = select(artifacts).order_by(artifacts.c.session_id, artifacts.c.output_key)
     for row in connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE}):
         yield _artifact(stage_key(row.session_id, row.output_key), row.sha256, needed=False)
 
 
-def _results(connection: Connection) -> Iterator[StoredFile]:
+def _result_files(connection: Connection) -> Iterator[StoredFile]:
     query = (
         select(results.c.key, results.c.sha256)
         .join(jobs, jobs.c.id == results.c.job_id)
@@ -175,12 +175,12 @@ def _results(connection: Connection) -> Iterator[StoredFile]:
         yield _artifact(row.key, row.sha256, needed=True)
 
 
-def _of_characters(connection: Connection) -> Iterator[StoredFile]:
+def _character_files(connection: Connection) -> Iterator[StoredFile]:
     for file in connection.scalars(select(characters.c.file).order_by(characters.c.id)):
         yield _artifact(file["key"], file["sha256"], needed=True)
 
 
-def _of_moved_characters(connection: Connection) -> Iterator[StoredFile]:
+def _moved_character_files(connection: Connection) -> Iterator[StoredFile]:
     """Copies of characters that jobs move."""
     query = select(jobs.c.character).where(jobs.c.character.is_not(None), jobs.c.state != JobState.EXPIRED)
     for character in connection.scalars(query.order_by(jobs.c.id)):

@@ -24,11 +24,11 @@ from worker.store.backup.contents import (
     RowCounts,
     StoredFile,
     count_rows,
-    files_of_rows,
+    named_files,
 )
 from worker.store.backup.linked import HeldFile, HeldFiles, held_files
 from worker.store.backup.snapshot import (
-    damage_is_of,
+    damage_blames_source,
     new_private_file,
     prepare,
     reading,
@@ -150,7 +150,7 @@ def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with
     """Take a snapshot with all its files, unless some are missing for good."""
     missing_before: set[str] | None = None
     for _ in range(_MAX_SNAPSHOTS):
-        with damage_is_of(database_url):
+        with damage_blames_source(database_url):
             revision = take_snapshot(database_url, target)
             files, rows = _examine(target, revision, with_artifacts)
         held = {path: found for path in files if (found := links.hold(path)) is not None}
@@ -179,7 +179,7 @@ def _examine_current(database: Path, with_artifacts: bool) -> tuple[dict[str, St
     prepare(database)
     try:
         with reading(database) as connection:
-            return files_of_rows(connection, with_artifacts), count_rows(connection)
+            return named_files(connection, with_artifacts), count_rows(connection)
     except ValueError as error:
         raise BackupError(f"The service's database names a file that can't be: {error}.") from error
 

@@ -22,7 +22,7 @@ from worker.store.backup.contents import (
     BackupReport,
     FileProblem,
     StoredFile,
-    files_of_rows,
+    named_files,
     read_manifest,
 )
 from worker.store.backup.snapshot import (
@@ -50,7 +50,7 @@ _UNFINISHED = ".restoring"
 _FOLDERS = ("artifacts", "uploads")
 
 
-class _Contents:
+class _BackupReader:
     """Reader of a backup, member by member; extracts the files into a folder, or only checks them."""
 
     def __init__(self, file: BinaryIO, folder: Path | None, database: Path, on_progress: OnProgress) -> None:
@@ -97,7 +97,7 @@ class _Contents:
             with writing_to(self._database):
                 prepare(self._database)
             with reading(self._database) as connection:
-                self._expected = files_of_rows(connection, with_artifacts=not self._manifest.artifacts_url)
+                self._expected = named_files(connection, with_artifacts=not self._manifest.artifacts_url)
         except BackupError as error:
             self._refuse(*error.faults)
         except DamagedDatabase as error:
@@ -129,7 +129,7 @@ class _Contents:
             self._differing.add(member.name)
 
     def _refuse(self, *faults: str) -> None:
-        """End a restore; a verification goes on, to list all problems."""
+        """End a restore; a verification continues, to list all problems."""
         if self._folder is not None:
             raise BackupError(*faults)
         self._faults.extend(faults[: _MAX_FAULTS - len(self._faults)])
@@ -156,7 +156,7 @@ def verify_backup(archive: Path, on_progress: OnProgress) -> BackupReport:
     with _opened(archive) as file, tempfile.TemporaryDirectory(prefix="multicap-verify-") as folder:
         database = Path(folder) / DATABASE
         with writing_to(database):
-            return _Contents(file, None, database, on_progress).read(lambda _: None)
+            return _BackupReader(file, None, database, on_progress).read(lambda _: None)
 
 
 def restore_backup(
@@ -193,7 +193,7 @@ def restore_backup(
         database = folder / DATABASE
         _require_database(database_url, data_dir)
         _require_room(file, data_dir)
-        report = _Contents(file, folder, database, on_progress).read(accept)
+        report = _BackupReader(file, folder, database, on_progress).read(accept)
         if report.faults:
             raise BackupError(*report.faults)
         for name in _FOLDERS:
@@ -274,7 +274,7 @@ def _unfinished(data_dir: Path) -> Iterator[Path]:
     """Folder to restore into, on the file system of the data folder; removed if the block fails.
 
     It is beside the data folder if that is missing, so that the data folder appears complete. Else it is inside: the
-    data folder may be a mounted disk, or its parent belong to somebody else.
+    data folder may be a mounted disk, or its parent belong to another user.
     """
     inside = data_dir.exists()
     folder = data_dir / _UNFINISHED if inside else data_dir.with_name(f"{data_dir.name}.partial")

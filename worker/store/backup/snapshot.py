@@ -63,7 +63,7 @@ def take_snapshot(database_url: str, target: Path) -> str:
 
 
 @contextlib.contextmanager
-def damage_is_of(database_url: str) -> Iterator[None]:
+def damage_blames_source(database_url: str) -> Iterator[None]:
     """Raise ``DamagedDatabase`` for a SQLite database if it, or a copy of it, is found damaged inside the block."""
     try:
         yield

@@ -36,7 +36,7 @@ import platformdirs
 
 from pipeline.core.options.job_choices import BLURRED_KIND, VISUAL_KINDS
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.checksums import VerifiedFile, found, no_check, require_file
+from worker.store.files.checksums import VerifiedFile, missing_is_not_found, no_check, require_file
 from worker.store.files.disk import is_disk_full, sync
 from worker.store.model.work import Claim
 
@@ -260,7 +260,7 @@ class LocalArtifacts:
     def open(self, key: str, sha256: str | None = None) -> BinaryIO:
         """Open a file for reading."""
         path = self._path(key)
-        with found(key):
+        with missing_is_not_found(key):
             return path.open("rb") if sha256 is None else io.BufferedReader(VerifiedFile(path, key, sha256))
 
     @contextlib.contextmanager

@@ -74,7 +74,7 @@ def no_check() -> None:
 
 
 @contextlib.contextmanager
-def found(key: str) -> Iterator[None]:
+def missing_is_not_found(key: str) -> Iterator[None]:
     """Raise ``NotFound`` for an artifact whose file is missing."""
     try:
         yield
@@ -82,13 +82,13 @@ def found(key: str) -> Iterator[None]:
         raise NotFound(f"There is no artifact {key}.") from error
 
 
-def version_of(descriptor: int) -> FileVersion:
+def file_version(descriptor: int) -> FileVersion:
     """Version of an open file."""
     info = os.fstat(descriptor)
     return FileVersion(info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
 
 
-def sha256_of(file: Readable, check: Callable[[], None] = no_check) -> str:
+def read_sha256(file: Readable, check: Callable[[], None] = no_check) -> str:
     """SHA-256 of the rest of a file, in hexadecimal.
 
     ``check`` is called after every MiB; an exception from it ends the reading.
@@ -113,7 +113,7 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
     sha256
         Digest in hexadecimal.
     check
-        As of ``sha256_of``.
+        Called while the file is read, as by ``read_sha256``.
 
     Returns
     -------
@@ -125,19 +125,19 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
     DamagedArtifact
         The digest is another one, or the disk can't read the file.
     """
-    version = version_of(descriptor)
+    version = file_version(descriptor)
     if _verified.holds(version, sha256):
         return version
     settled = version.is_settled
     try:
-        found = _sha256_of_descriptor(descriptor, check)
+        found = _read_descriptor_sha256(descriptor, check)
     except OSError as error:
         if error.errno != errno.EIO:
             raise
         raise DamagedArtifact(key) from error
     if found != sha256:
         raise DamagedArtifact(key)
-    if not settled or version_of(descriptor) != version:
+    if not settled or file_version(descriptor) != version:
         return None
     _verified.add(version, sha256)
     return version
@@ -145,16 +145,16 @@ def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], N
 
 def require_file(path: Path, key: str, sha256: str, check: Callable[[], None] = no_check) -> None:
     """Compare the file at a path, as ``require_sha256`` does; ``NotFound`` if there is none."""
-    with found(key), path.open("rb", buffering=0) as file:
+    with missing_is_not_found(key), path.open("rb", buffering=0) as file:
         require_sha256(file.fileno(), key, sha256, check)
 
 
-def _sha256_of_descriptor(descriptor: int, check: Callable[[], None]) -> str:
+def _read_descriptor_sha256(descriptor: int, check: Callable[[], None]) -> str:
     position = os.lseek(descriptor, 0, os.SEEK_CUR)
     os.lseek(descriptor, 0, os.SEEK_SET)
     try:
         with io.FileIO(descriptor, closefd=False) as file:
-            return sha256_of(file, check)
+            return read_sha256(file, check)
     finally:
         os.lseek(descriptor, position, os.SEEK_SET)
 
@@ -162,7 +162,7 @@ def _sha256_of_descriptor(descriptor: int, check: Callable[[], None]) -> str:
 class VerifiedFile(io.FileIO):
     """A file that is compared with its digest when it is opened, and again whenever it changes while it is read.
 
-    ``key`` and ``sha256`` are as of ``require_sha256``. Raises ``DamagedArtifact``, from ``readinto`` too.
+    ``key`` and ``sha256`` are parameters of ``require_sha256``. Raises ``DamagedArtifact``, from ``readinto`` too.
     """
 
     def __init__(self, path: Path, key: str, sha256: str) -> None:
@@ -178,6 +178,6 @@ class VerifiedFile(io.FileIO):
         """Fill a buffer with bytes of the file that has the digest."""
         num_bytes = super().readinto(buffer)
         # The hard link of a backup also changes the times of a file, but not its content.
-        if version_of(self.fileno()) != self._version:
+        if file_version(self.fileno()) != self._version:
             self._version = require_sha256(self.fileno(), self._key, self._sha256)
         return num_bytes

@@ -23,7 +23,7 @@ from obstore.store import S3Store
 
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, DamagedArtifact, NotFound
 from worker.store.files.artifacts import require_key, require_prefix
-from worker.store.files.checksums import Verified, no_check, require_file, sha256_of
+from worker.store.files.checksums import Verified, no_check, read_sha256, require_file
 from worker.store.files.secret_files import S3_KEYS, file_variable
 
 # Callers try again by themselves, so the library need not try for longer.
@@ -78,7 +78,7 @@ def open_bucket(url: str) -> S3Store:
 
 @contextlib.contextmanager
 def reached(store: S3Store, key: str) -> Iterator[None]:
-    """Turn errors of the library at a key into those of the job store."""
+    """Turn errors of the library at a key into errors of the job store."""
     try:
         yield
     except FileNotFoundError as error:  # raised by the library for a missing object, and for a missing bucket
@@ -226,7 +226,7 @@ def _remove_unused(path: Path) -> bool:
 class S3Artifacts:
     """Artifacts as objects of a bucket.
 
-    ``url`` is that of ``worker.store.files.s3.open_bucket``. ``cache`` has copies of files that have to be on this
+    ``url`` is a parameter of ``open_bucket``. ``cache`` has copies of files that have to be on this
     machine's disk.
     """
 
@@ -262,7 +262,7 @@ class S3Artifacts:
         file = io.BufferedReader(_Object(self._store, key, head["size"], head["e_tag"]), _READ_BYTES)
         version = key, head["size"], head["e_tag"]
         if sha256 is not None and not self._verified.holds(version, sha256):
-            if sha256_of(file) != sha256:
+            if read_sha256(file) != sha256:
                 raise DamagedArtifact(key)
             self._verified.add(version, sha256)
             file.seek(0)

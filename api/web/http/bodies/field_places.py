@@ -24,7 +24,7 @@ class FieldPlaces:
         self._declared = declared
 
     @classmethod
-    def of(cls, request: Request, content_type: str) -> Self:
+    def declared_for(cls, request: Request, content_type: str) -> Self:
         """Places in the body that the contract declares for a request of a content type."""
 
         def declared() -> tuple[Schema, Schema]:
@@ -67,10 +67,10 @@ class FieldPlaces:
         return holders
 
 
-def path_of(steps: tuple[str | int, ...]) -> str:
+def place_path(steps: tuple[str | int, ...]) -> str:
     """Path of a place without the numbers of items.
 
-    >>> path_of(("manifest", "cameras", 3, "offset_s"))
+    >>> place_path(("manifest", "cameras", 3, "offset_s"))
     'manifest.cameras[].offset_s'
     """
     return "".join(_ITEM if isinstance(step, int) else f".{step}" for step in steps).removeprefix(".")

@@ -48,7 +48,7 @@ async def receive_form(
     OSError
         If the disk is full.
     """
-    boundary = _boundary_of(request)
+    boundary = _boundary(request)
     stream = aiter(request.stream())
     try:
         _check_announced_length(request, limits)
@@ -67,7 +67,7 @@ async def receive_form(
         raise
 
 
-def _boundary_of(request: Request) -> str:
+def _boundary(request: Request) -> str:
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != FORM_TYPE.encode():
         raise ApiError(UNSUPPORTED_MEDIA_TYPE, f"Files are sent as {FORM_TYPE}.")

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
-from api.web.http.bodies.field_places import FieldPlaces, path_of
+from api.web.http.bodies.field_places import FieldPlaces, place_path
 from pipeline.core.options.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import (
@@ -76,7 +76,7 @@ def model_items(error: ValidationError, model: type[BaseModel], places: FieldPla
     part
         Name of the part; empty for the body.
     """
-    schema = _schema_of(model)
+    schema = _model_schema(model)
     # Errors with their inputs would copy a large object once for each field that it lacks.
     errors = error.errors(include_url=False, include_context=False, include_input=False)
     return _items(errors, schema, schema, places, part)
@@ -105,7 +105,7 @@ def _from_validation(request: Request, error: RequestValidationError) -> ApiErro
     items = _parameter_items([detail for detail in details if detail["loc"][0] != "body"], operation, contract)
     if in_body:
         schema = operation["requestBody"]["content"]["application/json"]["schema"]
-        items += _items(in_body, schema, contract, FieldPlaces.of(request, "application/json"))
+        items += _items(in_body, schema, contract, FieldPlaces.declared_for(request, "application/json"))
     return unprocessable(items)
 
 
@@ -136,16 +136,16 @@ def _items(
     fields = _Fields(schema, root)
     by_field: dict[Steps, list[ErrorDetails]] = {}
     for error in errors[:_MAX_TRANSLATED]:
-        by_field.setdefault(fields.of(error), []).append(error)
+        by_field.setdefault(fields.locate(error), []).append(error)
     num_fields = len(by_field) + len({error["loc"] for error in errors[_MAX_TRANSLATED:]})
     items = []
-    for steps, of_field in islice(by_field.items(), MAX_LISTED):
-        codes = {_code(error) for error in of_field}
+    for steps, field_errors in islice(by_field.items(), MAX_LISTED):
+        codes = {_code(error) for error in field_errors}
         if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
             code = VALUE_NOT_ALLOWED
         else:
             code = codes.pop() if len(codes) == 1 else INVALID_VALUE
-        items.append(_item(of_field[0], code, steps, fields, places, part))
+        items.append(_item(field_errors[0], code, steps, fields, places, part))
     return [*items, more_problems(more)] if (more := num_fields - len(items)) else items
 
 
@@ -156,7 +156,7 @@ class _Fields:
         self.root = root
         self._followed: dict[Steps, tuple[Steps, Schema]] = {(): ((), schema)}
 
-    def of(self, error: ErrorDetails) -> Steps:
+    def locate(self, error: ErrorDetails) -> Steps:
         """Steps to the field of an error."""
         if _code(error) == UNKNOWN_FIELD:
             *holder, name = error["loc"]
@@ -180,7 +180,7 @@ def _item(error: ErrorDetails, code: Code, steps: Steps, fields: _Fields, places
         unknown = str(steps[-1])[:_MAX_SHOWN]
         known = ", ".join(_properties(fields.follow(error["loc"][:-1])[1], fields.root))
         message = f"There is no field {_name((*steps[:-1], unknown), '')} here. The fields are {known}."
-        hint = places.hint(unknown, path_of((*start, *steps[:-1])))
+        hint = places.hint(unknown, place_path((*start, *steps[:-1])))
     elif error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
         message = error["msg"]
     elif _code(error) == MALFORMED_JSON:
@@ -238,5 +238,5 @@ def _name(steps: Steps, part: str) -> str:
 
 
 @cache
-def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
+def _model_schema(model: type[BaseModel]) -> dict[str, Any]:
     return model.model_json_schema()

@@ -15,7 +15,7 @@ from tests.cases import slow_but
 from tests.s3 import S3
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import ArtifactStore, LocalArtifacts, open_artifacts, read_artifact
-from worker.store.files.checksums import Verified, require_file, sha256_of, version_of
+from worker.store.files.checksums import Verified, file_version, read_sha256, require_file
 from worker.store.files.s3 import S3Artifacts
 
 KEY = "jobs/1/results/person-1.bvh"
@@ -78,11 +78,11 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     computed: list[str] = []
 
     def counted(*arguments: object) -> str:
-        computed.append(sha256_of(*arguments))  # type: ignore[arg-type]
+        computed.append(read_sha256(*arguments))  # type: ignore[arg-type]
         return computed[-1]
 
-    monkeypatch.setattr("worker.store.files.checksums.sha256_of", counted)
-    monkeypatch.setattr("worker.store.files.s3.sha256_of", counted)
+    monkeypatch.setattr("worker.store.files.checksums.read_sha256", counted)
+    monkeypatch.setattr("worker.store.files.s3.read_sha256", counted)
     return computed
 
 
@@ -190,9 +190,9 @@ def test_bytes_that_are_stored_after_the_times_of_their_write_are_seen(folder: L
         with folder.open(KEY, SHA256) as file:
             os.utime(path)
             assert file.read(2**20) == CONTENT[: 2**20]
-            before = version_of(file.fileno())
+            before = file_version(file.fileno())
             memory[-1] ^= 255
-            assert version_of(file.fileno()) == before
+            assert file_version(file.fileno()) == before
             with pytest.raises(DamagedArtifact):
                 file.read(2**20)
 
@@ -228,8 +228,8 @@ def test_a_digest_can_be_interrupted(folder: LocalArtifacts) -> None:
 def test_other_handles_keep_their_position(folder: LocalArtifacts, tmp_path: Path) -> None:
     with (tmp_path / KEY).open("rb", buffering=0) as file:
         file.seek(7)
-        assert sha256_of(file) == hashlib.sha256(CONTENT[7:]).hexdigest()
-        assert version_of(file.fileno()).num_bytes == len(CONTENT)
+        assert read_sha256(file) == hashlib.sha256(CONTENT[7:]).hexdigest()
+        assert file_version(file.fileno()).num_bytes == len(CONTENT)
 
 
 def test_the_memory_is_bounded() -> None:
