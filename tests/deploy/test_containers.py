@@ -185,7 +185,7 @@ def test_objects_of_kubernetes_name_each_other() -> None:
 
 @pytest.mark.skipif(shutil.which("caddy") is None, reason="Caddy is not installed")
 @pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
-def test_the_proxy_accepts_its_file(path: Path) -> None:
+def test_proxy_accepts_its_file(path: Path) -> None:
     # The values of the compose file, without those that Compose itself fills in.
     given = yaml.safe_load(path.read_text())["services"]["proxy"]["environment"]
     subprocess.run(

@@ -28,7 +28,7 @@ def test_variables_are_settings_and_programs_exist(path: Path) -> None:
     assert importlib.util.find_spec(module) is not None
 
 
-def test_the_common_file_has_settings_alone() -> None:
+def test_common_file_has_settings_alone() -> None:
     names = set(re.findall(r"^(\w+)=", (SYSTEMD / "environment").read_text(), re.MULTILINE))
     assert names <= settings() | OTHER_VARIABLES
 

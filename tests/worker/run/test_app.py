@@ -11,7 +11,7 @@ from worker.run.app import release_inherited_sockets
 
 
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs Linux: epoll")
-def test_a_closed_connection_of_the_parent_is_not_reported_for_as_long_as_its_child_lives() -> None:
+def test_closed_connection_of_the_parent_is_reported_once() -> None:
     ours, brokers = socket.socketpair()
     told, tell = os.pipe()
     wait, end = os.pipe()

@@ -49,7 +49,7 @@ def truncate(path: Path) -> None:
 DAMAGES = pytest.mark.parametrize("damage", [flip, truncate, remove])
 
 
-def test_a_damaged_output_is_made_again(bench: RunnerBench) -> None:
+def test_damaged_output_is_made_again(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     key = bench.store.outputs.of_stage(bench.store.jobs.page()[0].id, ASSOCIATE)[0].key
@@ -68,7 +68,7 @@ def test_a_damaged_output_is_made_again(bench: RunnerBench) -> None:
         [(DETECT, 2, ASSOCIATE), (ASSOCIATE, 0, IDENTIFY), (IDENTIFY, 0, FIT), (HOLD, 0, EXPORT)],
     ),
 )
-def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
+def test_output_damaged_before_it_is_read_is_computed_again(
     bench: RunnerBench, stage: str, chunk: int, reader: str, damage: Callable[[Path], None]
 ) -> None:
     run = bench.stages[reader]
@@ -90,7 +90,7 @@ def test_an_output_that_is_damaged_before_it_is_read_is_computed_again(
     assert f"chunk {chunk} of the stage {stage}" in failure.problem.detail
 
 
-def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(bench: RunnerBench) -> None:
+def test_only_damaged_outputs_are_computed_again_all_at_once(bench: RunnerBench) -> None:
     computed: list[int] = []
 
     def counted(work: Work) -> Output:
@@ -111,7 +111,7 @@ def test_all_damaged_outputs_are_computed_again_at_once_and_the_others_are_kept(
     assert bench.store.jobs.get(job.id).progress == 1.0
 
 
-def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(bench: RunnerBench) -> None:
+def test_two_damaged_stages_are_computed_again_in_order(bench: RunnerBench) -> None:
     damages = iter([ASSOCIATE, IDENTIFY])
 
     def damaging(work: Work) -> Output:
@@ -127,7 +127,7 @@ def test_two_stages_that_are_both_damaged_are_computed_again_in_their_order(benc
     assert [failure.stage for failure in attempt.failures] == [IDENTIFY, ASSOCIATE]
 
 
-def test_a_disk_that_damages_everything_ends_the_job_and_a_retry_computes_it(bench: RunnerBench) -> None:
+def test_disk_that_damages_everything_ends_the_job(bench: RunnerBench) -> None:
     runs = []
 
     def damaging(work: Work) -> Output:
@@ -167,7 +167,7 @@ def test_workers_side_by_side_compute_a_damaged_output_again(bench: RunnerBench)
     assert bench.result(job.id) == RESULT
 
 
-def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: RunnerBench) -> None:
+def test_damaged_result_is_rebuilt_by_another_job(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     flip(stored(bench, job.id, HOLD))
@@ -179,7 +179,7 @@ def test_a_result_that_was_damaged_is_made_anew_by_another_job(bench: RunnerBenc
     assert {name for name, is_reused in reused.items() if not is_reused} == {FIT, HOLD, EXPORT}
 
 
-def test_pieces_of_outputs_are_found_by_later_jobs_until_they_are_damaged(bench: RunnerBench) -> None:
+def test_undamaged_pieces_of_outputs_are_found_by_later_jobs(bench: RunnerBench) -> None:
     found: list[bytes | None] = []
 
     def export_with_pieces(work: Work) -> Output:

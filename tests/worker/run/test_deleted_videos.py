@@ -101,7 +101,7 @@ def test_other_jobs_keep_them_until_their_end(filled: RunnerBench) -> None:
     assert is_deleted(filled)
 
 
-def test_a_reaper_that_was_killed_is_followed_by_another(filled: RunnerBench) -> None:
+def test_reaper_that_was_killed_is_followed_by_another(filled: RunnerBench) -> None:
     """Rows first, files after them: what is left is removed by the next one."""
     done(filled)
     filled.store.sessions.delete_videos(filled.session.id)
@@ -148,7 +148,7 @@ def test_edits_and_further_files_need_no_videos(filled: RunnerBench) -> None:
     assert not {LOOK, DETECT, REDETECT} & set(ran)
 
 
-def test_an_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> None:
+def test_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> None:
     job = done(filled)
     reaper(filled).reap()
     export = filled.stages["export"]
@@ -166,7 +166,7 @@ def test_an_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> N
 @pytest.mark.parametrize(
     "spec", [JobSpec(profile="fast"), JobSpec(overlay=True), JobSpec(blur_faces=True), JobSpec(people=1)]
 )
-def test_what_needs_videos_is_refused(filled: RunnerBench, spec: JobSpec) -> None:
+def test_jobs_that_need_videos_are_refused(filled: RunnerBench, spec: JobSpec) -> None:
     """The last of these tells people apart anew, by colours of clothes that nobody keeps."""
     done(filled)
     filled.store.sessions.delete_videos(filled.session.id)
@@ -174,7 +174,7 @@ def test_what_needs_videos_is_refused(filled: RunnerBench, spec: JobSpec) -> Non
         filled.create_job(spec=spec)
 
 
-def test_a_retry_that_needs_videos_is_refused(filled: RunnerBench) -> None:
+def test_retry_that_needs_videos_is_refused(filled: RunnerBench) -> None:
     done(filled)
     detect = filled.stages[DETECT]
     filled.stages[DETECT] = fail_with(ValueError())
@@ -200,7 +200,7 @@ def test_people_of_other_code_are_not_edited(filled: RunnerBench) -> None:
     assert filled.result(job.id) == RESULT
 
 
-def test_overlays_of_edits_are_not_drawn_and_nobody_tries_for_ever(filled: RunnerBench) -> None:
+def test_overlays_of_edits_are_not_drawn_nor_tried_for_ever(filled: RunnerBench) -> None:
     job = done(filled, JobSpec(overlay=True, keep_videos=False))
     reaper(filled).reap()
     edit(filled, job)
@@ -214,7 +214,7 @@ def test_overlays_of_edits_are_not_drawn_and_nobody_tries_for_ever(filled: Runne
     assert filled.result(job.id, "overlay-left.mp4") == b"video of " + RESULT
 
 
-def test_a_report_of_edits_is_written_on_request_without_pictures(filled: RunnerBench) -> None:
+def test_report_of_edits_is_written_on_request_without_pictures(filled: RunnerBench) -> None:
     job = done(filled, JobSpec(report=True, keep_videos=False))
     reaper(filled).reap()
     edit(filled, job)
@@ -233,7 +233,7 @@ def test_blurred_videos_are_results_and_stay(filled: RunnerBench) -> None:
     assert filled.result(job.id, "blurred-0.mp4").startswith(b"blurred by ")
 
 
-def test_a_backup_lacks_nothing(filled: RunnerBench) -> None:
+def test_backup_lacks_nothing(filled: RunnerBench) -> None:
     done(filled)
     with filled.store.sessions._access.reading() as connection:
         assert any(path.endswith("left.mp4") for path in named_files(connection, with_artifacts=True))
@@ -262,7 +262,7 @@ def test_workers_say_that_videos_were_deleted(filled: RunnerBench, tmp_path: Pat
     assert [problem.code for problem in raised.value.problems] == ["videos_deleted"]
 
 
-def test_the_stages_that_read_videos_say_so() -> None:
+def test_stages_that_read_videos_say_so() -> None:
     """Those that decode pictures; a report is written without them."""
     declared = {stage.name for stage in STAGES if stage.reads_videos}
     assert declared == {LOOK, DETECT, "find_board", PROXY, REDETECT, OVERLAY, RECORD, BLUR}

@@ -60,7 +60,7 @@ def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -
     assert bench.result(done.id) == expected(FIRST)
 
 
-def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) -> None:
+def test_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) -> None:
     export, run = bench.stages[EXPORT], []
 
     def export_with_name(work: Work) -> Output:
@@ -100,7 +100,7 @@ def test_a_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) 
     assert not bench.artifacts.exists(after["person-1.bvh"][0])
 
 
-def test_an_edit_is_undone(bench: RunnerBench, done: JobRecord) -> None:
+def test_edit_is_undone(bench: RunnerBench, done: JobRecord) -> None:
     job = done
     for edits in ((FIRST,), (FIRST, NOBODY), (FIRST,), ()):
         edit(bench, job, *edits)
@@ -126,7 +126,7 @@ def test_edits_of_another_revision_are_refused(bench: RunnerBench, done: JobReco
         edit(bench, done, NOBODY)
 
 
-def test_the_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> None:
+def test_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> None:
     queued = edit(bench, done, FIRST)
     newest = edit(bench, queued, FIRST, NOBODY)
     bench.runner().work(60.0)
@@ -228,7 +228,7 @@ def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecor
     assert store.jobs.get(again.id).state is JobState.QUEUED
 
 
-def test_warnings_of_the_last_revision_stay_until_the_next_succeeds(bench: RunnerBench) -> None:
+def test_warnings_of_last_revision_stay_until_next_succeeds(bench: RunnerBench) -> None:
     export, doubt = bench.stages[EXPORT], Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
@@ -246,7 +246,7 @@ def test_people_must_have_been_found(bench: RunnerBench) -> None:
 
 
 @pytest.mark.slow
-def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
+def test_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     canceled = bench.store.jobs.cancel(done.id)
     assert canceled.state is JobState.CANCELED
@@ -255,7 +255,7 @@ def test_a_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) 
     assert bench.result(done.id) == RESULT
 
 
-def test_another_version_computes_what_differs(bench: RunnerBench, done: JobRecord) -> None:
+def test_another_version_computes_the_differing_stages(bench: RunnerBench, done: JobRecord) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
     old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, edits=(FIRST,))}
     queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})

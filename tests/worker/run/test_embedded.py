@@ -30,7 +30,7 @@ def answering(directory: embedded.DataDirectory) -> Iterator[WorkQueue]:
             process.terminate()
 
 
-def test_a_folder_is_taken_once(tmp_path: Path) -> None:
+def test_folder_is_taken_once(tmp_path: Path) -> None:
     refused = pytest.raises(embedded.DataFolderError, match="Another service runs")
     with embedded.lock(tmp_path), refused, embedded.lock(tmp_path):
         pass
@@ -38,7 +38,7 @@ def test_a_folder_is_taken_once(tmp_path: Path) -> None:
         pass
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(embedded.DataFolderError, match="can't be used"), embedded.lock(tmp_path / "file" / "data"):
         pass
@@ -63,20 +63,20 @@ def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path)
     assert not old.exists()
 
 
-def test_the_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
+def test_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
     with embedded.lock(tmp_path / ("x" * 100)) as directory:
         assert len(str(directory.socket)) <= 100
         assert directory.socket.parent.stat().st_mode & 0o077 == 0
     assert not directory.socket.parent.exists()
 
 
-def test_the_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
+def test_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
     with embedded.lock(tmp_path / "ä b#c%41?") as directory, answering(directory) as queue:
         assert queue.publish()
         assert directory.socket.stat().st_mode & 0o077 == 0
 
 
-def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
+def test_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 16) as disk, embedded.lock(disk / "data"):
         DiskSpace(disk / "data").set_aside()
         fill(disk / "filler")
@@ -85,7 +85,7 @@ def test_a_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path)
         assert (disk / "data" / "reserve").exists()
 
 
-def test_folders_of_others_that_were_named_by_mistake_stay_as_they_are(tmp_path: Path) -> None:
+def test_folder_named_by_mistake_stays_as_it_is(tmp_path: Path) -> None:
     for folder, content in ((tmp_path / "others", "film.mp4"), (tmp_path / "old", "multicap.db")):
         folder.mkdir()
         folder.chmod(0o755)

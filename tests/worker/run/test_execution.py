@@ -113,9 +113,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_complete", [True, False])
-def test_compiled_kernels_of_the_default_joints_alone_are_loaded_at_start(
-    is_complete: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_start_loads_kernels_of_the_default_joints_alone(is_complete: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[JointSet] = []
     monkeypatch.setattr(execution, "open_detection", lambda *_: None)
     monkeypatch.setattr(execution, "is_complete", lambda: is_complete)
@@ -126,13 +124,13 @@ def test_compiled_kernels_of_the_default_joints_alone_are_loaded_at_start(
     assert round_up(len(BODY_FEET.names)) in {round_up(len(without_hands(joints).names)) for joints in JOINT_SETS}
 
 
-def test_a_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+def test_whole_video_is_worked_on(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     outcome = execution.run_chunk(work(session, artifacts, tmp_path))
     assert decode(Detections, outcome.content).camera == "left"
 
 
 @pytest.mark.slow
-def test_a_video_that_is_damaged_between_chunks_is_noticed(
+def test_video_that_is_damaged_between_chunks_is_noticed(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path
 ) -> None:
     execution.run_chunk(work(session, artifacts, tmp_path))
@@ -145,7 +143,7 @@ def test_a_video_that_is_damaged_between_chunks_is_noticed(
 
 
 @pytest.mark.parametrize("damage", slow_but([flip], [flip, Path.unlink]))
-def test_a_video_that_is_damaged_while_it_is_decoded_leaves_no_output(
+def test_video_damaged_while_decoded_leaves_no_output(
     session: Session, artifacts: LocalArtifacts, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
     damages = iter([damage])
@@ -159,7 +157,7 @@ def test_a_video_that_is_damaged_while_it_is_decoded_leaves_no_output(
     assert [problem.code for problem in refused.value.problems] == ["input_damaged"]
 
 
-def test_an_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+def test_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     def stop() -> None:
         raise StoppedError
 
@@ -168,14 +166,12 @@ def test_an_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArt
 
 
 @pytest.mark.slow
-def test_a_record_without_a_digest_is_read_as_before(
-    session: Session, artifacts: LocalArtifacts, tmp_path: Path
-) -> None:
+def test_record_without_a_digest_is_read_as_before(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     old = Session(session.id, session.name, session.created_at, session.files, session.preflight)
     assert execution.run_chunk(work(old, artifacts, tmp_path)).content
 
 
-def test_a_proxy_is_a_result_file_of_its_camera(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+def test_proxy_is_a_result_file_of_its_camera(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     frames: list[None] = []
     chunk = work(session, artifacts, tmp_path, lambda: frames.append(None))
     claim = replace(chunk.claim, stage="make_proxy", payload={**chunk.claim.payload, "camera": "right"})

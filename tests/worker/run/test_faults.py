@@ -153,7 +153,7 @@ def service(shared: SmallStageService) -> SmallStageService:
     return shared
 
 
-def test_a_job_runs_on_both_children(service: SmallStageService) -> None:
+def test_job_runs_on_both_children(service: SmallStageService) -> None:
     job = service.wait_for_end(service.start_job())
     assert job.state is JobState.SUCCEEDED
     assert service.bench.result(job.id) == RESULT
@@ -167,12 +167,12 @@ def test_a_job_runs_on_both_children(service: SmallStageService) -> None:
     assert done == set(chunks)
 
 
-def test_a_lost_message_is_made_good(service: SmallStageService) -> None:
+def test_lost_message_is_made_good(service: SmallStageService) -> None:
     job = service.bench.create_job()  # no message is published
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_a_message_lost_with_the_broker_is_made_good(service: SmallStageService) -> None:
+def test_message_lost_with_the_broker_is_made_good(service: SmallStageService) -> None:
     worker = service.part("--worker")
     worker.suspend()  # so that it can't take the message
     job = service.start_job()
@@ -184,7 +184,7 @@ def test_a_message_lost_with_the_broker_is_made_good(service: SmallStageService)
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_a_killed_child_costs_nothing_but_time(service: SmallStageService) -> None:
+def test_killed_child_costs_nothing_but_time(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     before = service.worker_children()
@@ -207,7 +207,7 @@ def sockets(process: psutil.Process) -> set[str]:
     return {name for name in opened if name.startswith("socket:")}
 
 
-def test_an_idle_worker_does_the_work_of_a_paused_one_long_before_its_lease_ends(data_dir: Path) -> None:
+def test_idle_worker_does_the_work_of_a_paused_worker_early(data_dir: Path) -> None:
     with running_service(data_dir, lease_s=3600.0) as service:
         job = service.start_job()
         # The other worker does the third of four chunks, so that there are three to compare the paused one with.
@@ -228,7 +228,7 @@ def test_an_idle_worker_does_the_work_of_a_paused_one_long_before_its_lease_ends
         assert service.bench.result(job.id) == RESULT
 
 
-def test_a_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallStageService) -> None:
+def test_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallStageService) -> None:
     gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
     codes = tuple(sorted(stage_codes(gpu.identity).values()))
     ready = WorkerStatus("gpu:1", WorkerState.READY, "A worker works", codes=codes, provider=gpu)
@@ -242,7 +242,7 @@ def test_a_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallSt
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: SmallStageService) -> None:
+def test_killed_worker_is_replaced_and_its_children_are_gone(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     worker = service.part("--worker")
@@ -253,7 +253,7 @@ def test_a_killed_worker_is_replaced_and_its_children_are_gone(service: SmallSta
     assert service.bench.result(job.id) == RESULT
 
 
-def test_a_killed_broker_is_replaced(service: SmallStageService) -> None:
+def test_killed_broker_is_replaced(service: SmallStageService) -> None:
     job = service.start_job()
     service.wait_until_detecting(job)
     service.part("valkey-server").kill()
@@ -270,7 +270,7 @@ def test_cancel_ends_within_seconds(service: SmallStageService) -> None:
     assert service.wait_for_end(job).state is JobState.CANCELED
 
 
-def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> None:
+def test_stop_gives_chunks_back_and_the_next_start_continues(data_dir: Path) -> None:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
         running = SmallStageService(process, data_dir, bench)
@@ -289,7 +289,7 @@ def test_a_stop_gives_chunks_back_and_the_next_start_goes_on(data_dir: Path) -> 
     bench.store.close()
 
 
-def test_a_killed_supervisor_leaves_no_orphan(data_dir: Path) -> None:
+def test_killed_supervisor_leaves_no_orphan(data_dir: Path) -> None:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
         running = SmallStageService(process, data_dir, bench)

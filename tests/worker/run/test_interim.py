@@ -64,7 +64,7 @@ def left(bench: RunnerBench) -> list[Path]:
     return [path for path in bench.data_dir.rglob("*") if path.is_file() and b"colours of" in path.read_bytes()]
 
 
-def test_they_reach_the_next_stage_and_go_when_the_job_has_ended(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_reach_the_next_stage_until_the_end(bench: RunnerBench, stages: Stages) -> None:
     job = run(bench)
     assert bench.result(job.id) == RESULT
     assert (stages.detected, stages.measured, len(stages.passed)) == ([0, 1, 2, 3], [], 1)
@@ -73,7 +73,7 @@ def test_they_reach_the_next_stage_and_go_when_the_job_has_ended(bench: RunnerBe
     assert left(bench) == []
 
 
-def test_a_job_that_needs_no_association_needs_none(bench: RunnerBench, stages: Stages) -> None:
+def test_job_that_needs_no_association_needs_none(bench: RunnerBench, stages: Stages) -> None:
     run(bench)
     remove_files(bench.store.removals, bench.artifacts)
     stages.forget()
@@ -84,7 +84,7 @@ def test_a_job_that_needs_no_association_needs_none(bench: RunnerBench, stages: 
 
 
 @pytest.mark.parametrize("is_removed", slow_but([True], [True, False]))
-def test_another_association_makes_them_again_from_the_detections(
+def test_another_association_makes_them_again_from_detections(
     bench: RunnerBench, stages: Stages, is_removed: bool
 ) -> None:
     run(bench)
@@ -114,7 +114,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", slow_but([flip], [flip, Path.unlink]))
-def test_a_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: Callable[[Path], None]) -> None:
+def test_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: Callable[[Path], None]) -> None:
     damages = iter([damage])
 
     def damaging(work: Work) -> Output:
@@ -131,7 +131,7 @@ def test_a_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage:
 
 
 @pytest.mark.slow
-def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_of_a_failed_job_are_made_again(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
 
@@ -151,7 +151,7 @@ def test_those_of_a_failed_job_go_and_a_retry_makes_them_again(bench: RunnerBenc
 
 
 @pytest.mark.slow
-def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: RunnerBench, stages: Stages) -> None:
+def test_removal_that_is_late_takes_nothing_from_next_attempt(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
 
@@ -170,7 +170,7 @@ def test_a_removal_that_is_late_takes_nothing_from_the_next_attempt(bench: Runne
 
 
 @pytest.mark.slow
-def test_those_of_a_canceled_job_go(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_of_a_canceled_job_are_removed(bench: RunnerBench, stages: Stages) -> None:
     def canceling(work: Work) -> Output:
         bench.store.jobs.cancel(work.claim.job_id)
         raise StoppedError
@@ -183,7 +183,7 @@ def test_those_of_a_canceled_job_go(bench: RunnerBench, stages: Stages) -> None:
     assert left(bench) == []
 
 
-def test_a_backup_holds_none(bench: RunnerBench, stages: Stages, tmp_path: Path) -> None:
+def test_backup_holds_none(bench: RunnerBench, stages: Stages, tmp_path: Path) -> None:
     archive = tmp_path / "there" / "backup.tar"
     archive.parent.mkdir()
 

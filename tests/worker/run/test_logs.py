@@ -58,7 +58,7 @@ def test_less_severe_events_are_left_out(level: str, first: str) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_log_that_cannot_be_written_stops_nobody() -> None:
+def test_log_that_cannot_be_written_stops_no_work() -> None:
     with Path("/dev/full").open("w") as full:
         said = speak("info", full)
     assert said.stdout == "done\n"

@@ -60,7 +60,7 @@ def tries_of(bench: RunnerBench, job: JobRecord) -> int:
 
 
 @pytest.mark.parametrize("mode", ["unavailable", "slow_down", "hang", "reset", "refuse"])
-def test_a_store_that_does_not_respond_makes_the_job_wait_and_costs_no_try(
+def test_silent_store_makes_the_job_wait_and_costs_no_try(
     on_s3: RunnerBench, proxy: UnreliableProxy, mode: Mode
 ) -> None:
     job = on_s3.create_job()
@@ -89,7 +89,7 @@ def test_a_store_that_does_not_respond_makes_the_job_wait_and_costs_no_try(
     assert ("chunks_retried", DETECT) not in on_s3.store.figures().totals
 
 
-def test_a_waiting_job_can_be_canceled(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
+def test_waiting_job_can_be_canceled(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
     job = on_s3.create_job()
     proxy.set("unavailable")
     thread = begin_work(on_s3)
@@ -102,7 +102,7 @@ def test_a_waiting_job_can_be_canceled(on_s3: RunnerBench, proxy: UnreliableProx
     assert not thread.is_alive()
 
 
-def test_a_store_that_refuses_is_no_outage(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
+def test_store_that_refuses_is_no_outage(on_s3: RunnerBench, proxy: UnreliableProxy) -> None:
     job = on_s3.create_job()
     proxy.set("forbidden")
     on_s3.runner().work(600.0)
@@ -113,7 +113,7 @@ def test_a_store_that_refuses_is_no_outage(on_s3: RunnerBench, proxy: Unreliable
     assert tries_of(on_s3, job) == MAX_ATTEMPTS
 
 
-def test_a_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: RunnerBench) -> None:
+def test_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: RunnerBench) -> None:
     job = on_s3.create_job()
     on_s3.artifacts = open_artifacts("s3://no-such-bucket/prefix", on_s3.data_dir)  # type: ignore[assignment]
     on_s3.runner().work(600.0)
@@ -122,7 +122,7 @@ def test_a_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: RunnerBench)
     assert (failed.state, failed.problem.code) == (JobState.FAILED, "artifacts_refused")
 
 
-def test_a_missing_object_is_computed_again(on_s3: RunnerBench) -> None:
+def test_missing_object_is_computed_again(on_s3: RunnerBench) -> None:
     def lose_an_output(work: Work) -> Output:
         (output, *_) = on_s3.store.outputs.of_stage(work.claim.job_id, DETECT)
         if not lost:
@@ -159,9 +159,7 @@ class CutOff:
         return begin
 
 
-def test_a_database_outage_does_not_stop_the_work_and_its_result_is_recorded(
-    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_database_outage_does_not_stop_the_work(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
     others = JobStore(f"sqlite:///{bench.data_dir / 'multicap.db'}")
     outage = CutOff(bench.store, monkeypatch)
     runs: list[int] = []
@@ -184,7 +182,7 @@ def test_a_database_outage_does_not_stop_the_work_and_its_result_is_recorded(
     others.close()
 
 
-def test_a_worker_that_was_cut_off_but_not_lost_uses_up_no_try(
+def test_worker_that_was_cut_off_but_not_lost_uses_up_no_try(
     bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     others = JobStore(f"sqlite:///{bench.data_dir / 'multicap.db'}")
@@ -210,9 +208,7 @@ def test_a_worker_that_was_cut_off_but_not_lost_uses_up_no_try(
     others.close()
 
 
-def test_after_an_outage_of_the_database_the_reaper_lets_workers_renew_their_leases(
-    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reaper_after_an_outage_lets_workers_renew_leases(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
     outage = CutOff(bench.store, monkeypatch)
     job = bench.create_job()
     assert bench.store.leases.claim("cut-off", 0.05) is not None
@@ -225,7 +221,7 @@ def test_after_an_outage_of_the_database_the_reaper_lets_workers_renew_their_lea
     wait_for(lambda: reaper.reap() or tries_of(bench, job) == 1, timeout_s=120)  # type: ignore[func-returns-value]
 
 
-def test_a_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> None:
+def test_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> None:
     job = bench.create_job()
     responds = False
     reaper = Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), lambda: responds, lease_s=20.0)
@@ -239,7 +235,7 @@ def test_a_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> Non
     assert bench.store.jobs.get(job.id).state not in FINISHED
 
 
-def test_every_change_of_what_a_job_waits_for_is_an_event(bench: RunnerBench) -> None:
+def test_every_change_of_a_wait_is_an_event(bench: RunnerBench) -> None:
     job = bench.create_job()
     before = bench.store.jobs.changes([job.id])[job.id]
     claim = bench.store.leases.claim("worker", 20.0)

@@ -94,7 +94,7 @@ def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int
     assert all(chunk.unit_count >= 1 for chunk in chunks)
 
 
-def test_the_stages_and_their_sizes() -> None:
+def test_stages_and_their_sizes() -> None:
     stages = plan_job(make_session(60, chunk_frames=25), JobSpec())
     assert [(stage.name, len(list(stage.chunks))) for stage in stages] == [
         (LOOK, 2),
@@ -126,7 +126,7 @@ def test_following_counts_where_joints_are_read_in_crops(choice: dict[str, Any])
     assert keys(session, JobSpec(**choice, follow_s=0.1)) == keys(session, JobSpec(**choice, follow_s=0.0))
 
 
-def test_a_cutoff_counts_where_it_is_used() -> None:
+def test_cutoff_counts_where_it_is_used() -> None:
     session = make_session()
     assert keys(session, JobSpec(cutoff_hz=3.0)) == keys(session)
     low, high = (keys(session, JobSpec(smoothing="butterworth", cutoff_hz=hz)) for hz in (3.0, 6.0))
@@ -170,7 +170,7 @@ def test_fields_are_another_output_than_bodies() -> None:
     assert keys(session)[DETECT] == keys(session, JobSpec(method="clustering"))[DETECT]
 
 
-def test_cameras_that_people_calibrate_are_looked_at_without_their_poses() -> None:
+def test_cameras_to_be_calibrated_are_compared_without_poses() -> None:
     given, calibrated, drawn = (
         [chunk.output_key for chunk in plan_job(make_session(), JobSpec(), making=making)[0].chunks]
         for making in (None, CalibrationChoices(None), VisualChoices())
@@ -223,7 +223,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )
-def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str, Any], changed: set[str]) -> None:
+def test_choice_changes_the_keys_of_its_stage_and_later_ones(choice: dict[str, Any], changed: set[str]) -> None:
     ours, other = keys(make_session()), keys(make_session(), JobSpec(**choice))
     assert {name for name in ours if ours[name] != other.get(name)} == changed
 
@@ -232,13 +232,13 @@ def test_a_choice_changes_the_keys_of_its_stage_and_those_after(choice: dict[str
     ("stage", "changed"),
     [(LOOK, set(VIDEO_STAGES)), (DETECT, set(VIDEO_STAGES) - {LOOK}), (FIT, {FIT, HOLD, EXPORT}), (EXPORT, {EXPORT})],
 )
-def test_new_code_changes_the_keys_of_its_stage_and_those_after(stage: str, changed: set[str]) -> None:
+def test_new_code_changes_the_keys_of_its_stage_and_later_ones(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
     after = keys(make_session(), codes={**stage_codes(), stage: "other"})
     assert {name for name in before if before[name] != after[name]} == changed
 
 
-def test_a_choice_that_no_stage_names_counts_for_all() -> None:
+def test_choice_that_no_stage_names_counts_for_all() -> None:
     @dataclass(frozen=True)
     class NewConfig(ReconstructionConfig):
         new_choice: int = 1
@@ -269,7 +269,7 @@ def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
-def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
+def test_detectors_with_fields_are_in_the_registry() -> None:
     for name in NETWORKS:
         entry = REGISTRY[name]
         spec = JobSpec.model_validate({"method": "clustering", "detector": name})
@@ -279,7 +279,7 @@ def test_the_detectors_with_fields_are_those_of_the_registry() -> None:
         assert not method_warnings(JobSpec.model_validate({"detector": name}).config, has_videos=False)
 
 
-def test_what_was_said_of_the_videos_is_an_input() -> None:
+def test_statements_about_videos_are_an_input() -> None:
     def said(offset_s: float, std_s: float | None = None) -> Session:
         plain = make_session()
         recordings = (PreflightRecording("0", offset_s=offset_s, offset_std_s=std_s),)
@@ -319,14 +319,14 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     assert [frame for one in ranges for frame in range(*one)] == list(range(start, stop))
 
 
-def test_a_part_of_a_session_takes_what_was_found_in_all_of_it() -> None:
+def test_part_of_a_session_reuses_outputs_of_the_whole() -> None:
     whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
     assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
     assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
     assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
-def test_how_many_people_are_wanted_counts_from_the_global_pass_on() -> None:
+def test_how_many_people_are_wanted_counts_from_global_pass_on() -> None:
     everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
     assert {name for name in two if two[name] != everybody[name]} == FROM_PLACES
 
@@ -360,7 +360,7 @@ def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
     assert ranges_of(detect) == [(5000, 5100)]
 
 
-def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
+def test_longest_session_has_a_bounded_number_of_chunks() -> None:
     session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
     _, detect, *_ = plan_job(replace(session, chunk_frames=1), JobSpec())
     assert sum(1 for _ in detect.chunks) <= MAX_TASKS
@@ -368,7 +368,7 @@ def test_the_longest_session_has_a_bounded_number_of_chunks() -> None:
     assert ranges_of(part)[:-1] == ranges_of(detect)[: len(ranges_of(part)) - 1]  # jobs of a session cut alike
 
 
-def test_a_plan_takes_no_memory() -> None:
+def test_plan_takes_no_memory() -> None:
     session = make_session(MAX_OUTPUT_FRAMES)
     tracemalloc.start()
     try:
@@ -407,7 +407,7 @@ def test_overlays_are_drawn_of_each_camera_if_asked_for() -> None:
     assert recorded.keys() - plain.keys() == {RECORD}
 
 
-def test_blurred_heads_change_no_key_but_those_of_pictures() -> None:
+def test_blurred_heads_change_keys_of_pictures_alone() -> None:
     session = make_session(100, (50.0, 25.0))
     plain = keys(session, JobSpec(report=True, overlay=True))
     blurred = keys(session, JobSpec(report=True, overlay=True, blur_faces=True))
@@ -421,7 +421,7 @@ def test_blurred_heads_change_no_key_but_those_of_pictures() -> None:
     assert not {HEADS, BLUR} & {planned.name for planned in plan_job(keypoints, JobSpec(blur_faces=True))}
 
 
-def test_stages_with_networks_alone_depend_on_the_execution_provider() -> None:
+def test_stages_with_networks_alone_depend_on_execution_provider() -> None:
     """No output of another provider is taken, and no worker with another one runs the chunks."""
     on_cpu, on_gpu = (plan_job(make_session(), JobSpec(), provider=provider) for provider in ("", "cuda 1.31.1"))
     with_networks = {stage.name for stage in STAGES if stage.runs_networks}

@@ -20,7 +20,7 @@ from worker.store.worker_status import WorkerState, WorkerStatus
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 
 
-def test_a_change_is_told_at_once_and_the_end_too(bench: RunnerBench) -> None:
+def test_change_is_told_at_once_and_the_end_too(bench: RunnerBench) -> None:
     now: list[WorkerStatus | None] = [STARTING]
     presence = Presence(bench.store.workers, lambda: now[0])
     presence.start()
@@ -45,7 +45,7 @@ def test_stopping_takes_the_process_off_the_list(bench: RunnerBench) -> None:
 
 
 @pytest.mark.slow
-def test_a_database_that_is_away_is_told_as_soon_as_it_is_back(bench: RunnerBench) -> None:
+def test_database_that_is_away_is_told_as_soon_as_it_is_back(bench: RunnerBench) -> None:
     class UnreachableWorkers:
         tries = 0
 
@@ -92,7 +92,7 @@ def temporary_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_folder_is_gone_after_its_block(temporary_dir: Path) -> None:
+def test_folder_is_gone_after_its_block(temporary_dir: Path) -> None:
     with scratch_folder() as folder:
         (folder / "person-1.bvh").write_bytes(b"HIERARCHY")
         assert folder.parent == temporary_dir

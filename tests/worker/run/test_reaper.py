@@ -76,7 +76,7 @@ def test_several_reapers_free_a_lease_once(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_the_reaper_survives_an_unreachable_database(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_reaper_survives_an_unreachable_database(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
     Reaper(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     store.close()
@@ -151,7 +151,7 @@ def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: RunnerBe
         bench.store.sessions.add("take", [], bench.session.preflight, arriving)
 
 
-def test_the_tables_may_be_made_later(tmp_path: Path) -> None:
+def test_tables_may_be_made_later(tmp_path: Path) -> None:
     environment = os.environ | {"MULTICAP_DATA_DIR": str(tmp_path), "MULTICAP_REAP_INTERVAL_S": "0.05"}
     command = tied_to_parent([sys.executable, "-P", "-m", "worker.run.reaper"])
     log = tmp_path / "log"

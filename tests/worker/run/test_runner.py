@@ -62,7 +62,7 @@ def begin_endless_job(bench: RunnerBench, **choices: Any) -> tuple[JobRecord, th
     return job, thread
 
 
-def test_a_job_runs_to_its_results(bench: RunnerBench) -> None:
+def test_job_runs_to_its_results(bench: RunnerBench) -> None:
     job = bench.create_job()
     assert bench.runner().work(60.0) == 1 + 4 + 2 + 1 + 4 + 1 + 4 + 4
     job = bench.store.jobs.get(job.id)
@@ -93,7 +93,7 @@ def test_without_work_nothing_is_published(bench: RunnerBench) -> None:
     assert bench.published == 0
 
 
-def test_a_worker_that_finds_work_wakes_the_next(bench: RunnerBench) -> None:
+def test_worker_that_finds_work_wakes_the_next(bench: RunnerBench) -> None:
     published_before_the_first = []
 
     def first(work: Work) -> Output:
@@ -178,7 +178,7 @@ def test_progress_is_reported_while_it_runs(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).stages[1].total == NUM_FRAMES
 
 
-def test_a_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: RunnerBench) -> None:
+def test_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench, lease_s=0.3, heartbeat_s=1.5)
     bench.stages[DETECT] = detect
     time.sleep(0.5)
@@ -201,7 +201,7 @@ def test_shutdown_gives_the_chunk_back(bench: RunnerBench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_a_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
+def test_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
     begun, hang = threading.Event(), threading.Event()
 
     def hanging(work: Work) -> Output:
@@ -231,7 +231,7 @@ def limit_to(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunk, "_UNIT_S", 0.0)
 
 
-def test_a_chunk_that_renews_its_lease_without_progress_is_stopped_twice_and_fails_its_job(
+def test_chunk_without_progress_is_stopped_twice_and_fails(
     bench: RunnerBench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def hanging(work: Work) -> Output:
@@ -252,9 +252,7 @@ def test_a_chunk_that_renews_its_lease_without_progress_is_stopped_twice_and_fai
     assert "in hanging" in capfd.readouterr().out  # the place where it hung
 
 
-def test_a_chunk_that_hangs_in_one_call_loses_its_try_before_its_process_ends(
-    bench: RunnerBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunk_hanging_in_one_call_loses_its_try_first(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
     hang = threading.Event()
 
     def hanging(work: Work) -> Output:
@@ -275,13 +273,13 @@ def test_a_chunk_that_hangs_in_one_call_loses_its_try_before_its_process_ends(
     assert [failure.problem.code for failure in attempt.failures] == ["time_limit"]
 
 
-def test_the_time_limit_grows_with_the_units_of_a_chunk() -> None:
+def test_time_limit_grows_with_the_units_of_a_chunk() -> None:
     assert chunk.time_limit_s(10_000, 10.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(9_000.0)
     assert chunk.time_limit_s(1_000, 20.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(1_000.0)
     assert chunk.time_limit_s(1, 10.0) > 300.0
 
 
-def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:
+def test_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:
     job = bench.create_job()
     claim = bench.store.leases.claim("a", 0.1)
     assert claim is not None
@@ -294,7 +292,7 @@ def test_a_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_p
 
 
 @pytest.mark.parametrize(("is_for_all", "passed_on"), [(True, 1), (False, 0)])
-def test_a_message_for_work_of_others_is_passed_on_once(bench: RunnerBench, is_for_all: bool, passed_on: int) -> None:
+def test_message_for_work_of_others_is_passed_on_once(bench: RunnerBench, is_for_all: bool, passed_on: int) -> None:
     gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
     bench.store.workers.report(WorkerStatus("gpu:1", WorkerState.READY, "A worker works", provider=gpu))
     plan = plan_job(bench.session, JobSpec(), provider=gpu.identity)
@@ -303,7 +301,7 @@ def test_a_message_for_work_of_others_is_passed_on_once(bench: RunnerBench, is_f
     assert (bench.passed_on, bench.published) == (passed_on, 0)
 
 
-def test_a_message_without_work_is_not_passed_on(bench: RunnerBench) -> None:
+def test_message_without_work_is_not_passed_on(bench: RunnerBench) -> None:
     bench.store.workers.report(
         WorkerStatus("gpu:1", WorkerState.READY, "A worker works", provider=Provider("cuda", "1.31.1"))
     )

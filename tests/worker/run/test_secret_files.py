@@ -55,7 +55,7 @@ def test_all_problems_are_named_at_once_without_secrets(monkeypatch: pytest.Monk
     ]
 
 
-def test_a_refused_value_of_a_file_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_refused_value_of_a_file_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     write(monkeypatch, tmp_path / "url", "MULTICAP_ARTIFACTS_URL", "geheim://bucket")
     assert refusals() == [
         f"error: MULTICAP_ARTIFACTS_URL_FILE={tmp_path / 'url'}: the file must hold a text such as s3://bucket/prefix."

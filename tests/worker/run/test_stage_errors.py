@@ -51,9 +51,7 @@ def test_several_problems_are_all_told(bench: RunnerBench) -> None:
         ),
     ],
 )
-def test_an_error_that_is_not_the_inputs_says_what_to_do_and_the_job_can_be_retried(
-    bench: RunnerBench, error: Exception, code: str
-) -> None:
+def test_error_of_the_service_gives_advice_and_allows_a_retry(bench: RunnerBench, error: Exception, code: str) -> None:
     bench.stages[DETECT] = fail_with(error)
     job = bench.create_job()
     bench.runner().work(60.0)
@@ -101,7 +99,7 @@ def test_one_bad_moment_costs_nothing(bench: RunnerBench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: RunnerBench) -> None:
+def test_warnings_of_the_last_stage_are_in_job_and_webhook(bench: RunnerBench) -> None:
     warning = Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")
@@ -112,7 +110,7 @@ def test_what_the_last_stage_warns_of_is_in_the_job_and_in_its_webhook(bench: Ru
     assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]
 
 
-def test_a_chunk_beyond_the_memory_limit_ends_its_job_with_the_reason(bench: RunnerBench) -> None:
+def test_chunk_beyond_memory_limit_ends_its_job_with_reason(bench: RunnerBench) -> None:
     bench.stages[DETECT] = fail_with(MemoryError("Unable to allocate 9.74 GiB"))
     job = bench.create_job()
     bench.runner().work(60.0)

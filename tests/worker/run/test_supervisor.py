@@ -43,7 +43,7 @@ def run_until(condition: Callable[[], bool], supervisor: Supervisor, timeout_s: 
     assert held == [True], "nothing happened in time"
 
 
-def test_a_crashed_program_starts_again_later_each_time_and_it_is_said(tmp_path: Path) -> None:
+def test_crashed_program_starts_later_each_time_with_a_warning(tmp_path: Path) -> None:
     starts = tmp_path / "starts"
     crashing = program("worker", f"open({str(starts)!r}, 'a').write('x'); import os; os.kill(os.getpid(), 9)")
     said: list[str] = []
@@ -55,7 +55,7 @@ def test_a_crashed_program_starts_again_later_each_time_and_it_is_said(tmp_path:
     assert starts.read_text() == "xxx"
 
 
-def test_programs_stop_at_once_but_for_what_the_others_need(tmp_path: Path) -> None:
+def test_programs_stop_at_once_but_the_needed_ones(tmp_path: Path) -> None:
     code = """
         import pathlib, signal, sys, time
         folder = pathlib.Path({folder!r})
@@ -80,7 +80,7 @@ def test_programs_stop_at_once_but_for_what_the_others_need(tmp_path: Path) -> N
     assert said == []
 
 
-def test_a_program_that_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
+def test_program_that_does_not_stop_is_killed_with_its_children(tmp_path: Path) -> None:
     stubborn = program(
         "worker",
         f"""
@@ -148,7 +148,7 @@ def write(log: LogFile, content: bytes) -> None:
     log.close()
 
 
-def test_a_line_that_is_no_json_becomes_the_event_of_one(tmp_path: Path) -> None:
+def test_line_that_is_no_json_becomes_the_event_of_one(tmp_path: Path) -> None:
     path = tmp_path / "logs" / "worker.log"
     write(LogFile(path), b'{"event": "chunk_done"}\n\nworker: Warm shutdown\n\xff{\n')
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -169,7 +169,7 @@ def test_parts_are_rotated_while_the_program_writes(tmp_path: Path) -> None:
     assert len(kept) > 40
 
 
-def test_lines_are_lost_while_the_disk_is_full_and_written_again_afterwards(tmp_path: Path) -> None:
+def test_lines_are_lost_only_while_the_disk_is_full(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 1) as disk:
         filler = disk / "filler"
         filler.write_bytes(bytes(2**20 - 64 * 2**10))
@@ -182,7 +182,7 @@ def test_lines_are_lost_while_the_disk_is_full_and_written_again_afterwards(tmp_
         assert len(events) < 10_000
 
 
-def test_a_log_that_somebody_removed_begins_anew(tmp_path: Path) -> None:
+def test_removed_log_is_created_again(tmp_path: Path) -> None:
     path = tmp_path / "logs" / "api.log"
     log = LogFile(path)
     reading, writing = os.pipe()

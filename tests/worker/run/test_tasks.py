@@ -28,7 +28,7 @@ print("not reached", flush=True)
 """
 
 
-def test_a_chunk_that_keeps_the_lock_ends_its_process_and_says_where() -> None:
+def test_chunk_that_keeps_lock_ends_its_process_and_says_where() -> None:
     ended = subprocess.run([sys.executable, "-P", "-c", PROGRAM], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (1, "done\n")
     assert "in hanging" in ended.stderr
@@ -46,7 +46,7 @@ GIB = 2**30
         ({"jobs": f"{3 * GIB}", "jobs/worker": f"{4 * GIB}"}, 3 * GIB),
     ],
 )
-def test_the_least_limit_of_all_groups_holds(tmp_path: Path, limits: dict[str, str], expected: int | None) -> None:
+def test_least_limit_of_all_groups_holds(tmp_path: Path, limits: dict[str, str], expected: int | None) -> None:
     groups, process_group = tmp_path / "cgroup", tmp_path / "process_group"
     (groups / "jobs" / "worker").mkdir(parents=True)
     for name, limit in limits.items():

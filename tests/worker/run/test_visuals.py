@@ -102,7 +102,7 @@ def test_edits_do_not_wait_for_visuals(bench: RunnerBench, done: JobRecord, run:
         make_visuals(bench, done.id)
 
 
-def test_visuals_of_all_edits_undone_are_those_of_none(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
+def test_visuals_of_undone_edits_equal_the_unedited_ones(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     edited(bench, done.id, FIRST)
     run.clear()
     edited(bench, done.id)
@@ -114,7 +114,7 @@ def test_visuals_of_all_edits_undone_are_those_of_none(bench: RunnerBench, done:
 
 
 @pytest.mark.parametrize("stage", [OVERLAY, REPORT])
-def test_a_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
+def test_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """What it is about to write is not listed, and its files are removed."""
     edited(bench, done.id, FIRST)
     visuals, function = make_visuals(bench, done.id), bench.stages[stage]
@@ -142,7 +142,7 @@ def test_a_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage
     assert bench.result(done.id, VIDEO) == b"video of " + shown(SECOND)
 
 
-def test_a_recording_follows_edits_as_the_report_does(bench: RunnerBench, run: list[str]) -> None:
+def test_recording_follows_edits_as_the_report_does(bench: RunnerBench, run: list[str]) -> None:
     job = bench.create_job(spec=JobSpec(exports=("bvh", "rerun")))
     bench.runner().work(60.0)
     assert listed(bench, job.id) == {"person-1.bvh": 0, "take.rrd": 0}
@@ -181,7 +181,7 @@ def test_damaged_outputs_are_computed_again(bench: RunnerBench, done: JobRecord,
     assert bench.result(done.id, VIDEO) == b"video of " + shown(FIRST)
 
 
-def test_a_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done: JobRecord) -> None:
+def test_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done: JobRecord) -> None:
     def broken(_: Work) -> Output:
         raise ValueError
 
@@ -204,7 +204,7 @@ def test_a_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done
     assert bench.result(done.id, VIDEO) == b"video of " + shown(FIRST)
 
 
-def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> None:
+def test_unneeded_visuals_are_refused(bench: RunnerBench, done: JobRecord) -> None:
     with pytest.raises(Conflict, match="nothing to show"):
         make_visuals(bench, done.id)
     edit(bench, done.id, FIRST)
@@ -221,7 +221,7 @@ def test_they_are_refused_without_need(bench: RunnerBench, done: JobRecord) -> N
         make_visuals(bench, plain.id)
 
 
-def test_the_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord) -> None:
+def test_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord) -> None:
     def reaped(rest_s: float) -> list[JobRecord]:
         disk = DiskSpace(bench.data_dir, 0)
         Reaper(bench.store, bench.artifacts, disk, lambda: True, 20.0, rest_s).reap()
@@ -241,7 +241,7 @@ def test_the_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRec
     assert [job.id for job in reaped(1e-9)] == [queued.id]
 
 
-def test_they_go_with_their_job_and_count_as_proxies_do(bench: RunnerBench, done: JobRecord) -> None:
+def test_visuals_are_removed_with_their_job_and_count(bench: RunnerBench, done: JobRecord) -> None:
     edited(bench, done.id, FIRST)
     make_visuals(bench, done.id)
     usage = bench.store.of("default").usage()

@@ -91,7 +91,7 @@ def test_from_sqlite_to_postgresql_and_back(postgres_url_empty: str, second_post
             assert {job.state for job in there.store.jobs.page()} == {JobState.SUCCEEDED}
 
 
-def test_a_database_that_is_not_empty_is_refused_and_stays(postgres_url_empty: str, tmp_path: Path) -> None:
+def test_database_that_is_not_empty_is_refused_and_stays(postgres_url_empty: str, tmp_path: Path) -> None:
     with opened_data(tmp_path / "first") as first:
         fill(first)
         first.back_up(tmp_path / "1.tar")
@@ -104,7 +104,7 @@ def test_a_database_that_is_not_empty_is_refused_and_stays(postgres_url_empty: s
     assert not (tmp_path / "second").exists()
 
 
-def test_a_restore_that_fails_leaves_no_rows(postgres_url_empty: str, tmp_path: Path) -> None:
+def test_restore_that_fails_leaves_no_rows(postgres_url_empty: str, tmp_path: Path) -> None:
     with opened_data(tmp_path / "first") as first:
         fill(first)
         long = first.add_session(name="x\0y")  # SQLite keeps it, PostgreSQL does not
@@ -117,7 +117,7 @@ def test_a_restore_that_fails_leaves_no_rows(postgres_url_empty: str, tmp_path: 
 
 
 @pytest.mark.slow
-def test_it_is_consistent_while_others_write(postgres_url_empty: str, tmp_path: Path) -> None:
+def test_backup_is_consistent_while_others_write(postgres_url_empty: str, tmp_path: Path) -> None:
     with (
         opened_data(tmp_path / "data", postgres_url_empty) as data,
         busy_writers(data, num_bytes=50_000),

@@ -32,7 +32,7 @@ def ask(connection: socket.socket) -> bytes:
     return connection.recv(65536).split(b"\r\n")[0]
 
 
-def test_the_service_goes_on_once_it_may_open_files_again(make_settings: Callable[..., Settings]) -> None:
+def test_service_answers_again_once_it_may_open_files(make_settings: Callable[..., Settings]) -> None:
     """There are more connections than descriptors, because the limit of the running service was lowered."""
     with serving(make_settings()) as (client, process):
         client.get("/healthz").raise_for_status()
@@ -60,7 +60,7 @@ def few(make_settings: Callable[..., Settings]) -> Iterator[Live]:
         yield live
 
 
-def test_idle_connections_outlast_those_of_clients(few: Live) -> None:
+def test_idle_connections_outlast_their_clients(few: Live) -> None:
     """httpx closes connections that were idle for 5 s: closed at the same moment here, its next request would fail."""
     with contextlib.closing(connect(few.address, "127.0.0.6")) as connection:
         assert ask(connection) == b"HTTP/1.1 200 OK"

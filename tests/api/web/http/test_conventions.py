@@ -83,7 +83,7 @@ def test_head_is_refused_where_get_is(live: Live) -> None:
     assert (answer.status_code, answer.headers["allow"]) == (405, "POST")
 
 
-def test_requests_by_head_are_counted_as_what_they_are(live: Live) -> None:
+def test_head_requests_are_counted_as_head(live: Live) -> None:
     live.client.head("/v1/jobs")
     assert 'method="HEAD",route="/v1/jobs"' in live.client.get("/metrics").text.replace(", ", ",")
 
@@ -112,7 +112,7 @@ def test_cache_control_of_each_kind_of_address(live: Live, addresses: list[str])
     assert live.client.post("/v1/jobs").headers["cache-control"] == "no-store"
 
 
-def test_a_tag_changes_with_the_body(live: Live) -> None:
+def test_tag_changes_with_the_body(live: Live) -> None:
     job_id = live.job_id()
     path = f"/v1/jobs/{job_id}"
     tags = [live.client.get(path).headers["etag"]]
@@ -180,7 +180,7 @@ def test_without_a_limit_nothing_is_left_of_it(live: Live) -> None:
     assert not [name for name in live.client.get("/v1/jobs").headers if name.startswith("ratelimit")]
 
 
-def test_pages_from_elsewhere_may_read_what_concerns_them(make_settings: Callable[..., Settings]) -> None:
+def test_pages_from_elsewhere_may_read_exposed_headers(make_settings: Callable[..., Settings]) -> None:
     portal = "https://portal.example"
     with running(make_settings(allowed_origins=frozenset({portal}))) as live:
         _, secret = live.services.store.keys.add("mine", "x", {Scope.READ})

@@ -61,7 +61,7 @@ def client_of(live: Live, tenant: str) -> httpx2.Client:
     return httpx2.Client(base_url=live.client.base_url, headers={"Authorization": f"Bearer {secret}"}, timeout=180)
 
 
-def test_a_tenant_at_work_leaves_threads_to_others(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tenant_at_work_leaves_threads_to_others(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     with client_of(live, "costly") as costly, client_of(live, "light") as light:
         session = costly.post("/v1/sessions", files=form(2)).json()["id"]
         job_id = costly.post(f"/v1/sessions/{session}/jobs", json={}).json()["id"]

@@ -126,7 +126,7 @@ def test_calls_that_are_given_up_leave_their_turns_to_others() -> None:
     asyncio.run(scenario())
 
 
-def test_a_turn_comes_at_the_moment_of_giving_up() -> None:
+def test_turn_comes_at_the_moment_of_giving_up() -> None:
     async def scenario() -> None:
         threads, work = threads_of_checks(1, WAIT_S), HeldCalls()
         work.end()
@@ -139,7 +139,7 @@ def test_a_turn_comes_at_the_moment_of_giving_up() -> None:
     asyncio.run(scenario())
 
 
-def test_a_call_that_fails_ends_its_turn() -> None:
+def test_call_that_fails_ends_its_turn() -> None:
     async def scenario() -> None:
         threads = threads_of_checks(1, WAIT_S)
         for _ in range(3):

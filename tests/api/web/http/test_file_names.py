@@ -26,12 +26,12 @@ _FORBIDDEN = set('<>:"/\\|?*%;\x7f') | {chr(code) for code in range(32)}
         ("", "take"),
     ],
 )
-def test_takes(session: str, name: str) -> None:
+def test_names_of_takes(session: str, name: str) -> None:
     assert take_name(session) == name
 
 
 @given(st.text(max_size=200))
-def test_a_name_is_safe_everywhere(session: str) -> None:
+def test_name_is_safe_everywhere(session: str) -> None:
     name = result_name(session, "person-1.bvh")
     assert name.endswith("_person-1.bvh")
     assert len(name.encode()) <= 255
@@ -41,7 +41,7 @@ def test_a_name_is_safe_everywhere(session: str) -> None:
 
 
 @given(st.text(max_size=50))
-def test_a_header_holds_every_character(session: str) -> None:
+def test_header_holds_every_character(session: str) -> None:
     name = result_name(session, "person-1.bvh")
     header = content_disposition(name)["Content-Disposition"]
     assert header.isascii()

@@ -84,7 +84,7 @@ def test_methods_by_another_name_leave_nothing_on_the_connection(
         assert connection.answer() == (200, small.client.get("/healthz").content)
 
 
-def test_an_offset_can_be_asked_for_by_post(small: Live) -> None:
+def test_offset_can_be_asked_for_by_post(small: Live) -> None:
     headers = {"Tus-Resumable": "1.0.0", "X-HTTP-Method-Override": "HEAD"}
     answer = small.client.post(upload(small), headers=headers)
     assert (answer.status_code, answer.headers["upload-offset"], answer.content) == (200, "0", b"")
@@ -103,7 +103,7 @@ def test_an_offset_can_be_asked_for_by_post(small: Live) -> None:
         b"POST /nowhere HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
     ],
 )
-def test_the_unread_rest_of_a_body_is_not_a_request(small: Live, first: bytes) -> None:
+def test_unread_rest_of_a_body_is_not_a_request(small: Live, first: bytes) -> None:
     with Connection(small) as connection:
         connection.send(first)
         connection.answer(has_body=not first.startswith(b"HEAD"))

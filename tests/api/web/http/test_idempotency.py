@@ -60,7 +60,7 @@ def test_every_post_takes_a_key() -> None:
 
 
 @pytest.mark.parametrize("path", slow_but(["/v1/jobs"], ["/v1/sessions", "/v1/jobs"]))
-def test_a_form_that_is_cut_otherwise_is_the_same(live: Live, path: str) -> None:
+def test_form_that_is_cut_otherwise_is_the_same(live: Live, path: str) -> None:
     spec = [] if path == "/v1/sessions" else [("spec", (None, '{"smoothing": "none"}'))]
     again(lambda: live.client.post(path, files=[*form(), *spec], headers=KEY))  # boundaries are random
     assert len(live.client.get("/v1/sessions").json()["sessions"]) == 1
@@ -81,7 +81,7 @@ def test_another_form_under_the_key_is_refused(live: Live, other: list[tuple[str
     assert live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "another"}).status_code == 201
 
 
-def test_jobs(live: Live) -> None:
+def test_repeated_job_is_created_once(live: Live) -> None:
     session_id = live.session_id()
     job = again(lambda: live.client.post(f"/v1/sessions/{session_id}/jobs", json={}, headers=KEY)).json()
     for act in ("cancel", "retry"):
@@ -92,7 +92,7 @@ def test_jobs(live: Live) -> None:
     assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_uploads(live: Live) -> None:
+def test_repeated_upload_is_created_once(live: Live) -> None:
     named = TUS | {"Upload-Length": "10", "Upload-Metadata": f"filename {encoded(b'cam_0.mp4')}"}
 
     def begin(**more: str) -> httpx2.Response:
@@ -115,7 +115,7 @@ def test_sessions_of_uploads_that_are_used_up(live: Live) -> None:
     problem_of(answer, 422, "invalid_request")
 
 
-def test_a_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
+def test_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
     for _ in range(2):
         answer = live.client.post("/v1/sessions", files=form(1, b"WRONG"), headers=KEY)
         problem_of(answer, 422, "invalid_request")
@@ -150,7 +150,7 @@ def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch
     assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_a_repeated_request_is_answered_at_the_quota(make_settings: Callable[..., Settings]) -> None:
+def test_repeated_request_is_answered_at_the_quota(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_sessions=1)) as live:
         again(lambda: live.client.post("/v1/sessions", files=form(), headers=KEY))
         answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "another"})
@@ -166,7 +166,7 @@ def test_allowed_idempotency_keys(live: Live, key: str, status: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
+def test_key_whose_request_was_killed_is_free_within_its_lease(make_settings: Callable[..., Settings]) -> None:
     """The API process is killed during the check of the files, and started again on the same folder."""
     settings, lease_s = make_settings(), 60.0
     answers: list[httpx2.Response] = []
@@ -189,7 +189,7 @@ def test_a_key_whose_request_was_killed_is_free_within_its_lease(make_settings: 
 
 
 @pytest.mark.slow
-def test_a_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Callable[..., Settings]) -> None:
+def test_key_stays_taken_as_long_as_its_request_is_at_work(make_settings: Callable[..., Settings]) -> None:
     """The check of the files takes several times the lease."""
     with (
         running(make_settings(idempotency_lease_s=0.6, preflight_timeout_s=5.0)) as live,

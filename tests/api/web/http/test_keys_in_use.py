@@ -156,7 +156,7 @@ def test_event_streams_without_a_key_end_when_there_are_keys(make_settings: Call
         assert live.client.get("/v1/jobs").status_code == 401
 
 
-def test_streams_of_other_keys_go_on(live: Live, key: tuple[Key, str]) -> None:
+def test_streams_of_other_keys_continue(live: Live, key: tuple[Key, str]) -> None:
     _, other = live.services.store.keys.add("studio", "other", USUAL)
     path = f"/v1/jobs/{live.job_id()}/events"
     with asking(live, path, key[1]) as ending, asking(live, path, other) as going_on:

@@ -36,7 +36,7 @@ def answer_of(connection: socket.socket) -> bytes:
     ("path", "content_type"),
     [("/v1/sessions", "multipart/form-data; boundary=x"), ("/v1/browser-session", "application/json")],
 )
-def test_a_client_that_stops_sending_is_disconnected(strict: Live, path: str, content_type: str) -> None:
+def test_client_that_stops_sending_is_disconnected(strict: Live, path: str, content_type: str) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head(path, 900, content_type) + b"--x\r\n")
         answer = answer_of(connection)
@@ -45,7 +45,7 @@ def test_a_client_that_stops_sending_is_disconnected(strict: Live, path: str, co
     assert strict.kept() == []
 
 
-def test_a_client_that_sends_too_slowly_is_disconnected(strict: Live) -> None:
+def test_client_that_sends_too_slowly_is_disconnected(strict: Live) -> None:
     with socket.create_connection(strict.address[:2], timeout=30) as connection:
         connection.sendall(head("/v1/sessions", 90_000) + b"--x\r\n")
         connection.settimeout(0.1)
@@ -61,7 +61,7 @@ def test_a_client_that_sends_too_slowly_is_disconnected(strict: Live) -> None:
     assert answer.startswith(b"HTTP/1.1 408 ")
 
 
-def test_a_slow_and_steady_client_is_served(strict: Live) -> None:
+def test_slow_and_steady_client_is_served(strict: Live) -> None:
     sized = strict.client.build_request("POST", "/v1/sessions", files=form(1, b"v" * 40_000))
     body = sized.read()
 
@@ -74,7 +74,7 @@ def test_a_slow_and_steady_client_is_served(strict: Live) -> None:
     assert strict.client.post("/v1/sessions", content=slowly(), headers=headers).status_code == 201
 
 
-def test_a_client_that_receives_nothing_is_disconnected(strict: Live) -> None:
+def test_client_that_receives_nothing_is_disconnected(strict: Live) -> None:
     content = b"B" * (64 * MIB)  # more than all network buffers hold
     job_id = strict.job_id()
     strict.finish(job_id, content)
@@ -92,7 +92,7 @@ def test_a_client_that_receives_nothing_is_disconnected(strict: Live) -> None:
     assert len(strict.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").content) == len(content)
 
 
-def test_a_client_of_an_event_stream_is_not_slow(strict: Live) -> None:
+def test_client_of_an_event_stream_is_not_slow(strict: Live) -> None:
     job_id = strict.job_id()
     with strict.client.stream("GET", f"/v1/jobs/{job_id}/events") as events:
         lines = events.iter_lines()

@@ -54,7 +54,7 @@ def test_odd_requests_are_answered_or_closed(live: Live, request_: bytes) -> Non
     assert live.client.get("/healthz").status_code == 200
 
 
-def test_a_connection_that_asked_for_websockets_is_usable_or_closed(live: Live) -> None:
+def test_connection_after_an_upgrade_is_usable_or_closed(live: Live) -> None:
     upgrade = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
     with socket.create_connection(live.address[:2], timeout=180) as connection:
         connection.sendall(upgrade)
@@ -95,7 +95,7 @@ def test_forms_of_any_shape_are_refused(live: Live, part: bytes, count: int) -> 
     assert list(live.settings.spool_dir.iterdir()) == []
 
 
-def test_a_tenant_has_some_event_streams_and_others_have_theirs(make_settings: Callable[..., Settings]) -> None:
+def test_tenant_has_some_event_streams_and_others_have_theirs(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_streams=3)) as live, contextlib.ExitStack() as stack:
         path = f"/v1/jobs/{live.job_id()}/events"
         request = f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode()

@@ -61,7 +61,7 @@ def test_wrong_keys_are_counted_at_the_entrance(guarded: tuple[Live, dict[str, s
     assert [answer.status_code for answer in answers] == [401] * LIMIT + [429]
 
 
-def test_an_old_cookie_leads_to_the_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_old_cookie_leads_to_the_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
     # Also beside somebody who has used up the wrong keys of the same address.
     live, _ = guarded
     use_up(live.client)
@@ -77,7 +77,7 @@ def test_requests_without_a_key_are_not_counted(guarded: tuple[Live, dict[str, s
     assert {live.client.get("/v1/jobs").status_code for _ in range(3 * LIMIT)} == {401}
 
 
-def test_a_trusted_proxy_names_the_client(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_trusted_proxy_names_the_client(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     with from_address(live, "127.0.0.9") as proxy:
         use_up(proxy, **{"X-Forwarded-For": "198.51.100.1"})

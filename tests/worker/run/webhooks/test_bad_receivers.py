@@ -23,7 +23,7 @@ REACHED_S, AMPLE_S = 0.6, 20.0
         (b"SSH-2.0-OpenSSH\r\n\r\n", AMPLE_S, "The connection failed."),
     ],
 )
-def test_an_attempt_has_a_time_limit(
+def test_attempt_has_a_time_limit(
     dripping: Callable[[bytes], str], first: bytes, try_s: float, problem: str | None
 ) -> None:
     assert Sender(allow_private=True, try_s=try_s).send(message(dripping(first)), secret()) == problem
@@ -78,7 +78,7 @@ class TestBadReceivers:
         address = receiver.url.replace("http:", "https:")
         assert self.problem_after_attempt(bench, address) == "The TLS handshake failed."
 
-    def test_redirects(self, bench: RunnerBench, receiver: Receiver) -> None:
+    def test_redirects_are_not_followed(self, bench: RunnerBench, receiver: Receiver) -> None:
         receiver.statuses = [302]
         assert self.problem_after_attempt(bench, receiver.url) == "It was answered with 302."
         assert receiver.paths == ["/hook?x=1"]

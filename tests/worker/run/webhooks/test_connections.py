@@ -59,12 +59,12 @@ class TestPrivateAddresses:
         assert problem == "The address is not public."
         assert connected == []
 
-    def test_a_name_is_resolved_once(self, resolved: list[list[str]], connected: list[str]) -> None:
+    def test_name_is_resolved_once(self, resolved: list[list[str]], connected: list[str]) -> None:
         resolved.append(["93.184.215.14"])  # a second lookup would find no answer
         assert Sender(allow_private=False).send(message("https://hook.example/"), secret()) == "The connection failed."
         assert connected == ["93.184.215.14"]
 
-    def test_the_first_public_address_is_used(self, resolved: list[list[str]], connected: list[str]) -> None:
+    def test_first_public_address_is_used(self, resolved: list[list[str]], connected: list[str]) -> None:
         resolved.append(["10.0.0.1", "93.184.215.14"])
         Sender(allow_private=False).send(message("https://hook.example/"), secret())
         assert connected == ["93.184.215.14"]
@@ -80,7 +80,7 @@ class TestPrivateAddresses:
         with pytest.raises(webhooks._RefusedError):
             webhooks.resolve(spelling, 9, allow_private=False)
 
-    def test_a_name_server_that_does_not_answer(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_name_server_that_does_not_answer(self, monkeypatch: pytest.MonkeyPatch) -> None:
         over = threading.Event()
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: over.wait(20))
         started_s = time.monotonic()
@@ -114,7 +114,7 @@ def certify(folder: Path, name: str) -> tuple[Path, Path]:
     return folder / "certificate.pem", folder / "key.pem"
 
 
-def test_the_certificate_must_match_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificate_must_match_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     certificate, key = certify(tmp_path, "localhost")
     serving = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     serving.load_cert_chain(certificate, key)

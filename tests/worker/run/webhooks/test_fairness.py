@@ -22,7 +22,7 @@ from worker.run.webhooks import sender as webhooks
 from worker.run.webhooks.sender import Sender
 
 
-def test_a_hanging_receiver_delays_no_other_receiver(
+def test_hanging_receiver_delays_no_other_receiver(
     bench: RunnerBench, receiver: Receiver, dripping: Callable[[bytes], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)

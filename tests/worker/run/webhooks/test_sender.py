@@ -22,7 +22,7 @@ from worker.store.repositories.webhooks import MAX_TRIES
 from worker.store.spec import JobSpec
 
 
-def test_the_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> None:
+def test_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> None:
     key = bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
     assert deliver(bench) == 1
@@ -39,7 +39,7 @@ def test_the_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver)
     assert bench.store.webhooks.pending() == []
 
 
-def test_a_job_without_a_callback_url_sends_nothing(bench: RunnerBench) -> None:
+def test_job_without_a_callback_url_sends_nothing(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     assert bench.store.webhooks.pending() == []
@@ -65,7 +65,7 @@ def test_every_end_sends_a_message(bench: RunnerBench, receiver: Receiver, end: 
 
 
 @pytest.mark.parametrize("status", slow_but([301, 500], [301, 302, 307, 400, 404, 429, 500, 503]))
-def test_a_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, receiver: Receiver, status: int) -> None:
+def test_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, receiver: Receiver, status: int) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [status]
@@ -80,7 +80,7 @@ def test_a_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, re
     assert receiver.paths == ["/hook?x=1"] * 2  # redirects are not followed
 
 
-def test_an_answer_410_ends_the_attempts(bench: RunnerBench, receiver: Receiver) -> None:
+def test_answer_410_ends_the_attempts(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [410]
@@ -104,7 +104,7 @@ def test_attempts_end_after_about_a_day(bench: RunnerBench, receiver: Receiver) 
     assert 20 * HOUR_S < sum(waits_s) < 30 * HOUR_S
 
 
-def test_a_sender_killed_before_recording_sends_the_message_again(bench: RunnerBench, receiver: Receiver) -> None:
+def test_sender_killed_before_recording_sends_the_message_again(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # claimed, and never recorded
@@ -134,7 +134,7 @@ def test_after_a_rotation_both_secrets_sign_for_a_while(bench: RunnerBench, rece
     assert newest not in repr(bench.store.webhook_secrets.valid("default"))
 
 
-def test_a_failing_store_does_not_end_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_store_does_not_end_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing:
         looks = 0
 
@@ -157,7 +157,7 @@ class Exploding(Sender):
         raise LookupError(delivery.url)
 
 
-def test_an_unforeseen_exception_counts_as_an_attempt(bench: RunnerBench) -> None:
+def test_unforeseen_exception_counts_as_an_attempt(bench: RunnerBench) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1

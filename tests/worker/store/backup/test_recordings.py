@@ -64,7 +64,7 @@ def room(data: Data) -> FilmedRoom:
     return FilmedRoom(recording.id, secret, whole, half)
 
 
-def test_recordings_are_as_they_were_and_go_on(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
+def test_restored_recordings_are_unchanged_and_continue(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
     before = data.store.recordings.get(room.id)
     assert data.back_up(tmp_path / "backup.tar").problems == ()
     restored(tmp_path / "backup.tar", tmp_path / "there")
@@ -95,7 +95,7 @@ def test_recordings_are_as_they_were_and_go_on(data: Data, room: FilmedRoom, tmp
         assert len(there.store.sessions.page()) == 1
 
 
-def test_an_upload_that_a_backup_lacks_is_a_note(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
+def test_upload_that_a_backup_lacks_is_a_note(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
     (data.folder / "uploads" / room.whole).unlink()
     report = data.back_up(tmp_path / "backup.tar")
     assert [(problem.path, problem.needed) for problem in report.problems] == [(f"uploads/{room.whole}", False)]

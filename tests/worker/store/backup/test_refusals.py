@@ -38,7 +38,7 @@ def test_nothing_is_overwritten(busy: Data, archive: Path, tmp_path: Path) -> No
         assert there.rows() == busy.rows()
 
 
-def test_an_older_schema_is_brought_up_to_date_and_kept_in_the_backup(data: Data, tmp_path: Path) -> None:
+def test_older_schema_is_kept_and_restored_up_to_date(data: Data, tmp_path: Path) -> None:
     data.add_job(data.add_session())
     data.run_all()
     before = data.store.sessions.page()
@@ -55,7 +55,7 @@ def test_an_older_schema_is_brought_up_to_date_and_kept_in_the_backup(data: Data
         assert there.store.sessions.page() == before
 
 
-def test_a_newer_schema_is_refused(busy: Data, archive: Path, tmp_path: Path) -> None:
+def test_newer_schema_is_refused(busy: Data, archive: Path, tmp_path: Path) -> None:
     parts = members(archive)
     path = tmp_path / "newer.db"
     path.write_bytes(parts[1][1])
@@ -84,7 +84,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", folder], check=True)
 
 
-def test_a_small_disk_is_refused_before_and_a_full_one_in_the_middle(
+def test_small_disk_is_refused_before_and_full_one_in_middle(
     data: Data, small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for _ in range(2):

@@ -21,7 +21,7 @@ from worker.store.files.artifacts import record_key, result_key, stage_key
 from worker.store.model.states import JobState
 
 
-def test_a_copy_of_the_file_alone_loses_rows_and_a_backup_none(data: Data, tmp_path: Path) -> None:
+def test_copy_of_the_file_alone_loses_rows_and_a_backup_none(data: Data, tmp_path: Path) -> None:
     # What the documentation said: "Copy all of them, the database first".
     for _ in range(5):
         data.add_job(data.add_session(100))
@@ -36,7 +36,7 @@ def test_a_copy_of_the_file_alone_loses_rows_and_a_backup_none(data: Data, tmp_p
         assert there.rows() == data.rows()
 
 
-def test_all_is_as_it_was_and_goes_on(busy: Data, archive: Path, tmp_path: Path) -> None:
+def test_restored_service_is_unchanged_and_continues(busy: Data, archive: Path, tmp_path: Path) -> None:
     before, files = busy.rows(), busy.tree()
     assert restored(archive, tmp_path / "there").problems == ()
     with opened_data(tmp_path / "there") as there:
@@ -64,7 +64,7 @@ def test_other_programs_read_the_archive(busy: Data, archive: Path, tmp_path: Pa
         assert there.rows() == busy.rows()
 
 
-def test_it_is_consistent_while_others_write_and_delete(data: Data, tmp_path: Path) -> None:
+def test_backup_is_consistent_while_others_write_and_delete(data: Data, tmp_path: Path) -> None:
     found = []
     with busy_writers(data, num_bytes=200_000, num_writers=2):
         for number in range(8):
@@ -80,7 +80,7 @@ def test_it_is_consistent_while_others_write_and_delete(data: Data, tmp_path: Pa
         assert len(there.store.sessions.page(limit=1000)) == found[-1].rows.sessions
 
 
-def test_what_is_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_path: Path) -> None:
+def test_file_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_path: Path) -> None:
     sessions = [data.add_session(3_000_000) for _ in range(3)]
     deleted = threading.Event()
 
@@ -96,7 +96,7 @@ def test_what_is_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_pat
     assert data.tree() == {}
 
 
-def test_missing_and_damaged_files_are_listed_and_the_rest_is_there(busy: Data, tmp_path: Path) -> None:
+def test_missing_and_damaged_files_are_listed(busy: Data, tmp_path: Path) -> None:
     running, done = (one.session for one in busy.store.sessions.page())
     (finished,) = [job for job in busy.store.jobs.page() if job.state is JobState.SUCCEEDED]
     lost = {

@@ -44,13 +44,13 @@ def test_bytes_come_back(artifacts: ArtifactStore) -> None:
     assert artifacts.size(KEY) == 6
 
 
-def test_an_empty_file_is_a_file(artifacts: ArtifactStore) -> None:
+def test_empty_file_is_a_file(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, b"")
     assert artifacts.exists(KEY)
     assert (artifacts.size(KEY), read(artifacts, KEY)) == (0, b"")
 
 
-def test_a_file_is_taken_over(artifacts: ArtifactStore, tmp_path: Path) -> None:
+def test_file_is_taken_over(artifacts: ArtifactStore, tmp_path: Path) -> None:
     path = tmp_path / "upload"
     path.write_bytes(b"video" * 100_000)
     artifacts.put_file(KEY, path)
@@ -59,13 +59,13 @@ def test_a_file_is_taken_over(artifacts: ArtifactStore, tmp_path: Path) -> None:
     assert read(artifacts, KEY) == b"video" * 100_000
 
 
-def test_a_missing_upload_leaves_nothing(artifacts: ArtifactStore, tmp_path: Path) -> None:
+def test_missing_upload_leaves_nothing(artifacts: ArtifactStore, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         artifacts.put_file(KEY, tmp_path / "missing")
     assert not artifacts.exists(KEY)
 
 
-def test_the_last_put_counts(artifacts: ArtifactStore, tmp_path: Path) -> None:
+def test_last_put_counts(artifacts: ArtifactStore, tmp_path: Path) -> None:
     artifacts.put_bytes(KEY, b"first and long")
     artifacts.put_bytes(KEY, b"second")
     assert read(artifacts, KEY) == b"second"
@@ -89,7 +89,7 @@ def test_local_path_holds_the_file(artifacts: ArtifactStore) -> None:
 
 
 @pytest.mark.parametrize("key", [KEY, "sessions/0190", "sessions/0190/stages/there/below"])
-def test_what_is_not_there_is_not_found(artifacts: ArtifactStore, key: str) -> None:
+def test_missing_artifact_is_not_found(artifacts: ArtifactStore, key: str) -> None:
     artifacts.put_bytes("sessions/0190/stages/there", b"")
     for ask in (artifacts.open, artifacts.size):
         with pytest.raises(NotFound):
@@ -171,12 +171,12 @@ def test_many_writers_of_one_key_leave_one_whole_file(artifacts: ArtifactStore) 
     assert read(artifacts, KEY) in contents
 
 
-def test_ping(artifacts: ArtifactStore) -> None:
+def test_ping_tells_whether_the_store_answers(artifacts: ArtifactStore) -> None:
     assert artifacts.ping()
 
 
 @pytest.mark.slow
-def test_a_large_file_is_whole(artifacts: ArtifactStore, tmp_path: Path) -> None:
+def test_large_file_is_whole(artifacts: ArtifactStore, tmp_path: Path) -> None:
     content = os.urandom(2**20) * 21
     path = tmp_path / "upload"
     path.write_bytes(content)
@@ -213,7 +213,7 @@ class TestS3:
         second.delete_prefix("sessions/0190/")
         assert first.exists(KEY)
 
-    def test_a_file_that_is_replaced_while_it_is_read_is_never_a_mixture(self, store: S3Artifacts) -> None:
+    def test_file_that_is_replaced_while_it_is_read_is_never_mixture(self, store: S3Artifacts) -> None:
         store.put_bytes(KEY, b"a" * 3 * 2**20)
         with store.open(KEY) as file:
             assert file.read(10) == b"a" * 10
@@ -237,9 +237,7 @@ class TestS3:
         assert (answer.status_code, answer.content) == (200, b"HIERARCHY")
         assert answer.headers["content-disposition"] == 'attachment; filename="person-1.bvh"'
 
-    def test_a_server_that_is_away_is_an_error_of_its_own(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_server_that_is_away_is_an_error_of_its_own(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         with running_s3() as server:
             for name, value in server.environment.items():
                 monkeypatch.setenv(name, value)
@@ -265,9 +263,7 @@ class TestS3:
             assert (third, third.read_bytes()) == (first, b"pose")
         assert self.copies(tmp_path) == 1
 
-    def test_copies_go_when_there_is_no_room_but_never_while_they_are_used(
-        self, store: S3Artifacts, tmp_path: Path
-    ) -> None:
+    def test_unused_copies_are_removed_when_room_is_needed(self, store: S3Artifacts, tmp_path: Path) -> None:
         for name in "abcd":
             store.put_bytes(name, name.encode() * 1000)
         with store.local_path("a", sha256(b"a" * 1000)) as used:
@@ -285,7 +281,7 @@ class TestS3:
                     assert more.read_bytes() == b"b" * 1000
                 assert self.copies(tmp_path) == 3
 
-    def test_copies_go_when_nobody_has_used_them_for_long(self, store: S3Artifacts, tmp_path: Path) -> None:
+    def test_copies_unused_for_long_are_removed(self, store: S3Artifacts, tmp_path: Path) -> None:
         for name in "abc":
             store.put_bytes(name, b"x")
         paths = []
@@ -303,7 +299,7 @@ class TestS3:
         assert not old.exists()
         assert not (tmp_path / "cache" / "0190.part").exists()
 
-    def test_a_copy_that_can_not_be_made_leaves_nothing(
+    def test_copy_that_can_not_be_made_leaves_nothing(
         self, store: S3Artifacts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         store.put_bytes(KEY, b"pose")
@@ -322,7 +318,7 @@ class TestS3:
 
 
 class TestLocal:
-    def test_a_reader_keeps_what_it_opened(self, tmp_path: Path) -> None:
+    def test_reader_keeps_an_opened_file(self, tmp_path: Path) -> None:
         artifacts = LocalArtifacts(tmp_path)
         artifacts.put_bytes(KEY, b"first")
         with artifacts.open(KEY) as file:
@@ -337,7 +333,7 @@ class TestLocal:
         (tmp_path / "artifacts").rename(tmp_path / "moved")
         assert not artifacts.ping()
 
-    def test_a_file_of_another_file_system_is_copied(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_file_of_another_file_system_is_copied(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         artifacts, path = LocalArtifacts(tmp_path / "artifacts"), tmp_path / "upload"
         path.write_bytes(b"video")
         replace = Path.replace
@@ -352,7 +348,7 @@ class TestLocal:
         assert not path.exists()
         assert read(artifacts, KEY) == b"video"
 
-    def test_a_full_disk_leaves_what_was_there(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_full_disk_leaves_the_previous_file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         artifacts = LocalArtifacts(tmp_path)
         artifacts.put_bytes(KEY, b"first")
 
@@ -368,7 +364,7 @@ class TestLocal:
         assert read(artifacts, KEY) == b"first"
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / KEY]
 
-    def test_what_a_killed_process_left_is_removed_in_time(self, tmp_path: Path) -> None:
+    def test_files_of_a_killed_process_are_removed_in_time(self, tmp_path: Path) -> None:
         LocalArtifacts(tmp_path).put_bytes(KEY, b"pose")
         old, new = tmp_path / ".incoming" / "old", tmp_path / ".incoming" / "new"
         for path in (old, new, tmp_path / KEY):
@@ -394,7 +390,7 @@ def test_any_name_makes_a_key(name: str, number: int, tmp_path_factory: pytest.T
     assert len(key) < 150
 
 
-def test_keys() -> None:
+def test_keys_of_each_kind() -> None:
     assert input_key("s", 2, "cam 1 (left).mp4") == "sessions/s/inputs/2-cam_1_left_.mp4"
     assert stage_key("s", "k") == "sessions/s/stages/k"
     assert result_key("j", "person-1.bvh") == "jobs/j/results/person-1.bvh/person-1.bvh"

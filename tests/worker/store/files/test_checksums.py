@@ -86,7 +86,7 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return computed
 
 
-def test_a_whole_file_is_read(artifacts: ArtifactStore) -> None:
+def test_whole_file_is_read(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, CONTENT)
     assert read_artifact(artifacts, KEY, SHA256) == CONTENT
     with artifacts.open(KEY, SHA256) as file:
@@ -103,7 +103,7 @@ def test_a_whole_file_is_read(artifacts: ArtifactStore) -> None:
     slow_but(list(product(["folder"], DAMAGES)), product(["folder", "s3"], DAMAGES)),
     indirect=["artifacts"],
 )
-def test_a_damaged_file_is_never_read(artifacts: ArtifactStore, damage: str) -> None:
+def test_damaged_file_is_never_read(artifacts: ArtifactStore, damage: str) -> None:
     artifacts.put_bytes(KEY, DAMAGES[damage](CONTENT))
     with pytest.raises(DamagedArtifact, match=KEY):
         artifacts.open(KEY, SHA256)
@@ -113,7 +113,7 @@ def test_a_damaged_file_is_never_read(artifacts: ArtifactStore, damage: str) -> 
         read_artifact(artifacts, KEY, SHA256)
 
 
-def test_a_missing_file_is_not_found(artifacts: ArtifactStore) -> None:
+def test_missing_file_is_not_found(artifacts: ArtifactStore) -> None:
     with pytest.raises(NotFound):
         artifacts.open(KEY, SHA256)
     with pytest.raises(NotFound):
@@ -122,7 +122,7 @@ def test_a_missing_file_is_not_found(artifacts: ArtifactStore) -> None:
         require_file(Path("/no/such/file"), KEY, SHA256)
 
 
-def test_a_file_that_is_replaced_is_compared_anew(artifacts: ArtifactStore) -> None:
+def test_replaced_file_is_compared_again(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, CONTENT)
     settle()
     artifacts.open(KEY, SHA256).close()
@@ -133,7 +133,7 @@ def test_a_file_that_is_replaced_is_compared_anew(artifacts: ArtifactStore) -> N
     artifacts.open(KEY, SHA256).close()
 
 
-def test_a_file_is_compared_once_while_it_does_not_change(
+def test_file_is_compared_once_while_it_does_not_change(
     artifacts: ArtifactStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     artifacts.put_bytes(KEY, CONTENT)
@@ -152,9 +152,7 @@ def test_a_file_is_compared_once_while_it_does_not_change(
     assert len(computed) <= again + 1  # a copy of a distant file may have been too new to be remembered
 
 
-def test_a_changed_file_is_compared_anew_although_its_size_and_time_are_as_before(
-    folder: LocalArtifacts, tmp_path: Path
-) -> None:
+def test_changed_file_of_same_size_and_time_is_compared_again(folder: LocalArtifacts, tmp_path: Path) -> None:
     settle()
     folder.open(KEY, SHA256).close()
     before = (tmp_path / KEY).stat()
@@ -164,7 +162,7 @@ def test_a_changed_file_is_compared_anew_although_its_size_and_time_are_as_befor
         folder.open(KEY, SHA256)
 
 
-def test_a_file_that_has_just_changed_is_not_remembered(
+def test_file_that_has_just_changed_is_not_remembered(
     folder: LocalArtifacts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     computed = count_reads(monkeypatch)
@@ -182,7 +180,7 @@ def test_no_block_is_read_of_a_file_that_is_damaged_meanwhile(folder: LocalArtif
             file.read(2**20)
 
 
-def test_bytes_that_are_stored_after_the_times_of_their_write_are_seen(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_bytes_stored_after_the_time_of_their_write_are_seen(folder: LocalArtifacts, tmp_path: Path) -> None:
     path = tmp_path / KEY
     with path.open("r+b") as writer, mmap.mmap(writer.fileno(), 0) as memory:
         memory[-1] = memory[-1]  # the page may be written now: further bytes leave its times
@@ -197,7 +195,7 @@ def test_bytes_that_are_stored_after_the_times_of_their_write_are_seen(folder: L
                 file.read(2**20)
 
 
-def test_a_hard_link_is_no_damage(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_hard_link_is_no_damage(folder: LocalArtifacts, tmp_path: Path) -> None:
     settle()
     with folder.open(KEY, SHA256) as file:
         start = file.read(2**20)
@@ -206,14 +204,14 @@ def test_a_hard_link_is_no_damage(folder: LocalArtifacts, tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a file of the system that can't be read")
-def test_a_disk_that_can_not_read_a_file_has_damaged_it(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_disk_that_can_not_read_a_file_has_damaged_it(folder: LocalArtifacts, tmp_path: Path) -> None:
     (tmp_path / KEY).unlink()
     (tmp_path / KEY).symlink_to("/proc/self/mem")  # whose first byte nobody can read: EIO
     with pytest.raises(DamagedArtifact):
         folder.open(KEY, SHA256)
 
 
-def test_a_digest_can_be_interrupted(folder: LocalArtifacts) -> None:
+def test_digest_can_be_interrupted(folder: LocalArtifacts) -> None:
     class Stopped(Exception):  # noqa: N818 - the test's own
         pass
 
@@ -232,7 +230,7 @@ def test_other_handles_keep_their_position(folder: LocalArtifacts, tmp_path: Pat
         assert file_version(file.fileno()).num_bytes == len(CONTENT)
 
 
-def test_the_memory_is_bounded() -> None:
+def test_memory_is_bounded() -> None:
     verified = Verified(max_remembered=2)
     for version in "abc":
         verified.add(version, SHA256)
@@ -248,7 +246,7 @@ class TestCopies:
             return path
 
     @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
-    def test_a_damaged_copy_is_fetched_again(self, distant: S3Artifacts, damage: Callable[[bytes], bytes]) -> None:
+    def test_damaged_copy_is_fetched_again(self, distant: S3Artifacts, damage: Callable[[bytes], bytes]) -> None:
         distant.put_bytes(KEY, CONTENT)
         copy = self.copy_of(distant)
         settle()
@@ -257,7 +255,7 @@ class TestCopies:
         with distant.local_path(KEY, SHA256) as path:
             assert path.read_bytes() == CONTENT
 
-    def test_a_copy_that_is_in_use_is_fetched_again_too(self, distant: S3Artifacts) -> None:
+    def test_copy_that_is_in_use_is_fetched_again_too(self, distant: S3Artifacts) -> None:
         distant.put_bytes(KEY, CONTENT)
         with distant.local_path(KEY, SHA256) as used:
             overwrite(used, flipped(CONTENT))
@@ -265,7 +263,7 @@ class TestCopies:
                 assert path.read_bytes() == CONTENT
         assert self.copy_of(distant).read_bytes() == CONTENT
 
-    def test_a_copy_is_not_kept_of_a_file_that_is_damaged_itself(self, distant: S3Artifacts) -> None:
+    def test_copy_is_not_kept_of_a_file_that_is_damaged_itself(self, distant: S3Artifacts) -> None:
         distant.put_bytes(KEY, flipped(CONTENT))
         for _ in range(2):
             with pytest.raises(DamagedArtifact), distant.local_path(KEY, SHA256):
@@ -273,7 +271,7 @@ class TestCopies:
         distant.put_bytes(KEY, CONTENT)
         assert self.copy_of(distant).read_bytes() == CONTENT
 
-    def test_a_copy_is_compared_once_while_it_does_not_change(
+    def test_copy_is_compared_once_while_it_does_not_change(
         self, distant: S3Artifacts, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         distant.put_bytes(KEY, CONTENT)

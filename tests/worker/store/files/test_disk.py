@@ -20,14 +20,14 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield folder
 
 
-def test_headroom_is_a_part_of_the_disk_unless_somebody_says_how_much(disk: Path) -> None:
+def test_headroom_is_a_part_of_the_disk_unless_it_is_set(disk: Path) -> None:
     assert DiskSpace(disk).headroom_bytes == 16 * 2**20 // 20
     assert DiskSpace(disk, 5).headroom_bytes == 5
     assert DiskSpace(disk, 16 * 2**20).has_room(0)
     assert not DiskSpace(disk, 16 * 2**20).has_room(1)
 
 
-def test_a_disk_without_inodes_has_no_room(tmp_path: Path) -> None:
+def test_disk_without_inodes_has_no_room(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 16, num_inodes=200) as disk:
         space = DiskSpace(disk)
         assert space.has_room()
@@ -40,7 +40,7 @@ def test_a_disk_without_inodes_has_no_room(tmp_path: Path) -> None:
         assert not space.has_room()  # work under way needs some
 
 
-def test_the_reserve_is_room_that_only_deleting_gets(disk: Path) -> None:
+def test_reserve_is_room_that_only_deleting_gets(disk: Path) -> None:
     space = DiskSpace(disk)
     free_bytes = space.free_bytes
     space.set_aside()
@@ -89,7 +89,7 @@ def test_sqlite_s_words_for_a_full_disk_are_known(disk: Path) -> None:
     assert is_disk_full(raised.value)
 
 
-def test_a_locked_database_is_no_full_disk(tmp_path: Path) -> None:
+def test_locked_database_is_no_full_disk(tmp_path: Path) -> None:
     path = tmp_path / "multicap.db"
     with contextlib.closing(sqlite3.connect(path)) as one, contextlib.closing(sqlite3.connect(path, timeout=0)) as two:
         one.execute("BEGIN IMMEDIATE")
@@ -101,7 +101,7 @@ def test_a_locked_database_is_no_full_disk(tmp_path: Path) -> None:
     assert not is_disk_full(ValueError("full"))
 
 
-def test_what_does_not_fit_is_not_appended(disk: Path) -> None:
+def test_content_that_does_not_fit_is_not_appended(disk: Path) -> None:
     path = disk / "file"
     append_whole(path, b"first")
     fill(disk / "others")

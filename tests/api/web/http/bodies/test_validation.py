@@ -161,33 +161,33 @@ def test_sessions_of_uploads(live: Live) -> None:
         ("session_id=1", "wrong_format", "an id (a UUID)"),
     ],
 )
-def test_parameters(live: Live, query: str, code: str, words: str) -> None:
+def test_wrong_parameters_are_named(live: Live, query: str, code: str, words: str) -> None:
     name = query.partition("=")[0]
     (found,) = problem_of(live.client.get(f"/v1/jobs?{query}"), 422, "invalid_request")["errors"]
     assert (found["pointer"], found["code"]) == (f"/query/{name}", code)
     assert found["message"] == f"The parameter {name} must be {words}."
 
 
-def test_headers(live: Live) -> None:
+def test_wrong_headers_are_named(live: Live) -> None:
     answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "x" * 201})
     (found,) = problem_of(answer, 422, "invalid_request")["errors"]
     assert found["code"] == "wrong_length"
     assert found["message"] == "The header idempotency-key must be a text of at most 200 characters."
 
 
-def test_a_body_that_is_missing(live: Live) -> None:
+def test_body_that_is_missing(live: Live) -> None:
     (found,) = problem_of(live.client.post("/v1/browser-session"), 422, "invalid_request")["errors"]
     assert found["message"] == "The body is missing. It must be an object with some of the fields key."
 
 
-def test_an_answer_is_not_many_times_the_request(live: Live) -> None:
+def test_answer_is_not_many_times_the_request(live: Live) -> None:
     found: list[Any] = wrong_fields(live, {f"a{number}": 1 for number in range(105)})
     assert len(found) == 81
     assert found[-1] == (None, "more_problems", "25 more problems are not listed.")
 
 
 @pytest.mark.slow
-def test_only_what_is_listed_is_translated(
+def test_only_listed_errors_are_translated(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A small body has thousands of wrong fields; the others are counted, over all parts of a form."""
@@ -218,7 +218,7 @@ def test_only_what_is_listed_is_translated(
     assert work.total() <= 2 * MAX_LISTED
 
 
-def test_wrong_items_of_a_list_that_is_too_long_are_not_looked_at(make_settings: Callable[..., Settings]) -> None:
+def test_wrong_items_of_list_that_is_too_long_are_not_looked_at(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_json_bytes=64 * KIB)) as live:
         address = f"/v1/jobs/{live.job_id()}/people"
         too_long = problem_of(live.client.patch(address, json={"edits": [[]] * 15_000}), 422, "invalid_request")
@@ -246,7 +246,7 @@ def test_wrong_items_of_a_list_that_is_too_long_are_not_looked_at(make_settings:
         ({"colour": "red"}, "/colour", None),
     ],
 )
-def test_a_misplaced_field_is_told_its_place(live: Live, body: dict[str, Any], pointer: str, hint: str | None) -> None:
+def test_misplaced_field_is_told_its_place(live: Live, body: dict[str, Any], pointer: str, hint: str | None) -> None:
     answer = live.client.post("/v1/jobs/from-uploads", json=body)
     found = {item["pointer"]: item["hint"] for item in problem_of(answer, 422, "invalid_request")["errors"]}
     assert found[pointer] == hint
@@ -256,7 +256,7 @@ def test_a_misplaced_field_is_told_its_place(live: Live, body: dict[str, Any], p
     assert found[pointer] == hint
 
 
-def test_a_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
+def test_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
     """Actions have different fields: the place would be right if the action were."""
     job_id = live.job_id()
     live.finish(job_id)
@@ -266,7 +266,7 @@ def test_a_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
     assert (found["pointer"], found["code"], found["hint"]) == ("/edits/0/other", "unknown_field", None)
 
 
-def test_codes_are_those_of_the_contract(live: Live) -> None:
+def test_codes_are_in_the_contract(live: Live) -> None:
     spec = {
         "people": 0,
         "method": 3,
@@ -299,13 +299,13 @@ def test_codes_are_those_of_the_contract(live: Live) -> None:
         ("/v1/browser-session", ["application/json"]),
     ],
 )
-def test_refused_types_of_content_name_those_that_are_taken(live: Live, path: str, types: list[str]) -> None:
+def test_refused_content_type_names_the_accepted_ones(live: Live, path: str, types: list[str]) -> None:
     answer = live.client.post(path, content=b"name: x", headers={"Content-Type": "application/yaml"})
     detail = problem_of(answer, 415, "unsupported_media_type")["detail"]
     assert {name for name in ("multipart/form-data", "application/json") if name in detail} == set(types)
 
 
-def test_the_manifest_has_the_limits_of_the_pipeline() -> None:
+def test_manifest_has_the_limits_of_the_pipeline() -> None:
     camera = CameraManifest.model_json_schema()["properties"]
     rates = [camera["rate"]["anyOf"][0], Manifest.model_json_schema()["properties"]["frame_rate_hz"]["anyOf"][0]]
     assert all((rate["minimum"], rate["maximum"]) == (FRAME_RATE_HZ.low, FRAME_RATE_HZ.high) for rate in rates)
