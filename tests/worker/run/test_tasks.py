@@ -11,9 +11,9 @@ from worker.run.tasks import machine_memory_bytes
 
 PROGRAM = """
 import ctypes, types
-from worker import lease, tasks
+from worker.run import chunk, tasks
 
-lease._SHORTEST_LIMIT_S = lease._UNIT_S = tasks.STOP_GRACE_S = 0.1
+chunk._SHORTEST_LIMIT_S = chunk._UNIT_S = tasks.STOP_GRACE_S = 0.1
 
 def hanging(work):
     ctypes.PyDLL(None).sleep(30)  # keeps the lock
