@@ -1,4 +1,4 @@
-"""People whom one camera alone still sees, beyond the first and the last frame in which two cameras located them.
+"""People seen by one camera alone, beyond the first and the last frame in which two cameras located them.
 
 One camera does not tell the distance. But for a while the motion is predictable: the body goes on from its last place,
 and its joints are on the rays of the camera, about as far away as before. These places are predictions; the fit adjusts

@@ -5,7 +5,7 @@ ones, 1 for histograms without a common bin. Cameras differ in white balance, so
 that saw both; only if there are none, across cameras.
 
 How much a distance says depends on the clothes of the session. ``learn_contrast`` measures it: distances within pieces
-against distances of pieces that are certainly of different people. The log-likelihood ratio is that of two normal
+against distances of pieces that are certainly of different people. The log-likelihood ratio is the ratio of two normal
 distributions with the same spread, a straight line that falls with the distance. People in uniforms give a line that
 is nearly flat at 0.
 """
@@ -85,7 +85,7 @@ def mean_clothes(
 ) -> Clothes:
     """Average the colours of a piece of a track, camera by camera.
 
-    Colours and cameras are those of the piece's rows in ``observations.Detections2D``.
+    Colours and cameras are of the piece's rows in ``observations.Detections2D``.
     """
     of_cameras = [colour[camera == number] for number in range(num_cameras)]
     total = np.array([of_camera.sum(0, np.float64) for of_camera in of_cameras])
@@ -123,7 +123,7 @@ def log_likelihood_ratios(pieces: Sequence[Clothes], contrast: Contrast) -> Floa
 def clothes_likelihood_ratios(
     piece: Clothes, others: Sequence[Clothes], contrast: Contrast
 ) -> Float[np.ndarray, " others"]:
-    """Logarithm of the likelihoods' ratio of a piece's colours and those of each other one.
+    """Logarithm of the likelihoods' ratio of a piece's colours and of each other piece's.
 
     See ``log_likelihood_ratios``.
     """
@@ -192,7 +192,7 @@ def tracklet_ratios(
 ) -> Float[np.ndarray, "tracklets tracklets"]:
     """Ratios of all pairs of tracklets, with the contrast of their session; 0 beside the longest tracklets.
 
-    Tracklets were cut from ``pieces``; ``colour`` is as of ``measure_clothes``.
+    Tracklets were cut from ``pieces``; ``colour`` is explained by ``measure_clothes``.
     """
     ratios = np.zeros((len(tracklets), len(tracklets)))
     length = np.array([tracklet.stop_frame - tracklet.start_frame for tracklet in tracklets])

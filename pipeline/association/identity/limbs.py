@@ -22,12 +22,12 @@ class LimbPair:
 
     @property
     def both(self) -> list[int]:
-        """Joints of the left limb, then those of the right one."""
+        """Joints of the left limb, then of the right one."""
         return [*self.left, *self.right]
 
     @property
     def exchanged(self) -> list[int]:
-        """Joints of the right limb, then those of the left one."""
+        """Joints of the right limb, then of the left one."""
         return [*self.right, *self.left]
 
 

@@ -129,7 +129,7 @@ def merge_doubles(
 ) -> list[Person]:
     """Merge pieces of tracks that are at the same time of the same person.
 
-    The pieces have no long gaps; ``min_score`` is as of ``merging.merge``.
+    The pieces have no long gaps; ``min_score`` is explained by ``merge``.
     """
     paths = [make_path(track, joints) for track, _ in pieces]
     shared = {

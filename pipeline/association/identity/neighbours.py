@@ -115,7 +115,7 @@ def _middles(xyz_m: Float[np.ndarray, "people frames joints 3"]) -> Float[np.nda
 
 # Gain of an explanation, in observations that nothing explains, that decides for the neighbour.
 _CLEARLY = 0.6
-# Share by which the places from all views may explain a limb less than those of the other views.
+# Share by which the places from all views may explain a limb less than places from the other views.
 _ROUGHLY = 0.2
 # Expected places get better when limbs have gone to their owners.
 _NUM_ROUNDS = 2
@@ -317,7 +317,7 @@ class _View:
 def _means(
     values: Float[np.ndarray, "*batch frames joints"], counts: Bool[np.ndarray, "frames joints"]
 ) -> Float[np.ndarray, "*batch frames"]:
-    """Mean of the joints that count; 0 without any, of no explanation as of all."""
+    """Mean of the joints that count; 0 without any."""
     return np.asarray((counts * values).sum(-1) / np.maximum(counts.sum(-1), 1))
 
 

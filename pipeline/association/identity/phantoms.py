@@ -6,8 +6,8 @@ observations lies where a neighbour's own joint is in this picture, while a pers
 Bodies of different cameras that do not belong together agree by chance now and then. How often follows from geometry
 (a-contrario detection, Desolneux, Moisan and Morel 2000): a body of a second camera lies at a ray by chance with the
 probability that the band around its epipolar line covers, times the number of bodies in the picture; a body of a third
-camera with that of the disc around a point. Moments count once a fifth of a second, because wrong detections last, and
-only where there are pictures: chance has no occasion in a pause.
+camera with the probability of the disc around a point. Moments count once a fifth of a second, because wrong
+detections last, and only where there are pictures: chance has no occasion in a pause.
 """
 
 import math

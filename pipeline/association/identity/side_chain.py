@@ -75,7 +75,7 @@ def limb_states(
 ) -> LimbStates:
     """States of a limb pair from its candidates.
 
-    Times and places are those of the first and of the last frame; see ``LimbStates``. ``residual`` is infinite for a
+    Times and places are of the first and of the last frame; see ``LimbStates``. ``residual`` is infinite for a
     candidate that is none. ``label_weight`` is the weight of the labels of each view, 0 where it sees nothing.
     """
     against = (exchanged * label_weight[:, None]).sum(-1)
@@ -97,7 +97,7 @@ def most_likely(
 ) -> tuple[Bool[np.ndarray, "moments cameras"], Bool[np.ndarray, "moments cameras"]]:
     """Find the exchanged views of arms and legs on the path of least cost.
 
-    ``num_frames`` are those of each moment; the costs of both limb pairs are of all frames.
+    ``num_frames`` are the frames of each moment; the costs of both limb pairs are of all frames.
     """
     limbs = _Limbs(arms), _Limbs(legs)
     num_moments = len(arms.cost)

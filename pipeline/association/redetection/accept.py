@@ -33,10 +33,10 @@ def accept(
     min_score: float,
     lambda_t_hz: float,
 ) -> People:
-    """Give people the bodies that were detected again, and locate their joints anew there.
+    """Give people the bodies that were detected again, and locate their joints again there.
 
-    A body is that of the person who is expected nearest to it, who may stand in front of the one who was looked for;
-    bodies far from everybody are nobody's. Its joints replace those of the observation; joints that were not read
+    A body belongs to the person who is expected nearest to it, who may stand in front of the one who was looked for;
+    bodies far from everybody are nobody's. Its joints replace the joints of the observation; joints that were not read
     again stay, and so do those that both detections mark alike, of which the first one is more exact.
 
     Parameters

@@ -133,7 +133,7 @@ def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: T
 
     Two people in the same epipolar plane satisfy the epipolar constraint. Their rays then mostly miss each other, or
     meet at points that make no body of plausible size. World positions are NaN where a joint was not located;
-    ``spread_m`` is as of the function of this name.
+    ``spread_m`` comes from the function of this name.
     """
     known = np.isfinite(xyz_m[:, 0])
     if known.sum() < xyz_m.shape[0] // 3 or not spread_m < parameters.alpha_3d_m:

@@ -134,9 +134,9 @@ def observed_by(
     timebase: Timebase,
     lambda_t_hz: float,
 ) -> tuple[Float[np.ndarray, "frames cameras joints 2"], Float[np.ndarray, "frames cameras joints"]]:
-    """Sample a person's detections at the frames of a track, as those of tracking are; NaN and 0 without any.
+    """Sample a person's detections at the frames of a track, like tracking does; NaN and 0 without any.
 
-    ``rows`` are those of the person's detections, ascending, at most one a camera and frame.
+    ``rows`` are the rows of the person's detections, ascending, at most one a camera and frame.
     """
     num_joints = bodies.score.shape[1]
     shape = track.num_frames, num_cameras, num_joints

@@ -96,7 +96,7 @@ def make_frames(
 class TrackerState:
     """State of the tracker between two frames, which gives detections the numbers of targets.
 
-    ``parameters`` are those of ``derive_parameters``; ``most_detections`` in a frame are expected, more are taken.
+    ``parameters`` come from ``derive_parameters``; ``most_detections`` in a frame are expected, more are taken.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class TrackerState:
         on_share: OnShare = ignore,
         on_approximate: Callable[[float], object] = ignore,
     ) -> None:
-        """Process frames in time order, none before those of earlier calls.
+        """Process frames in time order, none before frames of earlier calls.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class TrackerState:
             on_share(event / num_frames)
 
     def carry(self) -> Int[np.ndarray, " rows"]:
-        """Rows of the detections that may start a target with those of later frames: they must be kept.
+        """Rows of the detections that may start a target with detections of later frames: they must be kept.
 
         They are unmatched detections of each camera's most recent frame. The next call of ``advance`` finds them in
         this order in the first rows.
@@ -323,7 +323,7 @@ class TrackerState:
 class Tracker:
     """Gives every detection of a session the identity of a person.
 
-    ``frames`` are those of ``make_frames``, ``parameters`` of ``derive_parameters``.
+    ``frames`` come from ``make_frames``, ``parameters`` from ``derive_parameters``.
     """
 
     def __init__(self, cameras: Sequence[Camera], frames: Frames, parameters: TrackingParameters) -> None:
@@ -337,7 +337,7 @@ class Tracker:
     ) -> Int[np.ndarray, " detections"]:
         """Process all frames in time order.
 
-        ``on_share`` and ``on_approximate`` are as of ``TrackerState.advance``. Returns the identity of each detection;
+        See ``TrackerState.advance`` for ``on_share`` and ``on_approximate``. Returns the identity of each detection;
         ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
         """
         identity = np.full(len(self._frames.score), NOBODY)

@@ -26,7 +26,7 @@ def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timeb
 
 
 def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:
-    """Tracks and observations of the people whom the edits changed, from those of the people who were found.
+    """Tracks and observations of people changed by the edits, from the tracks and observations of found people.
 
     Frames between two pieces are absent. People without a single known joint are left out. ``spans`` are the frames of
     ``people``, who were found, in the same order.
@@ -68,7 +68,7 @@ def put_together(
 ) -> tuple[People, Animation]:
     """People of an edited take and their animation: the changed ones, and the others as they were found.
 
-    The floor is that of the people who were found: it does not depend on who is who. Doubts and losses remain of people
+    The floor of the found people stays: it does not depend on who is who. Doubts and losses remain of people
     who did not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in
     the same order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
     """

@@ -114,7 +114,7 @@ def reconstruct_to_files(
     folder
         Folder of the result files, made if it is missing.
     name
-        Name of the take in its report; by default that of the folder.
+        Name of the take in its report; by default the folder's name.
     sources
         Files that the report names with their digests beside the videos, such as the calibration.
     on_file

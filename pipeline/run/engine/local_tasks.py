@@ -319,7 +319,7 @@ class UnitCounter:
 
 @contextlib.contextmanager
 def scratch_folder(results: Path | None) -> Iterator[Path]:
-    """Folder for temporary files during the block; in that of the results, if there is one, so that files are moved.
+    """Folder for temporary files during the block; inside the folder of the results, if there is one: files are moved.
 
     Removes what killed processes left there. Raises ``PipelineError`` if the folder of the results can't be written.
     """

@@ -3,7 +3,7 @@
 ``tracking`` is one sequential pass. ``clustering`` first measures everybody's bones over the whole session, then finds
 people in each range of frames by itself, and then links them. At last a global pass over either method's tracks finds
 out who is who. Detections are whole bodies (``Detections``) or peaks
-and fields (``PafFields``), at least those of the range.
+and fields (``PafFields``), at least of the range.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -98,7 +98,7 @@ class Association:
     def track(self, bodies: Detections2D, on_share: OnShare = ignore) -> People:
         """Track people by cross-view tracking: one pass in time order.
 
-        ``bodies`` are those of all cameras, as of ``gather``, without fingers.
+        ``bodies`` are the bodies of all cameras that ``gather`` gives, without fingers.
         """
         timebase = self.timebase
         approximate: set[int] = set()
@@ -156,7 +156,7 @@ class Association:
     def accept_redetected(self, people: People, found: Iterable[Detections]) -> People:
         """Give people the bodies that were detected again; see ``pipeline.association.redetection.accept``.
 
-        ``found`` are those of ranges and cameras, those of a camera in order of time.
+        ``found`` are bodies by range and camera, of each camera in order of time.
         """
         bodies = concatenate(found, [camera.name for camera in self.cameras], len(self.joints.names))
         cameras = self.cameras, self.times, self.timebase
@@ -174,7 +174,7 @@ class Association:
         )
 
     def follow_by_one_camera(self, people: People, left: Leftovers | None) -> People:
-        """Continue people whom one camera alone still sees; see ``pipeline.association.identity.alone``.
+        """Continue people seen by one camera alone; see ``pipeline.association.identity.alone``.
 
         ``left`` are the bodies that association gave to nobody; ``None`` where it takes joints one by one.
         """
@@ -194,7 +194,7 @@ class Association:
     def attach(self, people: People, bodies: Detections2D, joints: JointSet) -> People:
         """Add the fingers of detections to people of either method; see ``pipeline.association.hands.attach``.
 
-        ``bodies`` are those of all cameras with all joints of the detections, as of ``gather``.
+        ``bodies`` are the bodies of all cameras that ``gather`` gives, with all joints of the detections.
         """
         setting = self.cameras, joints, self.timebase, self._min_score
         return attach_hands(people, bodies, *setting, self._tracking.lambda_t_hz)

@@ -102,7 +102,7 @@ class FilesInPieces(KeptFiles):
 class TakeInPieces:
     """Report and viewers' files of a whole take: edits change them, names do not.
 
-    See ``FilesInPieces``; ``edits`` are those of the take.
+    See ``FilesInPieces``; ``edits`` are the edits of the take.
     """
 
     def __init__(self, pieces: Pieces, scratch: Path, edits: Sequence[PeopleEdit]) -> None:

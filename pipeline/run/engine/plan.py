@@ -1,7 +1,7 @@
 """Plan of a job: stages, their tasks and the keys of the tasks' outputs. Standard library only.
 
 A job reconstructs a session, makes a calibration from the board or the people that its videos show, makes proxies of
-its videos, or makes overlay videos, the report and the recording of a reconstruction anew.
+its videos, or rebuilds overlay videos, the report and the recording of a reconstruction.
 
 ``STAGES`` are the declarations of the modules of ``pipeline.run.steps``; progress, labels, keys, the page and the
 command line read them. ``plan`` is pure: equal inputs give equal plans on every machine. The key of a task is a hash of
@@ -240,7 +240,7 @@ def _tasks(
 
 @dataclass(frozen=True, slots=True)
 class _Derived:
-    """Tasks that are derived anew whenever they are iterated over."""
+    """Tasks that are derived again at each iteration."""
 
     derive: Callable[[], Iterator[Task]]
 

@@ -249,7 +249,7 @@ class Output:
     # Files with pieces of the output, by key: kept with the session, so that later tasks find them. See
     # ``pipeline.run.engine.pieces``.
     pieces: Mapping[str, Path] = field(default_factory=dict)
-    # People whom the job has found, before any edit; ``None`` of a task that writes no results
+    # People found by the job, before any edit; ``None`` of a task that writes no results
     people: tuple[PersonSpan, ...] | None = None
 
 

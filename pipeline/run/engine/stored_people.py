@@ -76,7 +76,7 @@ def found_people(context: Context, stage: str) -> StoredPeople:
 
 
 class StoredSequence(Sequence[_Record]):
-    """Records, each read or made anew whenever it is asked for."""
+    """Records, each read or made at each access."""
 
     def __init__(self, num_records: int, read: Callable[[int], _Record]) -> None:
         self._numbers, self._read = range(num_records), read

@@ -48,7 +48,7 @@ class LiveCapture:
     settings
         Rates and times.
     offsets
-        Offsets of the detector's marks from the joints' centres, as of ``joint_centers`` of a job.
+        Offsets of the detector's marks from the joints' centres, like ``joint_centers`` of a job.
 
     Raises
     ------

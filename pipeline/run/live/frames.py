@@ -26,7 +26,7 @@ class LiveFrame:
     camera: int  # Position of the camera
     ideal_px: Float[np.ndarray, "people joints 2"]  # Undistorted joints, NaN where a joint was not found
     score: Float[np.ndarray, "people joints"]  # The detector's confidence, 0 where a joint was not found
-    # Colours of the people's clothes, as of ``detect.appearance``; ``None``: not measured
+    # Colours of the people's clothes, like ``detection.appearance``; ``None``: not measured
     colour: UInt8[np.ndarray, "people parts bins"] | None = None
 
     @property

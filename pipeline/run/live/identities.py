@@ -2,7 +2,7 @@
 
 The tracker gives a new number to whoever was hidden for longer than it waits. Until the bones of a new person are
 learnt, all full seconds of sight are compared with the people who are not there: by the log-likelihood ratio that the
-lengths of the limbs are those of one person, like ``identity.proportions``, plus that of the clothes' colours where
+lengths of the limbs are of one person, like ``identity.proportions``, plus the ratio of the clothes' colours where
 there are pictures, like ``identity.clothes``. The number goes back only where it is clear.
 
 A person's colours are two means, of the earlier and of the later part of the time in sight: their distance tells how
@@ -35,7 +35,7 @@ from pipeline.run.live.skeleton import LearntBones
 _MOST_LEARNT = 16
 
 ColourOfCamera = tuple[int, UInt8[np.ndarray, "parts bins"]]
-"""Position of a camera, and the colours of a detection in its picture, as of ``detect.appearance``."""
+"""Position of a camera, and the colours of a detection in its picture, like ``detection.appearance``."""
 
 
 class _Halves(NamedTuple):
@@ -82,7 +82,7 @@ class LiveClothes:
             self._others.setdefault(other, set()).add(number)
 
     def merge(self, number: int, former: int) -> None:
-        """Give all of a person to another number, which is that of the same person."""
+        """Give all of a person to another number, which belongs to the same person."""
         if (halves := self._halves.pop(number, None)) is not None:
             known = self._halves.get(former)
             self._halves[former] = halves if known is None else known.extended(halves.whole)
@@ -126,7 +126,7 @@ _USUAL_M, _USUAL_SECONDS = 0.03, 0.5
 _CLEAR, _CLEAR_IF_ANNOUNCED = 4.0, 2.0
 # Fewest positions of a second that are compared.
 _FEWEST_KEPT = 5
-# Seconds for which a body of an earlier take was measured, as far as its lengths are those of this detector's marks.
+# Seconds for which a body of an earlier take was measured, as far as its lengths are between this detector's marks.
 _EARLIER_S = 5.0
 # Time in sight together from which on two people are certainly different ones. Their seconds may begin at different
 # times: when one of them is over, the other person's is at least half over, or the other way round.
@@ -191,7 +191,7 @@ class Identities:
     ) -> None:
         self._joints = joints
         self._first = len(bodies)
-        self._number: dict[int, int] = {}  # of the people whom the tracker follows, by its number
+        self._number: dict[int, int] = {}  # of the people followed by the tracker, by its number
         self._known: dict[int, KnownBody] = {}
         self._seconds: dict[int, _Seconds] = {}
         self._clothes = LiveClothes(num_cameras)
@@ -213,7 +213,7 @@ class Identities:
         return self._number.setdefault(tracked, tracked + self._first)
 
     def keep(self, tracked: Set[int]) -> None:
-        """Forget positions of people whom the tracker does not follow any more, and the first of very many people.
+        """Forget positions of people no longer followed by the tracker, and the first of very many people.
 
         People who were announced stay.
         """
@@ -244,7 +244,7 @@ class Identities:
         xyz_m
             World positions in metres, NaN where unknown.
         colours
-            Colours of the person's detections by the positions of their cameras, as of ``detect.appearance``; none
+            Colours of the person's detections by the positions of their cameras, like ``detection.appearance``; none
             where they were not measured.
 
         Returns
@@ -345,7 +345,7 @@ class Identities:
 def limbs_of_bones_m(
     length_m: Float[np.ndarray, " bones"], offsets: JointOffsets = MARKED_AT_CENTERS
 ) -> Float[np.ndarray, " limbs"]:
-    """Lengths of the limbs of ``identity.proportions`` from those of a skeleton's bones, in metres.
+    """Lengths of the limbs of ``identity.proportions`` from the lengths of a skeleton's bones, in metres.
 
     Shoulders and hips are where a detector with such offsets marks them on somebody who stands upright.
     """

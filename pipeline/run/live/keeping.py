@@ -1,8 +1,8 @@
 """``keeping PACKETS FOLDER CAMERAS LAYOUT``: packets of a live capture as files of a session.
 
 Writes an archive of each camera that sent frames, in OpenPose's form, and ``timestamps.csv``; prints the archives'
-names by camera. ``CAMERAS`` is a list of names in JSON, ``LAYOUT`` that of the points. Frames are in the order of their
-times, which begin at 0; of frames of a camera with the same time the first one is kept.
+names by camera. ``CAMERAS`` is a list of names in JSON, ``LAYOUT`` the layout of the points. Frames are in the order of
+their times, which begin at 0; of frames of a camera with the same time the first one is kept.
 """
 
 import csv

@@ -12,7 +12,7 @@ from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.motion.skeleton.fitting.articulation_kernels import assemble
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 
-# Priors as of ``skeleton.fitting.articulated``.
+# Priors of ``skeleton.fitting.articulated``.
 _TWIST_RAD, _TWIST_LIMIT_RAD = 1.5, 0.3
 _INERTIA, _AT_END_RAD, _HELD = 1.0, 1e-9, 1e12
 _LEAST_TWIST_SQUARE = 0.05

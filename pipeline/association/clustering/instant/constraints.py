@@ -34,7 +34,7 @@ def nearly_fits(
     """Whether pairs satisfy either of eq. 2 and 3, and the other one up to a factor.
 
     Hypotheses from two views are less accurate than the final joint, and fields of touching limbs weaken each other.
-    Arguments are as of ``fits``. ``is_measured``: the limb's length is known for any person; only then may connectivity
+    See ``fits``. ``is_measured``: the limb's length is known for any person; only then may connectivity
     be weaker. ``leniency`` is the factor by which the other threshold may be missed.
     """
     weakly = fits(score, least / leniency, error, tau3) & is_measured

@@ -1,13 +1,13 @@
 """Clocks of streams: when frames were taken, on the clock of this machine. Standard library only.
 
-All times are in seconds; those of this machine are of ``time.monotonic``.
+All times are in seconds; times of this machine are of ``time.monotonic``.
 """
 
 from typing import Protocol, runtime_checkable
 
 # Largest difference of the rates of two clocks: what quartz of cameras and computers has, with a margin.
 _DRIFT = 2e-4
-# Difference after which a stream has begun to count anew.
+# Difference after which a stream has begun to count again.
 _RESTART_S = 10.0
 # Lateness from which on frames are left out up to a keyframe, and what that catches up at least.
 _TOO_LATE_S, _CAUGHT_UP_S = 1.0, 0.1
@@ -21,14 +21,14 @@ class CaptureClock(Protocol):
         """Take the time stamp of what has arrived now; return how late it is."""
 
     def restart(self, stamp_s: float, now_s: float) -> None:
-        """Take what has arrived now for what is not late: the stream counts anew."""
+        """Take what has arrived now for what is not late: the stream counts again."""
 
     def capture_s(self, stamp_s: float) -> float:
         """Time at which a frame was taken."""
 
 
 class StreamClock:
-    """Clock of a stream whose frames bear times of the camera, such as those of RTP.
+    """Clock of a stream whose frames bear times of the camera, such as RTP's.
 
     A frame arrives some delay after it was taken. The delay varies, by the network and the size of the frame; the times
     of the camera don't. So a frame was taken at its own time plus the smallest delay so far, and jitter of arrival does
@@ -50,7 +50,7 @@ class StreamClock:
         return delay_s - self._delay_s
 
     def restart(self, stamp_s: float, now_s: float) -> None:
-        """Begin anew with what has arrived now."""
+        """Begin again with what has arrived now."""
         self._delay_s = now_s - stamp_s
 
     def capture_s(self, stamp_s: float) -> float:

@@ -64,7 +64,7 @@ def find_offsets(cameras: Sequence[Camera], frames: Sequence[DetectedFrame], joi
     Parameters
     ----------
     frames
-        Frames of all cameras, those of each camera in the order of their times; some seconds, less than half a minute.
+        Frames of all cameras, of each camera in the order of their times; some seconds, less than half a minute.
 
     Returns
     -------
