@@ -3,7 +3,7 @@
 from api.web.calibrations import routes as calibrations
 from api.web.callers import routes as callers
 from api.web.characters import routes as characters
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource
 from api.web.events import routes as events
 from api.web.health import routes as health
 from api.web.jobs import routes as jobs

@@ -15,7 +15,7 @@ import typer
 
 from api.cli.benchmark.cancel import cancel
 from api.cli.benchmark.clustering import clustering
-from api.cli.benchmark.cost.command import all_costs
+from api.cli.benchmark.cost import all_costs
 from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity

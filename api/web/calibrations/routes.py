@@ -17,9 +17,8 @@ from api.web.calibrations.schemas import (
     CalibrationPage,
     Format,
 )
-from api.web.contract.description import RETRY_AFTER, answer, file_content, location, problems
+from api.web.contract.description import RETRY_AFTER, Resource, answer, file_content, location, problems
 from api.web.contract.examples import CALIBRATION_ID, JOB_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.web.errors import ApiError
 from api.web.http.bodies.reading import SmallBodyRoute

@@ -7,8 +7,7 @@ from fastapi import APIRouter, Body, Request, Response, status
 from api.web.auth import AnyCallerDep, wrong_key
 from api.web.callers import examples
 from api.web.callers.schemas import BrowserSession, CallerOut, QuotasOut
-from api.web.contract.description import answer, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, answer, problems
 from api.web.dependencies import ServicesDep
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.browser_cookie import cookie_name, delete_cookie, set_cookie

@@ -19,9 +19,8 @@ from api.web.characters.intake import (
     stored_character,
 )
 from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
-from api.web.contract.description import answer, file_content, location, problems
+from api.web.contract.description import Resource, answer, file_content, location, problems
 from api.web.contract.examples import CHARACTER_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import CharacterId, Cursor, Limit, Services, ServicesDep
 from api.web.downloads import ConditionsDep, file_responses, send_file
 from api.web.http.bodies.reading import SmallBodyRoute

@@ -1,18 +1,85 @@
-"""OpenAPI document of the web API, and helpers with which routes declare responses."""
+"""OpenAPI document of the web API: resources, bodies and responses as their routes declare them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
 from api.web.contract import examples
-from api.web.contract.bodies import SCHEMA_REF, form_schema
-from api.web.contract.resource import Resource
 from api.web.errors import ErrorItem, ProblemDetails
+from api.web.http.bodies.form_kinds import FORM_TYPE, JSON_TYPE, VIEWS, FormKind
 from api.web.http.rates import RATE_HEADERS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resource:
+    """A resource, or a part of it; ``api.web.resources`` registers each.
+
+    Parameters
+    ----------
+    router
+        Routes of the resource.
+    is_open
+        Whether its routes need no key.
+    answers
+        Examples of responses by name; see ``api.web.contract.description.answer``.
+    forms
+        Kinds of the forms that its routes take.
+    """
+
+    router: APIRouter
+    is_open: bool = False
+    answers: Mapping[str, Any] = field(default_factory=dict)
+    forms: tuple[FormKind, ...] = ()
+
+
+SCHEMA_REF = "#/components/schemas/{model}"
+
+# `format` is OpenAPI 3.0's notation, which generators of clients support; `contentMediaType` is that of 3.1.
+_FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
+_ID = {
+    "type": "string",
+    "format": "uuid",
+    "description": "Id of a stored calibration, in place of `calibration`.",
+}
+
+
+def body_of(kind: FormKind, types: Collection[str]) -> dict[str, Any]:
+    """Declare the body of an operation, for ``openapi_extra``: a form, JSON that names uploads, or both."""
+    content = {
+        FORM_TYPE: {
+            "schema": {"$ref": SCHEMA_REF.format(model=kind.name)},
+            "encoding": {part: {"contentType": JSON_TYPE} for part in kind.models},
+            "example": kind.form_example,
+        },
+        JSON_TYPE: {
+            "schema": {"$ref": SCHEMA_REF.format(model=kind.uploaded.__name__)},
+            "example": kind.uploaded_example,
+        },
+    }
+    return {"requestBody": {"required": True, "content": {name: content[name] for name in content if name in types}}}
+
+
+def form_schema(kind: FormKind) -> dict[str, Any]:
+    """Schema of a form."""
+    properties: dict[str, Any] = {}
+    for part, description in kind.parts.items():
+        schema = {"type": "array", "items": _FILE, "minItems": 1} if part in VIEWS else _FILE
+        properties[part] = {**schema, "description": description}
+    for part, model in kind.documents.items():
+        properties[part] = _ID if model is None else {"$ref": SCHEMA_REF.format(model=model.__name__)}
+    return {
+        "type": "object",
+        "title": kind.name,
+        "description": f"Files of a {kind.noun}, with JSON in parts of their own.",
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
 
 Responses = dict[int | str, dict[str, Any]]
 

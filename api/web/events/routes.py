@@ -9,8 +9,7 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import Caller, EventsViewDep, ViewerDep
-from api.web.contract.description import problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, problems
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.events.changes import Watch
 from api.web.jobs.examples import JOB

@@ -10,8 +10,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.web.auth import AdminDep
-from api.web.contract.description import answer, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, answer, problems
 from api.web.dependencies import ServicesDep
 from api.web.errors import ErrorItem, database_damaged, problem_response, service_unavailable
 from api.web.health import examples

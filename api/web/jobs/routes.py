@@ -6,9 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Query, Response, status
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.contract.description import RETRY_AFTER, Responses, answer, location, problems
+from api.web.contract.description import RETRY_AFTER, Resource, Responses, answer, location, problems
 from api.web.contract.examples import JOB_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute

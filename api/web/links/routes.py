@@ -6,8 +6,7 @@ from urllib.parse import quote
 from fastapi import APIRouter, Body, Path, status
 
 from api.web.auth import ALL_RESULTS, LINK, RecordsDep
-from api.web.contract.description import answer, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, answer, problems
 from api.web.contract.schemas import fields_of
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable

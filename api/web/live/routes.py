@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from api.web.auth import Caller, websocket_caller
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message

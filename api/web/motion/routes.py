@@ -10,8 +10,7 @@ from typing import Annotated, BinaryIO
 from fastapi import APIRouter, Header, Query, Response
 
 from api.web.auth import JobViewDep
-from api.web.contract.description import answer, file_content, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, answer, file_content, problems
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import Download, Stream, opened
 from api.web.errors import ApiError

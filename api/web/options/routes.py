@@ -10,8 +10,7 @@ from fastapi import APIRouter, Path, Response
 from starlette.responses import FileResponse
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import answer, file_content, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, answer, file_content, problems
 from api.web.dependencies import ServicesDep
 from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional

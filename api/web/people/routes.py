@@ -5,9 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Response, status
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import RETRY_AFTER, Responses, answer, location, problems
+from api.web.contract.description import RETRY_AFTER, Resource, Responses, answer, location, problems
 from api.web.contract.examples import JOB_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import POLL_AFTER_S, JobId, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute

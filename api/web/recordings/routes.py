@@ -8,9 +8,8 @@ from fastapi import APIRouter, Body, Path, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import answer, location, problems
+from api.web.contract.description import Resource, answer, location, problems
 from api.web.contract.examples import JOB_ID, SESSION_ID
-from api.web.contract.resource import Resource
 from api.web.contract.schemas import fields_of
 from api.web.dependencies import Cursor, Limit, RecordingId, Services, ServicesDep
 from api.web.errors import ErrorItem, pointer_to, unprocessable

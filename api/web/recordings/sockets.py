@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from api.web.auth import Caller, joining_caller, joining_secret, websocket_caller
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource
 from api.web.dependencies import Services, canonical_id
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import LATER, SocketProblem, deny, problem_message, socket_problem

@@ -7,9 +7,8 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
-from api.web.contract.description import answer, file_content, problems
+from api.web.contract.description import Resource, answer, file_content, problems
 from api.web.contract.examples import JOB_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import (
     HEADERS,

@@ -5,9 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Query, Response, status
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.contract.description import answer, location, problems
+from api.web.contract.description import Resource, answer, location, problems
 from api.web.contract.examples import SESSION_ID
-from api.web.contract.resource import Resource
 from api.web.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match

@@ -5,8 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request, Response
 
 from api.web.auth import VideoViewDep
-from api.web.contract.description import file_content, problems
-from api.web.contract.resource import Resource
+from api.web.contract.description import Resource, file_content, problems
 from api.web.dependencies import ServicesDep, SessionId
 from api.web.downloads import ConditionsDep, Download, file_responses, send_file
 from api.web.sessions.videos import Camera, deleted

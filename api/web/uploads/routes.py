@@ -14,9 +14,8 @@ from fastapi import APIRouter, Depends, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import UploadsDep
-from api.web.contract.description import Responses, file_content, location, problems
+from api.web.contract.description import Resource, Responses, file_content, location, problems
 from api.web.contract.examples import UPLOAD_IDS
-from api.web.contract.resource import Resource
 from api.web.dependencies import Services, ServicesDep, UploadId
 from api.web.errors import ApiError
 from api.web.http.bodies.form import name_error, too_large

@@ -9,11 +9,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from api.cli.benchmark.cost import command
-from api.cli.benchmark.cost.growth import simulated_session
-from api.cli.benchmark.cost.job import JobCost, measure_job
-from api.cli.benchmark.cost.machine import processor_name
-from api.cli.benchmark.cost.tables import CostTable, cost_tables
+from api.cli.benchmark import cost as cost_module
+from api.cli.benchmark.cost import JobCost, measure_job, processor_name, simulated_session
+from api.cli.benchmark.cost_tables import CostTable, cost_tables
 from api.cli.benchmark.tracking import crowd
 from api.cli.main import app
 from pipeline.core.options.config import PROFILES, ReconstructionConfig
@@ -62,14 +60,14 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
     sample = samples.Sample(tmp_path, videos, tmp_path / "rig.toml", "BSD", "A")
     picture = {"profile": "fast", "bodies": 2, "pictures": 9, "core_ms": 21.04}
     keypoint_job = {**COST.as_dict(), "simulated_people": 3, "duration_s": 20.0}
-    monkeypatch.setattr(command, "measure_job", measure)
-    monkeypatch.setattr(command, "looped_sample", lambda sample, loops, folder: None)
-    monkeypatch.setattr(command, "_pictures", lambda profile, videos: [picture] if profile == "fast" else [])
+    monkeypatch.setattr(cost_module, "measure_job", measure)
+    monkeypatch.setattr(cost_module, "looped_sample", lambda sample, loops, folder: None)
+    monkeypatch.setattr(cost_module, "_pictures", lambda profile, videos: [picture] if profile == "fast" else [])
     monkeypatch.setattr(
-        command, "measure_keypoints", lambda: {key: [keypoint_job] for key in ("cameras", "people", "duration_s")}
+        cost_module, "measure_keypoints", lambda: {key: [keypoint_job] for key in ("cameras", "people", "duration_s")}
     )
-    monkeypatch.setattr(command, "_other_providers", lambda: ["openvino"])
-    monkeypatch.setattr(command, "warm_up", lambda: None)
+    monkeypatch.setattr(cost_module, "_other_providers", lambda: ["openvino"])
+    monkeypatch.setattr(cost_module, "warm_up", lambda: None)
     monkeypatch.setattr(models, "install_networks", lambda config: None)
     monkeypatch.setattr(samples, "install", lambda: sample)
     result = CliRunner().invoke(app, ["benchmark", "all", "--json"])

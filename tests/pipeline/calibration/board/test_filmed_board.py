@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.progress import Progress
 
-from api.cli.commands.calibrate.board import in_videos
+from api.cli.commands.calibrate import in_videos
 from api.cli.sources import SourceOptions
 from pipeline.calibration.board.calibrate import calibrate_board
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from api.cli.commands.calibrate import board as command
+from api.cli.commands import calibrate
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.registry import read_calibration
 from pipeline.geometry.camera import center_in_world
@@ -48,7 +48,7 @@ def test_it_is_not_worse_than_others_on_the_same_videos(tmp_path: Path, seed: in
         painter = BoardPainter(camera, BOARD)
         pictures = [painter.paint(pose, rng) for pose in poses]
         write_pictures(videos / f"{camera.name}.mp4", pictures, {"crf": "5", "preset": "ultrafast"})
-    command.command(str(BOARD), tmp_path / "ours.json", [videos])
+    calibrate.from_board(str(BOARD), tmp_path / "ours.json", [videos])
     found: dict[str, Found] = {
         "ours": {
             camera.name: {"center_m": center_in_world(camera), "focal_px": camera.matrix[0, 0]}

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.sync.clocks import all_bodies, measured_clocks
+from api.cli.commands.sync import all_bodies, measured_clocks
 from api.cli.console import (
     EXIT_BAD_INPUT,
     JsonOption,

@@ -1,25 +1,47 @@
 """`multicap calibration`: show, check and convert calibration files."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from api.cli.commands.calibration import check
-from api.cli.commands.calibration.cameras import FileArgument, camera_documents, read
-from api.cli.console import JsonOption, console, emit, print_table, reporting, warn, writing
-from api.cli.options import UnitsOption, UpOption
+from api.cli.console import (
+    EXIT_BAD_INPUT,
+    JsonOption,
+    StageBars,
+    console,
+    emit,
+    print_table,
+    reporting,
+    show_findings,
+    show_layout,
+    warn,
+    writing,
+)
+from api.cli.options import UnitsOption, UpOption, checked, known_units, known_up, with_choices
+from api.cli.sources import SourceOptions, with_source
+from pipeline.calibration.checks.check import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS
+from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.findings import Finding, documents, from_problem, has_error
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.parsing import SIDE_PX
-from pipeline.core.problems.findings import PARAMETER_UNREADABLE
+from pipeline.core.problems.findings import CALIBRATION_NOTE, PARAMETER_UNREADABLE
 from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
+from pipeline.export.quality.findings import join_findings, people_findings
+from pipeline.export.quality.report import quality_report
 from pipeline.geometry.camera import center_in_world
+from pipeline.run.engine.local import reconstruct
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
 app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
 
@@ -140,4 +162,78 @@ def _document(contents: CameraFile, units: str | None) -> dict[str, Any]:
     }
 
 
-app.command("check")(check.command)
+@app.command()
+@with_choices("profile", "detector")
+@with_source(omits=("clock",))
+def check(
+    *,
+    file: FileArgument,
+    source: SourceOptions,
+    chosen: Mapping[str, Any],
+    as_json: JsonOption = False,
+) -> None:
+    """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        config = replace(checked(chosen, partial(source.check, is_optional=True)), smoothing="none")
+        cameras: Sequence[Camera] = ()
+        try:
+            contents = read(file, source.units, source.up)
+            cameras = contents.cameras
+            session: Session | None = None
+            if source.keypoints is not None or source.videos is not None:
+                session = source.open(file)
+        except InputError as error:
+            findings = [*check_cameras(cameras)] if cameras else []
+            findings += [from_problem(problem) for problem in error.problems]
+        else:
+            findings = _check(cameras, session, config, bars)
+            if session is None:
+                findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
+    if as_json:
+        emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
+    else:
+        show_findings(findings, f"{len(cameras)} cameras: nothing is wrong with the calibration.")
+    if has_error(findings):
+        raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def _check(
+    cameras: Sequence[Camera], session: Session | None, config: ReconstructionConfig, bars: StageBars
+) -> list[Finding]:
+    if session is None:
+        return check_cameras(cameras)
+    for sentence in session.warnings:
+        warn(sentence)
+    show_layout(session.layout, session.warnings)
+    # Cameras of the session are those of the file at the size of the videos.
+    fitted = {camera.name: camera for camera in session.cameras}
+    alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])
+    if has_error(alone):
+        return alone
+    reconstruction = reconstruct(session, replace(config, appearance="off", force=True), bars.update)
+    return join_findings(alone, people_findings(quality_report(reconstruction)))
+
+
+def read(file: Path, units: str | None, up: str = "z") -> CameraFile:
+    """Read a calibration in a unit, and with an axis that points up, as they were typed.
+
+    Raises ``InputError`` if there is no such unit or axis, or with all problems of the file.
+    """
+    return read_contents(file, known_units(units), known_up(up))
+
+
+def camera_documents(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
+    """Cameras as JSON objects; lengths in metres."""
+    return [
+        {
+            "name": camera.name,
+            "size_px": None if camera.size_px == UNKNOWN_SIZE else list(camera.size_px),
+            "matrix": camera.matrix.tolist(),
+            "lens": camera.lens,
+            "distortion": camera.distortion.tolist(),
+            "rotation": camera.cam_from_world.rotation.tolist(),
+            "translation_m": camera.cam_from_world.translation_m.tolist(),
+            "position_m": np.round(center_in_world(camera), 6).tolist(),
+        }
+        for camera in cameras
+    ]

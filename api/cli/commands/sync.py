@@ -1,13 +1,13 @@
-"""`multicap sync`: offsets of cameras, measured from the people whom they see."""
+"""`multicap sync`: measure the offsets of cameras by people and by sound."""
 
 import json
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.sync.clocks import all_bodies, measured_clocks
 from api.cli.console import (
     EXIT_FAILED,
     JsonOption,
@@ -22,11 +22,25 @@ from api.cli.console import (
 )
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import Session
 from pipeline.capture.synchronization.document import sound_document, sync_document
+from pipeline.capture.synchronization.motions import excerpt
 from pipeline.capture.synchronization.report import error_pictures
+from pipeline.capture.synchronization.session import listen
+from pipeline.capture.synchronization.sound.combined import synchronize_with_sound
+from pipeline.capture.synchronization.sound.offsets import SoundOffsets
 from pipeline.core.data.cameras import Synchronization
+from pipeline.core.data.detections import Detections
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.progress import OnProgress, Progress
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people
+from pipeline.run.engine.stage import SYNCHRONIZE
 
 _REPORT = "sync.json"
+_PERCENT = 100
 
 
 @with_choices("profile", "detector")
@@ -93,3 +107,29 @@ def _show(document: Mapping[str, Any]) -> None:
         warn(f"{where}{problem['message']} {problem['hint'] or ''}".rstrip())
     if not document["certain"]:
         typer.echo("The offsets are not certain.")
+
+
+def all_bodies(
+    session: Session, config: ReconstructionConfig, on_progress: OnProgress
+) -> tuple[Mapping[str, Detections], JointSet]:
+    """Bodies in all frames of a session by camera, and their joints; those in videos are detected."""
+    if isinstance(session, KeypointSession):
+        return session.detections, session.joints
+    return detect_people(session, config, on_progress), detection_joints(config)
+
+
+def measured_clocks(
+    session: Session, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
+) -> tuple[Synchronization, SoundOffsets]:
+    """Clocks from the motion of the bodies and the sound of the videos, and what the sound alone told."""
+    sound = listen(session, lambda camera: nullcontext())
+    found = synchronize_with_sound(
+        session.cameras,
+        session.times,
+        excerpt(session.times, detections),
+        joints,
+        session.starts_s,
+        sound,
+        lambda share: on_progress(Progress(SYNCHRONIZE, round(_PERCENT * share), _PERCENT)),
+    )
+    return found, sound

@@ -1,1 +1,0 @@
-"""`multicap benchmark all`: cost of a job by profile, provider, cores, cameras, people and length."""

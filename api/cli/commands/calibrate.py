@@ -1,0 +1,304 @@
+"""`multicap calibrate`: make a calibration from a board or from people."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich import progress as rich_progress
+
+from api.cli.console import (
+    JsonOption,
+    StageBars,
+    console,
+    emit,
+    print_table,
+    reporting,
+    require_writable,
+    show_layout,
+    warn,
+    writing,
+)
+from api.cli.options import checked, with_choices
+from api.cli.sources import SourceOptions, with_source
+from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.source import (
+    find_photographs,
+    frames_to_look_at,
+    look_in_photographs,
+    look_in_video,
+)
+from pipeline.calibration.board.spec import FORMS, Board, parse_board
+from pipeline.calibration.board.views import BoardViews
+from pipeline.calibration.known_points.table import COLUMNS, read_known_points
+from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration.registry import read_intrinsics
+from pipeline.calibration.report import CalibrationResult, report_document
+from pipeline.calibration.write import ENCODERS
+from pipeline.capture.keypoint_files.timestamps import times_from_file
+from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.session import CaptureSession
+from pipeline.core.data.cameras import Camera
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.core.problems.findings import SOURCES
+from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN
+from pipeline.core.progress import Progress
+from pipeline.detection.profiles.detection import detection_joints
+from pipeline.run.engine.local import detect_people
+from pipeline.run.engine.stage import CALIBRATE
+
+POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
+"""Help of the option that names a table of known points."""
+
+_REPORT = "report.json"
+_PERCENT = 100
+
+app = typer.Typer(help="Calibrations: make one from a board or from people.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Make a calibration."""
+
+
+@app.command("board")
+@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up"))
+def from_board(
+    *,
+    board: Annotated[
+        str,
+        typer.Option(metavar="BOARD", help=f"{FORMS}. Of a chessboard COLSxROWS are inner corners, else squares."),
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
+    source: SourceOptions,
+    timestamps: Annotated[
+        Path | None,
+        typer.Option(
+            help="Times of the videos' frames, if they are not those of the videos: CSV with the columns camera, frame "
+            "(from 0), time_s."
+        ),
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of photographs, with a subfolder for each camera: intrinsics only.")
+    ] = None,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Calibration whose intrinsics are kept; its poses are ignored.")
+    ] = None,
+    floor_time: Annotated[
+        float | None,
+        typer.Option(help="Second at which the board lies on the floor. Default: the longest time it lies still."),
+    ] = None,
+    world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
+    report: Annotated[Path | None, typer.Option(help="Folder for the report and the pictures of coverage.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate cameras from videos or photographs of a chessboard or a ChArUco board."""
+    with reporting(as_json):
+        found = parse_board(board)
+        require_outputs(out, report)
+        known_points = read_known_points(world_points) if world_points is not None else ()
+        if (source.videos is None) == (images is None):
+            raise InputError(
+                [Problem(SOURCES, "A board is filmed or photographed.", hint="Give --videos or --images.")]
+            )
+        if timestamps is not None and (images is not None or source.offset or source.rate):
+            message = "Timestamps are of videos, and hold their offsets and rates."
+            raise InputError([Problem(SOURCES, message, hint="Give either --timestamps, or --offset and --rate.")])
+        with rich_progress.Progress(console=console, disable=as_json, transient=True) as progress:
+            if source.videos is not None:
+                session = source.open_videos(intrinsics, keeps_poses=False)
+                for sentence in () if as_json else session.warnings:
+                    warn(sentence)
+                if timestamps is not None:
+                    session = timed(session, timestamps)
+                views = list(in_videos(session, found, progress))
+                named, rate_hz = {camera.name: camera for camera in session.cameras}, session.timebase.frame_rate_hz
+            else:
+                views = list(_in_photographs(images or Path(), found, progress))
+                named, rate_hz = {} if intrinsics is None else _named(intrinsics, views), 0.0
+            task = progress.add_task("Calibrate cameras", total=1.0)
+            made = calibrate_board(
+                views,
+                found,
+                named if intrinsics else None,
+                rate_hz,
+                floor_time,
+                lambda share: progress.update(task, completed=share),
+                known_points,
+            )
+        write_made(made, out, report)
+    show_made(made, out, as_json)
+
+
+def timed(session: CaptureSession, timestamps: Path) -> CaptureSession:
+    """Session with the times of a file for the frames of its videos; raises ``InputError`` if they don't serve."""
+    problems: list[Problem] = []
+    frames = {camera: range(len(times.time_s)) for camera, times in session.times.items()}
+    times, _ = times_from_file(frames, timestamps, problems)
+    if problems:
+        raise InputError(problems)
+    return replace(session, times=times)
+
+
+def in_videos(session: CaptureSession, board: Board, progress: rich_progress.Progress) -> Iterator[BoardViews]:
+    """Views of the board in the videos of a session, camera by camera."""
+    times_s = [times.time_s for times in session.times.values()]
+    span_s = (
+        min(float(frame_times[0]) for frame_times in times_s),
+        max(float(frame_times[-1]) for frame_times in times_s),
+    )
+    interval_s = 1.0 / session.timebase.frame_rate_hz
+    for camera, video in zip(session.cameras, session.videos, strict=True):
+        own_s = session.times[camera.name].time_s
+        frames = frames_to_look_at(own_s, span_s, interval_s)
+        task = progress.add_task(f"Find the board: {camera.name}", total=len(frames))
+        yield look_in_video(video, camera.name, own_s, frames, board, partial(progress.advance, task))
+
+
+def _in_photographs(folder: Path, board: Board, progress: rich_progress.Progress) -> Iterator[BoardViews]:
+    for camera, paths in find_photographs(folder).items():
+        task = progress.add_task(f"Find the board: {camera}", total=len(paths))
+        yield look_in_photographs(camera, paths, board, partial(progress.advance, task))
+
+
+def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
+    """Cameras of a calibration file by name, which must be those of the photographs."""
+    cameras = {camera.name: camera for camera in read_intrinsics(intrinsics).cameras}
+    problems = [
+        Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera)
+        for view in views
+        if view.camera not in cameras
+    ]
+    if problems:
+        raise InputError(problems)
+    return cameras
+
+
+@app.command("people")
+@with_choices("profile", "detector")
+@with_source(omits=("clock", "units", "up"))
+def from_people(
+    *,
+    stature_m: Annotated[
+        list[float],
+        typer.Option(
+            "--stature-m",
+            min=MIN_STATURE_M,
+            max=MAX_STATURE_M,
+            metavar="M",
+            help="Stature of the people in metres; may be given once for each person.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
+    source: SourceOptions,
+    intrinsics: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibration whose intrinsics are kept; its poses are ignored. Default: focal lengths are estimated."
+        ),
+    ] = None,
+    world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
+    chosen: Mapping[str, Any],
+    report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate cameras from people of known stature who walk about: no board."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        require_outputs(out, report)
+        known_points = read_known_points(world_points) if world_points is not None else ()
+        config = checked(chosen, source.check)
+        _check_sources(source.keypoints, intrinsics, stature_m)
+        session: CaptureSession | KeypointSession
+        if source.keypoints is not None and intrinsics is not None:
+            session = source.open_keypoints(intrinsics, keeps_poses=False)
+            detections, joints = session.detections, session.joints
+        else:
+            session = source.open_videos(intrinsics, keeps_poses=False)
+            detections = detect_people(session, config, bars.update, has_poses=False)
+            joints = detection_joints(config)
+        for sentence in () if as_json else session.warnings:
+            warn(sentence)
+        if not as_json:
+            show_layout(session.layout, session.warnings)
+        made = calibrate_people(
+            session.cameras,
+            session.times,
+            detections,
+            joints,
+            stature_m,
+            intrinsics is not None,
+            lambda share: bars.update(Progress(CALIBRATE, round(_PERCENT * share), _PERCENT)),
+            known_points,
+        )
+        write_made(made, out, report)
+    show_made(made, out, as_json)
+
+
+def _check_sources(keypoints: Sequence[Path] | None, intrinsics: Path | None, stature_m: list[float]) -> None:
+    problems = []
+    if keypoints is not None and intrinsics is None:
+        message = "Keypoints don't tell the size of the pictures."
+        problems.append(Problem(SOURCES, message, hint="Give --intrinsics too."))
+    if len(stature_m) > MAX_STATURES:
+        problems.append(Problem(SOURCES, f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
+    if problems:
+        raise InputError(problems)
+
+
+def require_outputs(out: Path, report: Path | None) -> None:
+    """Raise ``InputError`` for an ending that no calibration has, ``PipelineError`` for files that can't be written."""
+    if out.suffix.lower() not in ENCODERS:
+        message = f"--out must end with one of {', '.join(ENCODERS)}."
+        raise InputError([Problem(CALIBRATION_FORMAT, message, file=out.name)])
+    require_writable(out, report and report / _REPORT)
+
+
+def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
+    """Write a calibration, and its report with its pictures if a folder is given.
+
+    Raises ``PipelineError`` if a file can't be written.
+    """
+    files = {out: ENCODERS[out.suffix.lower()](made.cameras)}
+    if report is not None:
+        files[report / _REPORT] = (json.dumps(report_document(made), indent=1) + "\n").encode()
+        files |= {report / name: picture.encode() for name, picture in made.pictures.items()}
+    for path, content in files.items():
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+
+
+def show_made(made: CalibrationResult, out: Path, as_json: bool) -> None:
+    """Show the report of a calibration."""
+    document = report_document(made)
+    if as_json:
+        emit(document | {"file": str(out)})
+        return
+    print_table(
+        ("camera", "views", "reprojection error", "focal length", "sigma", "position sigma"),
+        (
+            (
+                camera["name"],
+                str(camera["num_views"]),
+                _shown(camera["reprojection_error_px"], "px", 2),
+                _shown(camera["focal_px"], "px", 1),
+                _shown(camera["focal_sigma_percent"], "%", 2),
+                _shown(camera["position_sigma_mm"], "mm", 1),
+            )
+            for camera in document["cameras"]
+        ),
+    )
+    console.print(f"World: {made.world}")
+    for warning in made.warnings:
+        warn(str(warning))
+    if not made.has_extrinsics:
+        warn("The file has intrinsics only. Give it to `multicap calibrate board --intrinsics` to find the poses.")
+    console.print(f"{len(made.cameras)} cameras in {out}")
+
+
+def _shown(value: float | None, unit: str, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}"
