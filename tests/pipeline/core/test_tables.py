@@ -46,7 +46,7 @@ def test_one_table_in_the_forms_of_many_programs(path: Path, change: Callable[[s
     assert [row["frame"] for _, row in rows(path, content.removeprefix("\ufeff").encode("utf-16"))] == ["0", "1"]
 
 
-def test_a_comma_in_a_cell_of_a_table_with_commas_is_no_decimal_comma(path: Path) -> None:
+def test_comma_in_a_table_with_commas_is_no_decimal_comma(path: Path) -> None:
     assert rows(path, b'name,note\na,"1,5"\n') == [(2, {"name": "a", "note": "1,5"})]
 
 

@@ -108,7 +108,7 @@ def test_amounts_in_words(num_bytes: int, shown: str) -> None:
     assert shown_bytes(num_bytes) == shown
 
 
-def test_memory_of_tasks_on_the_whole_session_grows_with_its_joints(session: KeypointSession) -> None:
+def test_memory_of_whole_tasks_grows_with_joints(session: KeypointSession) -> None:
     preflight = preflight_of(session)
     num_joints = sum(detections.score.size for detections in session.detections.values())
     memory = foreseen_memory(preflight, ReconstructionConfig())

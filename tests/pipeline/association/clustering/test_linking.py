@@ -26,7 +26,7 @@ def test_people_who_pass_keep_their_tracks() -> None:
         assert len(y_m) == 20
 
 
-def test_a_track_waits_for_a_pose_that_was_missed_and_not_for_ever() -> None:
+def test_track_without_poses_waits_and_then_ends() -> None:
     instants_s = np.arange(40) / 20.0
     none = np.empty((0, 6, 3))
     away = {*range(5, 9), *range(15, 30)}
@@ -41,7 +41,7 @@ def test_who_is_too_far_away_is_somebody_else() -> None:
     assert len(tracks) == 2
 
 
-def test_joints_that_are_missing_now_and_then_do_not_break_a_track() -> None:
+def test_track_with_missing_joints_continues() -> None:
     poses = []
     for k in range(6):
         pose = torso(0.02 * k)

@@ -46,7 +46,7 @@ def test_an_exchanged_view_is_exchanged_back(rays: np.ndarray, weights: np.ndarr
     assert chosen_hands(rays, weights) == [[0, 1], [0, 1], [1, 0], [0, 1]]
 
 
-def test_a_hand_is_found_where_the_detector_has_only_the_other_one(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_hand_without_its_detection_is_found_by_the_other(rays: np.ndarray, weights: np.ndarray) -> None:
     """A camera reports the left hand as the right one, and no left hand."""
     rays[0, 1, 1], rays[0, 1, 0] = rays[0, 1, 0], np.nan
     weights[0, 1, 0] = 0.0

@@ -65,7 +65,7 @@ def test_the_mean_counts_only_detections_with_the_part() -> None:
     assert clothes.share.sum() == 2.0
 
 
-def test_the_same_clothes_speak_for_the_same_person_and_other_clothes_against_it() -> None:
+def test_clothes_speak_for_equal_and_against_other_persons() -> None:
     rng = np.random.default_rng(2)
     one, again, other = seen(0, rng), seen(0, rng), seen(16, rng)
     assert log_likelihood_ratio(one, again, CONTRAST) == MAX_LOG_RATIO
@@ -155,7 +155,7 @@ def test_uniforms_say_nothing(num_people: int) -> None:
     assert np.abs(log_likelihood_ratios(pieces, contrast)).max() < 0.1
 
 
-def test_two_teams_say_little_for_the_same_person_and_much_against_the_other_team() -> None:
+def test_clothes_of_teams_tell_teams_not_persons() -> None:
     pieces, contrast = learnt([0, 0, 0, 16, 16, 16])
     ratios = log_likelihood_ratios(pieces, contrast)
     team = np.tile([0, 0, 0, 1, 1, 1], 4)

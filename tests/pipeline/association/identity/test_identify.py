@@ -47,7 +47,7 @@ def test_a_person_who_was_lost_is_one_person(ring: tuple[Camera, ...], gap: int)
     np.testing.assert_array_equal(track.xyz_m[100:], whole[0].xyz_m[100:])
 
 
-def test_who_comes_back_through_another_door_is_the_same_and_another_one_is_not(ring: tuple[Camera, ...]) -> None:
+def test_identity_after_another_door_is_kept_or_new(ring: tuple[Camera, ...]) -> None:
     first = person(walker((0, 0), (-2, 1), 100, SHORT), ring)
     again = person(walker((2, -1), (0, 0), 100, SHORT), ring, 300)
     other = person(walker((2, -1), (0, 0), 100, TALL), ring, 300)
@@ -101,7 +101,7 @@ def test_twins_who_meet_are_a_doubt(ring: tuple[Camera, ...]) -> None:
         assert doubt.other == other != number
 
 
-def test_a_coincidence_of_two_cameras_is_left_out_and_a_person_is_not(ring: tuple[Camera, ...]) -> None:
+def test_coincidence_of_two_cameras_is_left_out(ring: tuple[Camera, ...]) -> None:
     man = person(walker((-1, 0), (1, 0), 200, SHORT), ring)
     moment = person(walker((1, 1), (1, 1), 4, TALL), ring, 50, seen_by=(0, 1))
     while_long = person(walker((1, 1), (1, -1), 100, TALL), ring, 50, seen_by=(0, 1))

@@ -48,7 +48,7 @@ def value(session: TrackletLinks, chain: tuple[int, ...]) -> float:
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1))
-def test_chains_are_in_order_of_time_and_no_change_of_two_is_better(seed: int) -> None:
+def test_chains_in_time_order_are_optimal_for_two(seed: int) -> None:
     session = session_of(seed, 9)
     chains = join(session)
     assert sorted(number for chain in chains for number in chain) == list(range(9))

@@ -151,7 +151,7 @@ def test_an_image_is_one_for_most_of_its_time(num_frames: int, num_images: int) 
     assert len(likenesses([person, image], behind(ALONG_X, 2.2)).images) == num_images
 
 
-def test_pictures_and_images_leave_the_others_and_all_if_there_are_none() -> None:
+def test_likenesses_leave_the_other_people() -> None:
     image = track(mirrored(moving(1), ALONG_X, 2.2), 4)
     tracks = [track(poster(1)), track(moving(1), 2), track(moving(5), 3), image]
     found = likenesses(tracks, behind(ALONG_X, 2.2))

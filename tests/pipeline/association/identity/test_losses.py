@@ -32,7 +32,7 @@ def seen_in(ring: tuple[Camera, ...], *frames: range) -> Track3D:
     return track
 
 
-def test_somebody_who_vanishes_in_the_middle_is_found_with_frames_and_place(ring: tuple[Camera, ...]) -> None:
+def test_loss_in_the_middle_has_frames_and_place(ring: tuple[Camera, ...]) -> None:
     (loss,) = losses_of(ring, seen_in(ring, range(10, 60)))
     assert (loss.kind, loss.track_id, loss.start_frame, loss.stop_frame) == ("vanished", 1, 60, NUM_FRAMES)
     np.testing.assert_allclose(loss.place_m, WALK_M[59].mean(0), atol=0.02)

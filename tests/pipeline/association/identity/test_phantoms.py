@@ -60,7 +60,7 @@ def test_somebody_whose_own_arms_alone_are_seen_is_no_phantom(ring: tuple[Camera
     ]
 
 
-def test_somebody_of_whom_a_neighbour_s_arms_are_one_part_is_no_phantom(ring: tuple[Camera, ...]) -> None:
+def test_person_with_a_neighbour_s_arms_is_no_phantom(ring: tuple[Camera, ...]) -> None:
     """All other joints are the person's own: a hug."""
     limbs_m = WALK_M.copy()
     limbs_m[55:, ARMS] = NEIGHBOUR_M[55:, ARMS]

@@ -49,7 +49,7 @@ def test_a_joint_that_the_detector_lacks_is_no_measurement() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 4))
-def test_the_likelihood_of_one_person_is_that_of_the_joint_normal_distribution(seed: int, count: int) -> None:
+def test_likelihood_of_one_person_is_joint_normal(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     length_m = rng.uniform(0.2, 0.6, NUM_LIMBS)
     measured = [
@@ -74,7 +74,7 @@ def test_the_likelihood_of_one_person_is_that_of_the_joint_normal_distribution(s
     np.testing.assert_allclose(together - alone, one - many, rtol=1e-6, atol=1e-6)
 
 
-def test_a_change_of_the_body_is_found_at_its_frame_and_none_elsewhere() -> None:
+def test_change_of_the_body_is_found_at_its_frame() -> None:
     one, other = lengths_of(1, 110), lengths_of(4, 90)
     spread_m = spread_of_a_second_m([one, other], RATE_HZ)
     assert changes(np.concatenate([one, other]), spread_m, RATE_HZ) == [110]

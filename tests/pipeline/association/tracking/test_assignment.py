@@ -17,7 +17,7 @@ def test_assign_without_detections() -> None:
     assert assign(np.empty((2, 0))) == []
 
 
-def test_partition_drops_the_weakest_edge_of_an_inconsistent_triangle() -> None:
+def test_partition_of_a_bad_triangle_drops_its_weakest_edge() -> None:
     # 0 and 1 are one person in two cameras; 2 fits both a little, but a camera can't show a person twice.
     affinities = np.array(
         [

@@ -36,7 +36,7 @@ def test_cells_of_turned_maps_and_pixels_are_inverse(turn_deg: float, x: float, 
     np.testing.assert_array_equal(grid.image_from_map(np.zeros(2)), [3.5, 900.0])
 
 
-def test_a_column_of_maps_of_a_picture_turned_to_the_left_runs_to_the_left() -> None:
+def test_columns_of_a_picture_turned_left_run_left() -> None:
     grid = MapGrid((100.0, 50.0), (8.0, 10.0), 90.0)
     np.testing.assert_array_equal(grid.image_from_map(np.array([0.0, 1.0])), [90.0, 50.0])
     np.testing.assert_array_equal(grid.image_from_map(np.array([1.0, 0.0])), [100.0, 58.0])

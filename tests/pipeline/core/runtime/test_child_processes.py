@@ -72,13 +72,13 @@ def test_an_error_in_the_block_waits_for_nobody() -> None:
     assert time.monotonic() - started_s < 20
 
 
-def test_work_is_done_and_the_first_function_is_called_with_its_arguments() -> None:
+def test_pool_with_a_first_function_calls_it_and_works() -> None:
     with ProcessPool(2, os.nice, [1]) as pool:
         assert list(pool.map(abs, [-1, -2, -3])) == [1, 2, 3]
         assert pool.submit(os.nice, 0).result() == os.nice(0) + 1
 
 
-def test_how_children_are_started_needs_nothing_but_the_standard_library() -> None:
+def test_child_processes_need_the_standard_library_only() -> None:
     """The web API's settings and the jobs' contract import the module, but no third-party packages."""
     text = (
         "import sys; before = set(sys.modules); import pipeline.core.runtime.child_processes; "

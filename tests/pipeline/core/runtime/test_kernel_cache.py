@@ -39,7 +39,7 @@ def test_asking_loads_neither_numba_nor_numpy() -> None:
     assert {"numba", "numpy"}.isdisjoint(found.stdout.split())
 
 
-def test_the_program_waits_for_another_one_that_compiles_and_then_has_nothing_to_do(tmp_path: Path) -> None:
+def test_warm_up_beside_another_waits_and_has_no_work(tmp_path: Path) -> None:
     environment = os.environ | {"MULTICAP_HOME": str(tmp_path)}
     find = "from pipeline.core.runtime.kernel_cache import cache_folder; print(cache_folder())"
     found = subprocess.run([sys.executable, "-c", find], env=environment, capture_output=True, text=True, check=True)

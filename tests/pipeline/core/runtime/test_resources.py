@@ -58,7 +58,7 @@ def run(limits: str, code: str) -> list[int]:
     return [int(word) for word in subprocess.run(command, capture_output=True, check=True, timeout=180).stdout.split()]
 
 
-def test_the_soft_limit_is_raised_to_the_hard_one_and_children_have_it() -> None:
+def test_descriptor_limit_is_raised_for_children_too() -> None:
     assert run("100:1500", "print(flush=True)\n" + OF_CHILD) == [100]
     assert run("100:1500", RAISE + "import sys; sys.stdout.flush()\n" + OF_CHILD) == [1500, 1500]
 

@@ -40,7 +40,7 @@ def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets
         ("openpose-mobilenet-thin", "openpose-mobilenet-thin", "openpose-mobilenet-thin"),
     ],
 )
-def test_offsets_are_those_of_the_detector_or_those_that_are_chosen(
+def test_offsets_are_the_detector_s_or_chosen(
     choice: JointCenters, of_videos: str | None, of_keypoints: str | None
 ) -> None:
     config = ReconstructionConfig(joint_centers=choice)
@@ -48,13 +48,13 @@ def test_offsets_are_those_of_the_detector_or_those_that_are_chosen(
         assert used_offsets(session, config) == (REGISTRY[name].offsets if name else {})
 
 
-def test_smoothing_other_than_the_fit_moves_nothing_and_a_network_without_offsets_has_none() -> None:
+def test_offsets_without_fit_or_of_bare_networks_are_empty() -> None:
     assert REGISTRY["movenet-multipose"].offsets
     assert used_offsets(VIDEOS, ReconstructionConfig(smoothing="none")) == {}
     assert used_offsets(VIDEOS, ReconstructionConfig(detector="human-pose-estimation-0001")) == {}
 
 
-def test_joints_that_crops_do_not_refine_have_the_offsets_of_the_detector_of_bodies() -> None:
+def test_offsets_without_crops_are_the_body_detector_s() -> None:
     alone = ReconstructionConfig(detector="movenet-multipose")
     assert used_offsets(VIDEOS, alone) == REGISTRY["movenet-multipose"].offsets
     accurate = ReconstructionConfig(profile="accurate")
@@ -76,7 +76,7 @@ def test_detections_have_the_joints_that_are_asked_for(config: ReconstructionCon
     assert detection_source(context_of(KEYPOINTS, config)).joints(KEYPOINTS) is COCO_17
 
 
-def test_keypoints_came_with_the_session_and_no_network_finds_them() -> None:
+def test_detections_of_keypoints_come_with_the_session() -> None:
     config = ReconstructionConfig("clustering", "openpose-mobilenet-thin")
     videos, keypoints = detection_source(context_of(VIDEOS, config)), detection_source(context_of(KEYPOINTS, config))
     assert (videos.finds_fields, keypoints.finds_fields) == (True, False)

@@ -96,9 +96,7 @@ def test_a_disturbed_calibration_is_refined_reported_and_written(
 
 
 @pytest.mark.slow
-def test_a_good_calibration_gives_the_same_files_as_without_refinement(
-    session: KeypointSession, tmp_path: Path
-) -> None:
+def test_good_calibration_refined_gives_the_same_files(session: KeypointSession, tmp_path: Path) -> None:
     off, auto = (reconstruct(session, replace(CONFIG, refine_calibration=choice)) for choice in ("off", "auto"))
     assert auto.refinement is not None
     assert not auto.refinement.refined
@@ -157,7 +155,7 @@ def test_disturbed_cameras_in_a_tilted_world_come_back(scene: str, seed: int) ->
 
 
 @pytest.mark.slow
-def test_the_stage_is_reused_and_the_result_does_not_depend_on_the_cut(
+def test_refinement_is_reused_whatever_the_cut(
     disturbed: KeypointSession, refined: Reconstruction, cache: Path
 ) -> None:
     seen: list[Progress] = []

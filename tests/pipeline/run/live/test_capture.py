@@ -85,7 +85,7 @@ def test_frames_out_of_order_within_the_window_change_nothing(room: Simulation) 
     assert capture.counts.dropped == 0
 
 
-def test_a_camera_behind_the_others_changes_nothing_within_the_window(room: Simulation) -> None:
+def test_camera_late_within_the_window_changes_nothing(room: Simulation) -> None:
     """Frames that are in the order of each camera are waited for no longer than needed."""
     frames = sent_frames(room)
     behind = sorted(frames, key=lambda frame: frame.time_s + (0.081 if frame.camera == 2 else 0.0))

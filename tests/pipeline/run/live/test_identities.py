@@ -130,9 +130,7 @@ def bones() -> LearntBones:
 
 
 @pytest.mark.parametrize(("shirt", "number"), [(None, 1), (SHIRTS[0], 1), (8, 3)])
-def test_a_stranger_of_the_same_build_in_other_clothes_is_nobody_who_was_there(
-    bones: LearntBones, shirt: int | None, number: int
-) -> None:
+def test_stranger_of_equal_build_in_other_clothes_is_new(bones: LearntBones, shirt: int | None, number: int) -> None:
     identities = Identities(COCO_17, 4, [])
     first_m, second_m = located_m(scaled(1.0), identities), located_m(scaled(0.85), identities)
     stand(identities, 0.0, {1: first_m, 2: second_m}, None if shirt is None else {1: SHIRTS[0], 2: SHIRTS[1]})
@@ -158,7 +156,7 @@ def test_clothes_are_two_means_for_any_time(bones: LearntBones) -> None:
     assert clothes._halves[1].whole.num_detections[0, 0] == 400
 
 
-def test_clothes_tell_what_people_who_were_there_together_differ_by() -> None:
+def test_clothes_of_people_together_tell_differences() -> None:
     clothes = LiveClothes(3)
     for second in range(4):
         for number, shirt in ((1, 0), (2, 16), (3, 0)):
@@ -261,7 +259,7 @@ def test_people_who_come_back_get_their_numbers_and_bones_again(room: Simulation
         assert len({person.id for person in each.people}) == len(each.people)
 
 
-def test_people_of_an_earlier_take_have_the_first_numbers_and_skeletons_soon(
+def test_people_of_an_earlier_take_have_first_numbers(
     room: Simulation, instants: list[LiveInstant], tmp_path: Path
 ) -> None:
     before = next(each for each in reversed(instants) if each.time_s < LEAVE_S)
@@ -315,7 +313,7 @@ def test_only_the_same_proportions_are_the_same_person(room: Simulation, factor:
     assert identities.number_of(2) == 4
 
 
-def test_the_first_of_very_many_people_are_forgotten_but_not_those_who_were_announced(room: Simulation) -> None:
+def test_first_of_many_people_are_forgotten_not_announced(room: Simulation) -> None:
     identities = Identities(room.joints, len(room.cameras), [scaled(1.0), scaled(0.88)])
     bones = learn_bones(room.truth_m[0, :5], room.joints)
     for tracked in range(1, 101):

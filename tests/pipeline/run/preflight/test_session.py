@@ -52,7 +52,7 @@ def test_a_camera_that_is_late_is_named_with_its_offset(take: Take, frames: floa
     assert findings(mended) == []
 
 
-def test_good_times_small_errors_and_people_at_rest_are_no_findings(take: Take) -> None:
+def test_good_times_and_people_at_rest_are_no_findings(take: Take) -> None:
     assert findings(take) == []
     assert findings(shifted(take, 0.3)) == []
     assert findings(shifted(cut_take(alone(Gesture.IDLE, 4.0), 4, (0, 0, 0)), 3.0)) == []

@@ -109,7 +109,7 @@ def test_colours_reach_the_tracker_and_stay_in_no_cache(
 
 
 @pytest.mark.slow
-def test_another_association_measures_them_again_without_the_network(
+def test_colours_for_another_association_need_no_network(
     session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
@@ -135,7 +135,7 @@ def test_nothing_is_decoded_for_people_who_are_tracked_already(
 
 
 @pytest.mark.slow
-def test_a_damaged_output_of_detection_is_detected_anew_with_its_colours(
+def test_damaged_output_is_detected_again_with_colours(
     session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")

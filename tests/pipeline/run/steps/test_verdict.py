@@ -110,7 +110,7 @@ def test_cameras_without_poses_are_refused_before_any_work(session: KeypointSess
 
 
 @pytest.mark.slow
-def test_a_camera_that_refinement_mends_is_no_error_of_a_job_that_refines(session: KeypointSession) -> None:
+def test_error_mended_by_refinement_lets_the_job_run(session: KeypointSession) -> None:
     bumped = turned(session, 3.0)
     assert refused(bumped, CONFIG) == (["camera_disagrees"], CHECK)
     refinement = reconstruct(bumped, REFINING).refinement
@@ -124,7 +124,7 @@ def test_an_error_that_refinement_leaves_refuses_the_job_after_it(session: Keypo
     assert refused(turned(session, 40.0), REFINING) == (["camera_disagrees"], REFINE)
 
 
-def test_an_error_that_no_refinement_mends_refuses_a_job_before_it(session: KeypointSession) -> None:
+def test_error_beyond_refinement_refuses_the_job_before(session: KeypointSession) -> None:
     assert refused(exchanged(session), REFINING) == (["cameras_exchanged"] * 2, CHECK)
 
 
@@ -167,7 +167,7 @@ def eleven() -> Simulation:
 
 
 @pytest.mark.slow
-def test_eleven_cameras_in_natural_order_are_right_and_in_alphabetical_order_refused(tmp_path: Path) -> None:
+def test_cameras_in_alphabetical_order_are_refused(tmp_path: Path) -> None:
     simulation = eleven()
     write_simulation(simulation, tmp_path)
     files = tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv"
