@@ -89,7 +89,7 @@ def _kept(folder: Path) -> Encryption | None:
     try:
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key, password=_no_password)
         found, issuer = (x509.load_pem_x509_certificate(path.read_bytes()) for path in (certificate, authority))
-        certified = set(_names_of(found))
+        certified = set(_certificate_names(found))
     except (ssl.SSLError, FileNotFoundError, ValueError):
         return None
     names, until = list(machine_names()), datetime.datetime.now(datetime.UTC) + _RENEWED_BEFORE
@@ -122,7 +122,7 @@ def given_encryption(certificate: Path, key: Path) -> Encryption:
     """Certificate of the operator's own with its key; raises ``CertificateError`` if they do not belong together."""
     try:
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key, password=_no_password)
-        names = tuple(_names_of(x509.load_pem_x509_certificate(certificate.read_bytes())))
+        names = tuple(_certificate_names(x509.load_pem_x509_certificate(certificate.read_bytes())))
     except (OSError, ValueError) as error:  # SSLError is an OSError
         message = (
             f"The certificate {certificate.name} can't be used with the key {key.name}: both must be readable PEM "
@@ -136,7 +136,7 @@ def given_encryption(certificate: Path, key: Path) -> Encryption:
 
 
 def machine_names() -> Iterator[str]:
-    """Addresses and names of this machine, that of the way to its network first, without doubles.
+    """Addresses and names of this machine, the address on the way to its network first, without doubles.
 
     Addresses of IPv6 change by themselves and are left out. So is the bare name of the machine: an authority for the
     name `dev` would be one for a whole top-level domain.
@@ -171,7 +171,7 @@ def _host_name() -> str:
     return name if name.isascii() and name.replace("-", "").isalnum() else ""
 
 
-def _names_of(certificate: x509.Certificate) -> Iterator[str]:
+def _certificate_names(certificate: x509.Certificate) -> Iterator[str]:
     """Names and addresses in a certificate by which a client may call the service."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

@@ -89,7 +89,7 @@ def show_list(
 ) -> None:
     """Print items as a table, or as one JSON object.
 
-    ``name`` is the field of the JSON object and ``document`` makes that of an item; ``cells`` make its cells, by
+    ``name`` is the field of the JSON object and ``document`` makes the object of an item; ``cells`` make its cells, by
     heading.
     """
     if as_json:

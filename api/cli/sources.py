@@ -87,7 +87,7 @@ class SourceOptions:
                 collect(lambda: require(self._mixed()))
 
     def _mixed(self) -> Iterator[Problem]:
-        """Problems of options of videos beside those of keypoints."""
+        """Problems of options of videos that were given with options of keypoints."""
         if (self.videos is None) == (self.keypoints is None):
             yield Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them.")
         if self.keypoints is None and self.timestamps is not None:

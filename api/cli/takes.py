@@ -25,7 +25,7 @@ class TakeSource:
     """Files of a take."""
 
     name: str  # Name of the folder of its results
-    videos: tuple[str, ...]  # Folder of videos, or videos, as of ``--videos``; empty for keypoints
+    videos: tuple[str, ...]  # Folder of videos, or videos, like ``--videos``; empty for keypoints
     keypoints: Path | None
     timestamps: Path | None
     calibration: Path | None  # ``None``: the batch has none, and neither has the take
@@ -124,10 +124,10 @@ def find_takes(
     if not folders:
         raise _unreadable(source, "The folder has no folder of a take.")
     ordered = sorted(folders, key=lambda path: natural_key(path.name))
-    return [_of_folder(path, calibration, frame_rate_hz) for path in ordered]
+    return [_folder_take(path, calibration, frame_rate_hz) for path in ordered]
 
 
-def _of_folder(folder: Path, calibration: Path | None, frame_rate_hz: float | None) -> TakeSource:
+def _folder_take(folder: Path, calibration: Path | None, frame_rate_hz: float | None) -> TakeSource:
     """Take in a folder: its videos or images, or keypoints in folders of cameras."""
     own = sorted(path for path in folder.glob(_CALIBRATION) if path.is_file())
     keypoints = _keypoints_in(folder)

@@ -18,7 +18,7 @@ from starlette.routing import Match
 
 from pipeline.core.errors import Problem
 from pipeline.core.problems import requests
-from pipeline.core.problems.model import Code, read_sentences, status_of
+from pipeline.core.problems.model import Code, read_sentences, usual_status
 from pipeline.core.problems.requests import (
     ARTIFACT_DAMAGED,
     ARTIFACTS_REFUSED,
@@ -159,7 +159,7 @@ class ApiError(Exception):
         headers: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(detail)
-        self.status = status_of(code) if status is None else status
+        self.status = usual_status(code) if status is None else status
         self.code = code
         self.detail = detail
         self.errors = tuple(errors)

@@ -160,7 +160,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def processor_name(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Name of the processor as Linux states it, with those of its instructions for integers that matter to networks."""
+    """Name of the processor as Linux states it, with its integer instructions that matter to networks."""
     facts: dict[str, str] = {}
     if cpuinfo.is_file():
         for line in cpuinfo.read_text().splitlines():
@@ -300,7 +300,7 @@ def _core_s() -> tuple[float, float]:
 
 
 class _StageClock:
-    """Processor time by stage: that between two reports of progress belongs to the stage of the former."""
+    """Processor time by stage: the time between two reports of progress belongs to the stage of the first one."""
 
     def __init__(self) -> None:
         self._stage, self._since_s = "open", sum(_core_s())

@@ -33,7 +33,7 @@ _SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
 def long_take(num_people: int, num_frames: int) -> Reconstruction:
     """Long take of people who repeat the motion of a simulated person forwards and backwards.
 
-    The repeated motion is that of the person with the longest track.
+    The person with the longest track gives the motion, which is repeated.
     """
     simulation = record(replace(SCENES[_SCENE], duration_s=_DURATION_S), 0, _NUM_CAMERAS)
     cameras, rate_hz = simulation.cameras, simulation.timebase.frame_rate_hz
@@ -66,7 +66,7 @@ def measure(
 ) -> dict[str, Any]:
     """Measure seconds by kind of file, and the peak memory of the process before and after.
 
-    Files are those of the people, or those of a character that moves as each of them.
+    Files have the people's own skeletons, or a character that moves like each of them.
     """
     take = long_take(num_people, num_frames)
     figure = None if character is None else character.open()

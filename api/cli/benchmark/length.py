@@ -108,7 +108,7 @@ def measure(minutes: float, num_people: int, num_cameras: int, config: Reconstru
     """Costs of each stage of the reconstruction of a take; to be called in a process of its own."""
     warm_up()
     session = long_session(simulated(num_people, num_cameras), round(60 * minutes * _RATE_HZ))
-    given_mib = sum(_bytes_of(seen) for seen in session.detections.values()) / 2**20
+    given_mib = sum(_num_bytes(seen) for seen in session.detections.values()) / 2**20
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         costs = StageCosts()
         written = reconstruct_to_files(session, Path(folder) / "results", config, costs.update)
@@ -135,7 +135,7 @@ def growth(takes: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     }
 
 
-def _bytes_of(seen: Detections) -> int:
+def _num_bytes(seen: Detections) -> int:
     return seen.frame.nbytes + seen.keypoints_px.nbytes + seen.score.nbytes + seen.box_px.nbytes
 
 
@@ -158,7 +158,7 @@ def length(
         config = ReconstructionConfig()
         takes: list[dict[str, Any]] = []
         for number in minutes:
-            # A process for each take: the peak of one would hide that of the next.
+            # A process for each take: the peak of one take would hide the peak of the next.
             with ProcessPool(1) as pool:
                 takes += pool.map(measure, [number], [people], [cameras], [config])
         ratios = growth(takes)

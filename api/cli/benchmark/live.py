@@ -32,7 +32,7 @@ _LEARN_S, _NEVER_S = 2.0, 60.0
 _ROOM_S = 20.0
 # Length of the take that is played again and again.
 _LOOP_S = 60.0
-# A person who is farther from everybody of the finished session is nobody of it.
+# A person who is farther than this from all people of the finished session is not one of them.
 _SAME_PERSON_M = 0.5
 
 
@@ -59,7 +59,7 @@ def latencies_ms(simulation: Simulation, learn_s: float, slowness: float = 1.0) 
 
 
 def measure_sizes(duration_s: float, slowness: float = 1.0) -> list[dict[str, Any]]:
-    """Latencies at each size; ``p50_ms`` and so on are those of skeletons."""
+    """Latencies at each size; ``p50_ms`` and so on are latencies of skeletons."""
     sizes = []
     for num_cameras, num_people, rate_hz in _SIZES:
         simulation = crowd(num_cameras, num_people, duration_s, rate_hz)
@@ -124,7 +124,7 @@ def _paired(
 def memory_mib(minutes: Sequence[int], num_people: int = 4, rate_hz: float = _SIZES[0][2]) -> dict[str, Any]:
     """Memory of this process after so many minutes of one capture, which is computed as fast as possible.
 
-    A minute of five cameras is played forwards and backwards in turns, so that nobody jumps.
+    A minute of five cameras is played forwards and backwards in turns, so that no person jumps.
     """
     simulation = crowd(_SIZES[0][0], num_people, _LOOP_S, rate_hz)
     frames = recorded_frames(simulation.cameras, simulation.times, simulation.detections)

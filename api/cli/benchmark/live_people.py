@@ -74,7 +74,7 @@ def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> Iter
     simulation = record(replace(SCENES[scene], duration_s=duration_s), seed, joints="feet")
     timebase, cameras, joints = simulation.timebase, simulation.cameras, simulation.joints
     frames = detected_frames(cameras, simulation.times, simulation.detections)
-    live = list(enumerate(map(_bodies_of, _played(simulation, frames))))
+    live = list(enumerate(map(_live_bodies, _played(simulation, frames))))
     parameters = derive_parameters(cameras, timebase.frame_rate_hz)
     people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
     tracks = animate(*people, cameras, timebase, joints, ReconstructionConfig()).tracks
@@ -92,7 +92,7 @@ def measure_feet(scene: str, duration_s: float = _FEET_S, seed: int = 1) -> Iter
         yield figures
 
 
-def _bodies_of(instant: LiveInstant) -> Bodies:
+def _live_bodies(instant: LiveInstant) -> Bodies:
     return {person.id: person.xyz_m for person in instant.people if person.skeleton is not None}
 
 
@@ -116,7 +116,7 @@ def measure_returns(num_seeds: int = _NUM_SEEDS, *, have_clothes: bool) -> dict[
             simulation = dress(simulation, lambda person, time_s: person)
         first, others = np.arange(2 * _NUM_PEOPLE) < _NUM_PEOPLE, np.arange(2 * _NUM_PEOPLE) >= _NUM_PEOPLE
         for comers in (first, others):
-            known, instants = _numbers_of(simulation, first, comers)
+            known, instants = _track_numbers(simulation, first, comers)
             last = instants[-1][1]
             if comers is others:
                 figures["strangers"] += len(last)
@@ -133,10 +133,10 @@ def measure_returns(num_seeds: int = _NUM_SEEDS, *, have_clothes: bool) -> dict[
     return {**figures, "back_after_s": float(np.median(after_s)) if after_s else None}
 
 
-def _numbers_of(
+def _track_numbers(
     simulation: Simulation, first: Bool[np.ndarray, " people"], comers: Bool[np.ndarray, " people"]
 ) -> tuple[dict[int, int], list[tuple[float, dict[int, int]]]]:
-    """Numbers by true person before the break, and those of each instant behind it, by its time since then."""
+    """Track numbers by true person: before the break, and at each instant after it with its time since the break."""
     shown = np.array([first, comers])
     detections = {name: _seen(simulation, name, shown) for name in simulation.detections}
     frames = [

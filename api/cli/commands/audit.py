@@ -24,13 +24,13 @@ def command(
         events = store.audit.events(tenant, limit)
         names = {key.id: key.name for key in store.keys.all()}
 
-    def name_of(event: AuditEvent) -> str:
+    def key_name(event: AuditEvent) -> str:
         return names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else ""
 
     cells: dict[str, Callable[[AuditEvent], str]] = {
         "when": lambda event: f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
         "tenant": lambda event: event.tenant,
-        "key": name_of,
+        "key": key_name,
         "did": lambda event: event.act,
         "to": lambda event: event.subject,
     }

@@ -166,7 +166,7 @@ def _in_photographs(folder: Path, board: Board, progress: rich_progress.Progress
 
 
 def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
-    """Cameras of a calibration file by name, which must be those of the photographs."""
+    """Cameras of a calibration file by name, which must be the cameras of the photographs."""
     cameras = {camera.name: camera for camera in read_intrinsics(intrinsics).cameras}
     problems = [
         Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", file=intrinsics.name, camera=view.camera)

@@ -205,7 +205,7 @@ def _check(
     for sentence in session.warnings:
         warn(sentence)
     show_layout(session.layout, session.warnings)
-    # Cameras of the session are those of the file at the size of the videos.
+    # The session has the cameras of the file, at the size of the videos.
     fitted = {camera.name: camera for camera in session.cameras}
     alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])
     if has_error(alone):

@@ -81,7 +81,7 @@ class LiveOutputs(LiveListener):
 
 
 def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> dict[str, Any]:
-    """Names of what instants have, as of the message ``ready`` of the service."""
+    """Names of cameras and joints of instants, like the message ``ready`` of the service."""
     return {
         "type": "ready",
         "cameras": [camera.name for camera in cameras],

@@ -1,4 +1,4 @@
-"""AsyncAPI documents of WebSockets: their addresses, their messages, and the schemas of these."""
+"""AsyncAPI documents of WebSockets: their addresses, messages and schemas."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

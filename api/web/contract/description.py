@@ -39,7 +39,7 @@ class Resource:
 
 SCHEMA_REF = "#/components/schemas/{model}"
 
-# `format` is OpenAPI 3.0's notation, which generators of clients support; `contentMediaType` is that of 3.1.
+# `format` is OpenAPI 3.0's notation, which generators of clients support; `contentMediaType` is 3.1's.
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
 _ID = {
     "type": "string",
@@ -48,7 +48,7 @@ _ID = {
 }
 
 
-def body_of(kind: FormKind, types: Collection[str]) -> dict[str, Any]:
+def request_body(kind: FormKind, types: Collection[str]) -> dict[str, Any]:
     """Declare the body of an operation, for ``openapi_extra``: a form, JSON that names uploads, or both."""
     content = {
         FORM_TYPE: {

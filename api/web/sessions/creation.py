@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
 
-from api.web.contract.description import body_of
+from api.web.contract.description import request_body
 from api.web.dependencies import Services, ServicesDep
 from api.web.http.bodies.form_kinds import EITHER_TYPE, FORM_TYPE, JSON_TYPE, FormKind
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
@@ -90,6 +90,6 @@ def add_creation(
             summary=text.summary,
             description=text.description,
             callbacks=text.callbacks,
-            openapi_extra=body_of(creation.form, types),
+            openapi_extra=request_body(creation.form, types),
             **declared,
         )

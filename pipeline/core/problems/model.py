@@ -42,7 +42,7 @@ class CodeGroup:
 _STATUSES: dict[Code, int] = {}
 
 
-def status_of(code: Code) -> int:
+def usual_status(code: Code) -> int:
     """Usual status of an answer with a code."""
     return _STATUSES[code]
 

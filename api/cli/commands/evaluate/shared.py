@@ -34,7 +34,7 @@ def refined(
     joints: JointSet,
     config: ReconstructionConfig,
 ) -> tuple[tuple[Camera, ...], Refinement | None]:
-    """Cameras of an evaluation, refined if that is asked for, and the report."""
+    """Cameras of an evaluation, refined if requested, and the report."""
     if config.refine_calibration == "off":
         return cameras, None
     association = Association(cameras, times, timebase, without_hands(joints), config)
@@ -61,7 +61,7 @@ def identified(
     joints: JointSet,
     config: ReconstructionConfig,
 ) -> People:
-    """People after the global pass, with one person and one side for each limb, as of the stage ``identify``."""
+    """People after the global pass, with one person and one side for each limb, like the stage ``identify``."""
     association = Association(cameras, times, timebase, joints, config)
     return association.assign_limbs(association.assign_identities(people))
 

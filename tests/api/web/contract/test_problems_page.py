@@ -12,7 +12,7 @@ import pytest
 import pipeline.core.problems
 from api.web.contract.problems_page import GROUPS, PAGE, SENTENCES, document, main
 from api.web.errors import _CODES
-from pipeline.core.problems.model import Code, Place, status_of
+from pipeline.core.problems.model import Code, Place, usual_status
 
 CODES = [(code, places) for group in GROUPS for code, places in group.places.items()]
 ROOT = Path(__file__).parents[4]
@@ -57,7 +57,7 @@ def test_every_code_has_a_use() -> None:
 
 
 def test_errors_of_the_framework_have_their_statuses() -> None:
-    assert {status_of(code): code for code in _CODES.values()} == dict(_CODES)
+    assert {usual_status(code): code for code in _CODES.values()} == dict(_CODES)
 
 
 def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:
