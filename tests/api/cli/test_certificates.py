@@ -71,7 +71,7 @@ def shake_hands(client: ssl.SSLContext, certificate: Path, key: Path, name: str)
                 ends.remove(end)
 
 
-def test_an_authority_signs_for_the_names_of_its_machine_alone(tmp_path: Path) -> None:
+def test_authority_signs_only_names_of_its_machine(tmp_path: Path) -> None:
     now = datetime.datetime.now(datetime.UTC)
     authority = new_authority("studio", [*NAMES, "dev"], now)
     root = tmp_path / "authority.pem"
@@ -90,7 +90,7 @@ def test_an_authority_signs_for_the_names_of_its_machine_alone(tmp_path: Path) -
     assert not is_trusted(signed, authority.certificate, "localhost", now)
 
 
-def test_an_authority_signs_servers_alone_and_none_below_it() -> None:
+def test_authority_signs_only_servers_and_no_authority() -> None:
     found = new_authority("studio", NAMES, datetime.datetime.now(datetime.UTC)).certificate.extensions
     constraints = found.get_extension_for_class(x509.NameConstraints)
     assert constraints.critical
@@ -102,7 +102,7 @@ def test_an_authority_signs_servers_alone_and_none_below_it() -> None:
     assert list(usages) == [x509.oid.ExtendedKeyUsageOID.SERVER_AUTH]
 
 
-def test_a_certificate_is_kept_and_the_key_of_its_authority_is_not(tmp_path: Path) -> None:
+def test_authority_certificate_is_kept_and_its_key_is_not(tmp_path: Path) -> None:
     first = own_encryption(tmp_path)
     contents = {path.name: path.read_bytes() for path in (tmp_path / "certificates").iterdir()}
     assert sorted(contents) == ["authority.pem", "certificate-key.pem", "certificate.pem"]
@@ -127,9 +127,7 @@ def test_a_certificate_is_kept_and_the_key_of_its_authority_is_not(tmp_path: Pat
     assert stat.S_IMODE((tmp_path / "certificates").stat().st_mode) == 0o700
 
 
-def test_another_address_or_name_or_the_end_makes_another_authority(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_authority_is_remade_for_new_names_or_after_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "machine_names", partial(iter, NAMES))
     first = authority_of(own_encryption(tmp_path))
     # An address beside the one of phones changes nothing.
@@ -162,7 +160,7 @@ def test_damaged_and_missing_certificates_are_made_anew(tmp_path: Path, name: st
         assert authority_of(renewed) != before
 
 
-def test_an_unusable_folder_is_a_sentence(tmp_path: Path) -> None:
+def test_unusable_folder_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "certificates").write_text("a file")
     with pytest.raises(CertificateError, match="Check its owner and mode"):
         own_encryption(tmp_path)
@@ -181,7 +179,7 @@ def given(tmp_path: Path) -> tuple[Path, Path]:
     return certificate, key
 
 
-def test_a_given_certificate_says_by_which_names_the_service_is_called(given: tuple[Path, Path]) -> None:
+def test_certificate_given_states_names_of_the_service(given: tuple[Path, Path]) -> None:
     encryption = given_encryption(*given)
     assert encryption.names == ("studio.example", "192.0.2.7")
     variables = encryption.environment(8443, ["other.example"], None)

@@ -69,7 +69,7 @@ def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
     assert "Traceback" not in result.stderr
 
 
-def test_the_help_imports_no_command() -> None:
+def test_help_imports_no_command() -> None:
     """The sentence of each command is the beginning of the command's own help."""
     code = "import sys; sys.argv = ['multicap', '--help']; import atexit; from api.cli.main import main\n"
     code += "atexit.register(lambda: print(sorted({name.partition('.')[0] for name in sys.modules}))); main()"
@@ -164,7 +164,7 @@ def test_cameras_and_rates_are_stated_by_options(tmp_path: Path, monkeypatch: py
     assert "recording_camera_unknown" in codes(f"--videos=d={clip}")
 
 
-def test_an_output_rate_that_makes_too_many_frames(tmp_path: Path) -> None:
+def test_output_rate_with_too_many_frames_is_refused(tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("unsynchronised"), duration_s=0.5), seed=4, num_views=2), tmp_path)
     for folder in (tmp_path / "keypoints").iterdir():
         (folder / "frame_900000_keypoints.json").write_text('{"people": []}')
@@ -178,14 +178,14 @@ def test_an_output_rate_that_makes_too_many_frames(tmp_path: Path) -> None:
     assert {one["code"] for one in json.loads(result.stdout)["problems"]} == {"session_too_long"}
 
 
-def test_an_unknown_method_or_detector_is_refused(tmp_path: Path) -> None:
+def test_unknown_method_or_detector_is_refused(tmp_path: Path) -> None:
     arguments = ["reconstruct", f"--videos={tmp_path}", "--calibration=c.toml", f"--out={tmp_path}", "--json"]
     result = runner.invoke(app, [*arguments, "--method=guessing"])
     assert result.exit_code == 2
     assert json.loads(result.stdout)["problems"][0]["code"] == "value_not_allowed"
 
 
-def test_parameters_of_the_tracker_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+def test_tracker_parameters_not_numbers_are_refused(tmp_path: Path) -> None:
     arguments = [f"--videos={tmp_path}", f"--calibration={tmp_path}", f"--out={tmp_path}", "--json"]
     result = runner.invoke(app, ["reconstruct", *arguments, "--tracking=alpha_3d_m=far", "--tracking=0.2"])
     assert result.exit_code == 2
@@ -249,7 +249,7 @@ def test_models_list_has_the_keys_that_others_rely_on() -> None:
     assert [one["name"] for one in listed] == [one.name for one in models.status()]
 
 
-def test_a_model_that_nobody_knows(tmp_path: Path) -> None:
+def test_model_unknown_is_refused(tmp_path: Path) -> None:
     result = runner.invoke(app, ["models", "install", "yolo"])
     assert result.exit_code in {1, 2}
     assert "movenet-multipose" in result.stderr
@@ -264,7 +264,7 @@ def test_every_command_says_what_it_does(command: str) -> None:
     assert len(result.stdout) > 100
 
 
-def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path) -> None:
+def test_export_unknown_format_is_named_with_known_formats(tmp_path: Path) -> None:
     folder = str(tmp_path)
     arguments = ["reconstruct", "--videos", folder, "--calibration", folder, "--out", folder, "--exports", "bvh,obj"]
     result = runner.invoke(app, arguments)
@@ -273,7 +273,7 @@ def test_a_format_that_nobody_knows_is_named_with_those_there_are(tmp_path: Path
     assert "trc" in result.stderr
 
 
-def test_a_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
+def test_take_without_people_leaves_valid_files(tmp_path: Path) -> None:
     nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
     paths = write_results(nobody, tmp_path / "new" / "results")
     assert sorted(path.name for path in paths) == ["metrics.json", "skeletons.json"]
@@ -336,7 +336,7 @@ def test_keys_that_can_not_be(tmp_path: Path, arguments: list[str], words: str) 
     assert "Traceback" not in result.stderr
 
 
-def test_the_service_listens_beyond_this_machine_with_keys_only(tmp_path: Path) -> None:
+def test_service_beyond_this_machine_requires_keys(tmp_path: Path) -> None:
     result = runner.invoke(app, ["serve", "--host", "0.0.0.0", "--port", "0", "--data", str(tmp_path)])  # noqa: S104
     if "multicap models install" in result.stderr:
         pytest.skip("the default detector is not installed")
@@ -345,7 +345,7 @@ def test_the_service_listens_beyond_this_machine_with_keys_only(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("url", ["postgresql://nobody:secret@127.0.0.1:1/multicap", "no url", "oracle://x"])
-def test_a_database_that_is_away_is_no_stack_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
+def test_database_away_is_no_stack_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.setenv("MULTICAP_DATABASE_URL", url)
     result = runner.invoke(app, ["keys", "list", "--data", str(tmp_path)])
     assert result.exit_code == 2
@@ -371,7 +371,7 @@ def test_too_little_memory_is_told_without_a_stack_trace(as_json: bool, capsys: 
     assert "There is not enough memory for this." in said
 
 
-def test_a_table_is_a_line_a_row_with_every_cell_whole(capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_row_is_one_line_with_whole_cells(capsys: pytest.CaptureFixture[str]) -> None:
     long = "x" * 300
     print_table(("name", "what it is"), [("a", long), ("\u6771\u4eac", ""), ("b[red]c[/]", ":smile:")])
     assert capsys.readouterr().out.splitlines() == [
@@ -428,7 +428,7 @@ def test_until_when_a_key_is_valid() -> None:
 
 
 @pytest.mark.usefixtures("narrow")
-def test_the_summary_of_a_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_take_summary_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
     write_results(nobody, tmp_path)
     print_summary(json.loads((tmp_path / "metrics.json").read_bytes()))
@@ -452,7 +452,7 @@ NEWER = "written by a newer version of Multicap (schema 0099). Upgrade Multicap,
         pytest.param(["api"], 1, marks=pytest.mark.slow),
     ],
 )
-def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: list[str], status: int) -> None:
+def test_database_newer_version_is_a_sentence(tmp_path: Path, command: list[str], status: int) -> None:
     assert runner.invoke(app, ["keys", "list", "--data", str(tmp_path)]).exit_code == 0
     with contextlib.closing(sqlite3.connect(tmp_path / "multicap.db")) as database, database:
         database.execute("UPDATE alembic_version SET version_num = '0099'")
@@ -467,7 +467,7 @@ def test_a_database_of_a_newer_version_is_a_sentence(tmp_path: Path, command: li
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_second_api_process_on_a_folder_is_refused_and_empties_no_spool(tmp_path: Path) -> None:
+def test_second_api_process_is_refused_and_empties_no_spool(tmp_path: Path) -> None:
     being_received = tmp_path / "spool" / "a session" / "cam_0.mp4"
     being_received.parent.mkdir(parents=True)
     being_received.write_bytes(b"frames")
@@ -481,7 +481,7 @@ def test_a_second_api_process_on_a_folder_is_refused_and_empties_no_spool(tmp_pa
     assert being_received.read_bytes() == b"frames"
 
 
-def test_a_key_is_revoked_on_a_full_disk_and_none_is_made(tmp_path: Path) -> None:
+def test_keys_full_disk_are_revoked_and_none_is_made(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
         data = f"--data={disk / 'data'}"
         made = json.loads(runner.invoke(app, ["keys", "create", "portal", data, "--json"]).stdout)

@@ -33,7 +33,7 @@ COST = JobCost(
 
 
 @pytest.mark.slow
-def test_a_job_is_measured_in_a_process_of_its_own() -> None:
+def test_job_is_measured_in_its_own_process() -> None:
     simulation = crowd(3, 1, 1.0)
     cost = measure_job(partial(simulated_session, simulation), ReconstructionConfig(), "cpu")
     assert (cost.cameras, cost.people) == (3, 1)
@@ -87,7 +87,7 @@ def tables(cost: dict[str, Any]) -> dict[str, CostTable]:
     return {table.title: table for table in cost_tables(cost)}
 
 
-def test_a_minute_costs_its_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_minute_costs_its_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """35 s for 800 camera frames, and 37.5 ms of a core for each further one."""
     cost = measured(monkeypatch, tmp_path)
     job = cost["profiles"][0]
@@ -119,7 +119,7 @@ def test_pictures_are_rows_by_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert pictures.rows == [("2", "21.0 (9)")]
 
 
-def test_the_processor_is_named_with_its_instructions(tmp_path: Path) -> None:
+def test_processor_is_named_with_its_instructions(tmp_path: Path) -> None:
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text(
         "processor\t: 0\nmodel name\t: Chip 3000\nflags\t\t: fpu avx2 avx512_vnni\n\nmodel name\t: Other\n"

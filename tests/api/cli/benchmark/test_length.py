@@ -15,7 +15,7 @@ from pipeline.validation.simulation.scenes import SCENES, record
 MAX_RATIO = 1.6
 
 
-def test_a_long_session_repeats_the_clip_to_and_fro() -> None:
+def test_long_session_repeats_the_clip_to_and_fro() -> None:
     clip = record(replace(SCENES["room"], duration_s=0.4), 0, 2)
     num_clip = clip.timebase.num_frames
     session = long_session(clip, 3 * num_clip - 2)

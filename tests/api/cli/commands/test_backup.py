@@ -106,7 +106,7 @@ def test_artifacts_in_a_bucket_stay_there_and_that_is_said(
     assert sorted(path.name for path in (tmp_path / "there").iterdir()) == ["artifacts", "multicap.db", "uploads"]
 
 
-def test_a_newer_database_is_refused_by_commands(folder: Path) -> None:
+def test_commands_newer_database_is_refused(folder: Path) -> None:
     database = Database(f"sqlite:///{folder / 'multicap.db'}")
     with database.writing() as connection:
         connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")

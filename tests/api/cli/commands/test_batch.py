@@ -65,7 +65,7 @@ def test_takes_of_a_folder_in_natural_order_with_a_table(takes: Path, tmp_path: 
 
 
 @pytest.mark.slow
-def test_what_is_done_is_kept_and_made_anew_for_another_choice_or_file(takes: Path, tmp_path: Path) -> None:
+def test_results_are_kept_until_a_choice_or_file_changes(takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, answer = run(takes, out, "--calibration", str(tmp_path / "rig.json"))
     assert code == 0, answer
@@ -80,7 +80,7 @@ def test_what_is_done_is_kept_and_made_anew_for_another_choice_or_file(takes: Pa
     assert not written_at(out).items() & before.items()
 
 
-def test_a_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
+def test_batch_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
     (takes / "take2" / "timestamps.csv").write_text("camera,frame\n")
     (takes / "take3").mkdir()
     (takes / "__MACOSX").mkdir()
@@ -97,7 +97,7 @@ def test_a_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"batch.csv", "take10"}
 
 
-def test_an_equals_sign_in_a_path_is_no_camera(takes: Path, tmp_path: Path) -> None:
+def test_path_with_equals_sign_is_no_camera(takes: Path, tmp_path: Path) -> None:
     folder = takes.rename(tmp_path / "day=1")
     (folder / "take2" / "GX010001.mp4").write_bytes(b"")
     (folder / "take2" / "keypoints").rename(tmp_path / "away")
@@ -147,7 +147,7 @@ def test_folders_without_takes_are_refused(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
+def test_run_killed_continues_to_the_same_bytes(tmp_path: Path) -> None:
     takes = write_takes(tmp_path / "takes", range(8))
     rig, whole, cut = tmp_path / "rig.json", tmp_path / "whole", tmp_path / "cut"
     assert run(takes, whole, "--calibration", str(rig))[0] == 0

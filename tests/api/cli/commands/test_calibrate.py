@@ -43,7 +43,7 @@ def test_frames_have_the_times_of_the_file(session: CaptureSession, tmp_path: Pa
     assert 5.0 < found.timebase.frame_rate_hz < 7.0
 
 
-def test_a_camera_without_times_is_named(session: CaptureSession, tmp_path: Path) -> None:
+def test_timestamps_camera_missing_is_named(session: CaptureSession, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         timed(session, table(tmp_path / "times.csv", ("left",)))
     (problem,) = raised.value.problems
@@ -111,7 +111,7 @@ def test_keypoints_give_a_calibration_and_a_report(capture: Path, tmp_path: Path
         (["--stature-m", "178", "--videos", "V"], "2.6"),
     ],
 )
-def test_what_is_missing_or_too_much_is_said(options: list[str], expected: str, tmp_path: Path) -> None:
+def test_sources_missing_or_superfluous_are_named(options: list[str], expected: str, tmp_path: Path) -> None:
     result = runner.invoke(app, ["calibrate", "people", *options, "--out", str(tmp_path / "room.json")])
     assert result.exit_code == 2
     assert expected in result.stderr

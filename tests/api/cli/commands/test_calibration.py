@@ -80,7 +80,7 @@ def in_world(camera: Camera, other_from_world: np.ndarray) -> Camera:
     return replace(camera, cam_from_world=Rigid3(pose.rotation @ other_from_world.T, pose.translation_m))
 
 
-def test_what_cannot_be_converted(tmp_path: Path, rig: Path) -> None:
+def test_convert_unsupported_is_refused(tmp_path: Path, rig: Path) -> None:
     def problems(*words: str) -> list[str]:
         result = runner.invoke(app, ["calibration", *words, "--json"])
         assert result.exit_code in {1, 2}
@@ -124,7 +124,7 @@ def test_convert_takes_sizes_that_the_file_does_not_contain(tmp_path: Path, rig:
     assert [(problem["code"], problem["camera"]) for problem in stated] == [("invalid_size", "left")]
 
 
-def test_the_unit_is_asked_for(tmp_path: Path) -> None:
+def test_calibration_unit_unstated_is_asked_for(tmp_path: Path) -> None:
     in_mm = tmp_path / "in_mm.yml"
     in_mm.write_bytes(encode_opencv([scaled(camera, 1000.0) for camera in RIG]))
     code, found = check(str(in_mm))

@@ -99,7 +99,7 @@ def test_clocks_that_are_not_certain_are_an_error(tmp_path: Path) -> None:
     assert {(one["code"], one["severity"]) for one in findings} == {("sync_no_motion", "error")}
 
 
-def test_an_unknown_way_to_synchronise_is_refused(session: Path) -> None:
+def test_unknown_synchronization_is_refused(session: Path) -> None:
     words = ["check", "--keypoints", str(session), "--calibration", str(session / "calibration.json")]
     answer = CliRunner().invoke(app, [*words, "--sync", "guess", "--json"])
     assert answer.exit_code == 2
@@ -129,9 +129,7 @@ def test_thumbnails_of_videos_are_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_check_calls_an_error_reconstruct_and_batch_refuse_unless_they_are_forced(
-    session: Path, tmp_path: Path
-) -> None:
+def test_check_errors_refuse_reconstruct_and_batch_unless_forced(session: Path, tmp_path: Path) -> None:
     def exchange(cameras: list[Any]) -> None:
         cameras[0]["name"], cameras[1]["name"] = cameras[1]["name"], cameras[0]["name"]
 

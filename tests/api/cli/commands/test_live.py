@@ -41,14 +41,14 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     assert str(tmp_path) not in result.stdout
 
 
-def test_a_wrong_calibration_and_a_wrong_profile_are_sentences(tmp_path: Path) -> None:
+def test_wrong_calibration_and_profile_are_sentences(tmp_path: Path) -> None:
     result = runner.invoke(app, ["live", f"--calibration={tmp_path / 'none.toml'}", "--camera=a=b.mp4"])
     assert (result.exit_code, "does not exist" in result.stderr) == (2, True)
     result = runner.invoke(app, ["live", "--calibration=c.toml", "--camera=a=b.mp4", "--profile=quick"])
     assert (result.exit_code, "fast" in result.stderr, "Traceback" in result.stderr) == (2, True, False)
 
 
-def test_the_first_interruption_ends_the_capture_and_the_second_one_the_command() -> None:
+def test_interruption_ends_capture_and_second_ends_command() -> None:
     stops = []
     with _stopped_by_signals(lambda: stops.append(1)):
         signal.raise_signal(signal.SIGINT)
@@ -59,7 +59,7 @@ def test_the_first_interruption_ends_the_capture_and_the_second_one_the_command(
 
 
 @pytest.mark.slow
-def test_the_sample_as_cameras(tmp_path: Path) -> None:
+def test_sample_videos_are_cameras(tmp_path: Path) -> None:
     """Two people of the sample reach a file, a folder and a receiver of VMC."""
     if (sample := locate()) is None or not any(network.installed for network in status()):
         pytest.skip("the sample capture or the networks are not installed")

@@ -32,7 +32,7 @@ def test_own_networks_that_can_not_be_added(arguments: list[str], message: str) 
     assert message in " ".join(result.output.split())
 
 
-def test_an_own_network_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_network_is_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
     path = write(simcc(), tmp_path / "net.onnx")
     result = runner.invoke(

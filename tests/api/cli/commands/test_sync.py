@@ -43,7 +43,7 @@ def test_offsets_and_plots(tmp_path: Path) -> None:
     assert {path.name for path in report.glob("*.svg")} == {f"sync_{name}.svg" for name in document["offsets_s"]}
 
 
-def test_an_uncertain_answer_is_exit_code_1_with_reasons(tmp_path: Path) -> None:
+def test_uncertain_answer_is_exit_code_1_with_reasons(tmp_path: Path) -> None:
     result = runner.invoke(app, [*arguments(alone(Gesture.IDLE, 4.0), tmp_path, 12), "--json"])
     assert result.exit_code == 1
     document = json.loads(result.stdout)

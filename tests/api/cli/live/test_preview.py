@@ -40,7 +40,7 @@ def address(page: PreviewPage) -> str:
     return page.url.replace("http:", "ws:") + "live"
 
 
-def test_a_browser_gets_people_and_figures(room: Simulation, page: PreviewPage) -> None:
+def test_preview_browser_gets_people_and_figures(room: Simulation, page: PreviewPage) -> None:
     totals = LiveTotals([CameraTotals("cam_00", "lost", decoded=20, detected=12, lost=1)])
     with connect(address(page)) as browser:
         ready = json.loads(browser.recv(10))
@@ -74,7 +74,7 @@ def test_other_pages_and_hosts_are_refused(page: PreviewPage) -> None:
         pass
 
 
-def test_a_slow_browser_delays_nobody(room: Simulation, page: PreviewPage) -> None:
+def test_preview_slow_browser_delays_no_other(room: Simulation, page: PreviewPage) -> None:
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ))
     frames = recorded_frames(room.cameras, room.times, room.detections)
     instants = [instant for frame in frames for instant in capture.push(*frame)]
@@ -84,13 +84,13 @@ def test_a_slow_browser_delays_nobody(room: Simulation, page: PreviewPage) -> No
             page.show(instants[-1], 0.0)
 
 
-def test_a_port_that_is_taken_is_a_problem(page: PreviewPage) -> None:
+def test_port_taken_is_a_problem(page: PreviewPage) -> None:
     port = int(page.url.rstrip("/").rpartition(":")[2])
     with pytest.raises(InputError, match="can't be used"):
         PreviewPage(port)
 
 
-def test_what_a_browser_sends_is_little(room: Simulation, page: PreviewPage) -> None:
+def test_preview_browser_messages_are_limited(room: Simulation, page: PreviewPage) -> None:
     with connect(address(page)) as browser, connect(address(page)) as other:
         browser.recv(10)
         other.recv(10)

@@ -85,7 +85,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("path", ["/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"])
-def test_what_takes_two_bodies_has_an_operation_for_each(schema: dict[str, Any], path: str) -> None:
+def test_routes_with_two_bodies_have_an_operation_for_each(schema: dict[str, Any], path: str) -> None:
     """Generators of clients keep one body of an operation, or mix both."""
     content = schema["paths"][path]["post"]["requestBody"]["content"]
     assert len(content) == 2
@@ -121,7 +121,7 @@ def test_files_are_declared_as_bytes(schema: dict[str, Any]) -> None:
     assert upload["application/offset+octet-stream"]["schema"]["format"] == "binary"
 
 
-def test_the_document_says_what_it_is_of(schema: dict[str, Any]) -> None:
+def test_document_has_license_and_subject(schema: dict[str, Any]) -> None:
     assert schema["info"]["license"] == {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
     assert schema["servers"] == [{"url": "/", "description": "Service that serves this document."}]
     described = {tag["name"] for tag in schema["tags"] if tag["description"]}
@@ -157,7 +157,7 @@ def test_all_arrays_say_their_items(schema: dict[str, Any]) -> None:
     assert (size["items"], size["minItems"], size["maxItems"]) == ({"type": "integer"}, 2, 2)
 
 
-def test_operations_that_take_an_address_declare_what_is_sent_there(schema: dict[str, Any]) -> None:
+def test_operations_with_callbacks_declare_what_is_sent(schema: dict[str, Any]) -> None:
     message = {"$ref": "#/components/schemas/JobEnded"}
     pointers = {"/v1/sessions/{session_id}/jobs": "/callback_url"}
     pointers |= {f"/v1/jobs{way}": "/spec/callback_url" for way in ("", "/from-files", "/from-uploads")}

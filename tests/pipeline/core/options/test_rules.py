@@ -39,7 +39,7 @@ def test_all_that_a_session_does_not_allow_is_found_at_once() -> None:
 
 
 @pytest.mark.parametrize(("export", "package"), [("usd", "usd-core"), ("rerun", "rerun-sdk")])
-def test_a_format_whose_package_is_not_installed_is_refused_with_the_command(
+def test_format_not_installed_is_refused_with_the_command(
     export: Export, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pipeline.core.options.config.find_spec", lambda _: None)
