@@ -49,7 +49,8 @@ def embed_motion(
         done += len(records)
     document: dict[str, Any] = json.loads(motion.describe())
     document["record"]["num_bytes"] = dtype.itemsize
-    document["record"]["offsets"] = {name: (dtype.fields or {})[name][1] for name in _FIELDS}
+    places: dict[str, Any] = dict(dtype.fields or {})
+    document["record"]["offsets"] = {name: places[name][1] for name in _FIELDS}
     return {**document, "stride": stride, "frames": base64.b64encode(b"".join(kept)).decode("ascii")}
 
 
