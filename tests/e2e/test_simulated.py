@@ -16,8 +16,7 @@ from pipeline.core.joints import COCO_17, COCO_18
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, accuracy, select_joints
-from pipeline.validation.evaluation.simulated import score_simulated
-from pipeline.validation.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.validation.evaluation.simulated import ablate_clustering, cluster_fields, drawn_fields, score_simulated
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.simulations import write_simulation
 

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 
 from pipeline.core.data.cameras import Timebase
-from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.motion.gait.analysis import gait_document, movement_documents
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.api.conftest import running
 from tests.e2e.browsing import opened

@@ -14,8 +14,7 @@ from pipeline.association.tracking.track_people import track_bodies
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import People
 from pipeline.run.warm_up import warm_up
-from pipeline.validation.simulation.motion.director import Cast
-from pipeline.validation.simulation.motion.exchange import PlaceExchange
+from pipeline.validation.simulation.motion.director import Cast, PlaceExchange
 from pipeline.validation.simulation.rigs import Layout, Rig
 from pipeline.validation.simulation.scenes import SCENES, Scene, record
 

@@ -12,7 +12,7 @@ from api.cli.console import JsonOption, emit, print_table, reporting, require_wr
 from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.run.warm_up import warm_up
-from pipeline.validation.evaluation.pairwise import associate_pairwise
+from pipeline.validation.evaluation.baselines import associate_pairwise
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig
 from pipeline.validation.simulation.scenes import Scene, Simulation, record

@@ -47,10 +47,8 @@ from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
 from pipeline.export.quality.world_checks import EVIDENCE, world_checks
-from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.angles.ranges import ranges_of_motion
-from pipeline.motion.gait.analysis import analyse_gait
-from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
+from pipeline.motion.gait.analysis import analyse_gait, gait_document, movement_documents
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S
 
 SCHEMA_VERSION = 1

@@ -15,8 +15,8 @@ from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, JointSet
 from pipeline.geometry.camera import project
-from pipeline.motion.skeleton.fitting.windows import windows
 from pipeline.motion.skeleton.marks import has_torso, marks_from_centers
+from pipeline.motion.skeleton.time_series import windows
 
 MIN_SCORE = 0.2
 """Lowest score of the observations that the figures include."""

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
 from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
-from pipeline.motion.body.shape import BodyShapes, shape_body
-from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.body.shape import BodyShapes, shape_body, standing_ankle_m
 from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON
 
 

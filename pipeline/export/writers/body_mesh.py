@@ -14,10 +14,8 @@ from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.options.config import Body
 from pipeline.export.presets import Convention
 from pipeline.motion.body.installed import load
-from pipeline.motion.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint
-from pipeline.motion.body.shape import ShapedBody, shape_body
-from pipeline.motion.body.skinning import about, blend, placed
-from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint, about, blend, placed
+from pipeline.motion.body.shape import ShapedBody, shape_body, standing_ankle_m
 from pipeline.motion.skeleton.model import INDEX, parents_of, skeleton_of
 
 _UP = np.array([0.0, 0.0, 1.0])

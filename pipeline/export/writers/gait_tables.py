@@ -7,10 +7,8 @@ clock, with their fractions of a frame; ``frame`` is the nearest output frame of
 from collections.abc import Iterator, Sequence
 
 from pipeline.core.data.cameras import Timebase
-from pipeline.motion.gait.analysis import PersonGait, marked_events
-from pipeline.motion.gait.document import time_s
-from pipeline.motion.gait.figures import FIGURES
-from pipeline.motion.gait.strides import Stride
+from pipeline.motion.gait.analysis import PersonGait, marked_events, time_s
+from pipeline.motion.gait.strides import FIGURES, Stride
 
 EVENTS, STRIDES = "events", "strides"
 """Kinds of the files, which are part of their names."""

@@ -1,6 +1,6 @@
-"""Joint angles of a person over time, from the rotations of the fitted skeleton."""
+"""Joint angles of a person over time, from the rotations of the fitted skeleton; their ranges and their cycles."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +17,15 @@ from pipeline.motion.angles.definitions import (
     WORLD,
     AngleJoint,
     BodySegment,
+    angles_rad,
+    continuous,
+    is_locked,
+    mirrored,
     name_of,
     segments_of,
     sides_of,
 )
 from pipeline.motion.angles.precision import angle_sigma_rad, vector_m
-from pipeline.motion.angles.sequences import angles_rad, continuous, is_locked, mirrored
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 from pipeline.motion.skeleton.rotations import unit
 
@@ -190,3 +193,47 @@ def _proximal_from_distal(
     world_from_proximal = WORLD if proximal is None else world_from_segment[proximal]
     rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]
     return mirrored(rotation) if side == "left" else rotation
+
+
+def ranges_of_motion(angles: JointAngles) -> dict[str, dict[str, float | None]]:
+    """Smallest and largest angle, their difference, number of frames and standard deviation of each angle, by name.
+
+    All are in degrees, rounded to 0.01. ``sigma_deg`` is the median over frames, ``None`` where none is stated. An
+    angle that was never known is left out.
+    """
+    found: dict[str, dict[str, float | None]] = {}
+    for name, angle_deg, sigma_deg in zip(ANGLE_NAMES, angles.angle_deg.T, angles.sigma_deg.T, strict=True):
+        known_deg, stated_deg = angle_deg[np.isfinite(angle_deg)], sigma_deg[np.isfinite(sigma_deg)]
+        if len(known_deg):
+            found[name] = {
+                "min_deg": round(float(known_deg.min()), 2),
+                "max_deg": round(float(known_deg.max()), 2),
+                "range_deg": round(float(np.ptp(known_deg)), 2),
+                "num_frames": len(known_deg),
+                "sigma_deg": round(float(np.median(stated_deg)), 2) if len(stated_deg) else None,
+            }
+    return found
+
+
+NUM_POINTS = 101
+"""Points of a cycle: 0 to 100 percent."""
+
+
+def normalised_cycles(
+    angle_deg: Float[np.ndarray, " frames"], cycles: Iterable[tuple[float, float]]
+) -> Float[np.ndarray, "cycles 101"]:
+    """Stretch the cycles of an angle to 0 to 100 percent by linear interpolation.
+
+    Parameters
+    ----------
+    cycles
+        First and last row of each cycle, with fractions. Cycles in which the angle is unknown in a frame, or that are
+        not inside the frames, are left out.
+    """
+    frames, found = np.arange(len(angle_deg)), []
+    for start, stop in cycles:
+        if not 0.0 <= start < stop <= len(angle_deg) - 1:
+            continue
+        if np.isfinite(angle_deg[int(start) : int(np.ceil(stop)) + 1]).all():
+            found.append(np.interp(np.linspace(start, stop, NUM_POINTS), frames, angle_deg))
+    return np.array(found).reshape(-1, NUM_POINTS)

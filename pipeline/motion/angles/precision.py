@@ -16,8 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
-from pipeline.motion.angles.definitions import SEGMENTS, WORLD, AngleJoint, BodySegment, segments_of
-from pipeline.motion.angles.sequences import angles_rad, mirrored
+from pipeline.motion.angles.definitions import (
+    SEGMENTS,
+    WORLD,
+    AngleJoint,
+    BodySegment,
+    angles_rad,
+    mirrored,
+    segments_of,
+)
 from pipeline.motion.skeleton.rotations import unit
 
 _STEP_RAD = 1e-4

@@ -14,8 +14,16 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
 from pipeline.motion.body.coarse import coarsen
-from pipeline.motion.body.joints import BODY_INDEX, BODY_JOINTS, NUM_TWISTS, TWIST_JOINTS
-from pipeline.motion.body.skinning import about, blend, placed, world_from_joints
+from pipeline.motion.body.joints import (
+    BODY_INDEX,
+    BODY_JOINTS,
+    NUM_TWISTS,
+    TWIST_JOINTS,
+    about,
+    blend,
+    placed,
+    world_from_joints,
+)
 from pipeline.motion.skeleton.model import INDEX, TRUNK, WHOLE_SKELETON
 
 AGES = ("baby", "child", "young")

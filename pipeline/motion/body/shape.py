@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.motion.body.joints import BODY_INDEX, BODY_JOINTS, TWIST_JOINTS
-from pipeline.motion.body.skinning import about, blend, placed, world_from_joints
-from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, parents_of, rest_offsets_m
+from pipeline.core.data.animation import Floor, SkeletonMotion
+from pipeline.motion.body.joints import BODY_INDEX, BODY_JOINTS, TWIST_JOINTS, about, blend, placed, world_from_joints
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, joint_pose, parents_of, rest_offsets_m
 
 # Stature from which on people have the shape of adults. It is less than that of the adult shape: small adults are not
 # children.
@@ -200,3 +200,29 @@ def _relax_fingers(
         turns[number, 1] = downwards * _RELAXED_RAD * (0.5 if "Thumb" in joint.name else 1.0)
     world = world_from_joints(Rotation.from_rotvec(turns).as_quat())
     return blend(vertices_m, shapes.carriers, shapes.weights, about(world, joints_m, placed(world, joints_m)))
+
+
+# Heights as multiples of the skeleton's at rest: who stands lower or higher stands on something else than the floor,
+# such as a step or a treadmill.
+_LOWEST, _HIGHEST = 0.5, 2.0
+
+
+def standing_ankle_m(motion: SkeletonMotion, floor: Floor | None) -> float | None:
+    """Median height (metres) of a person's ankles above the floor while heel and toe of the foot stand on it.
+
+    ``None`` without a floor, for a person who does not stand, and for one whose feet stand elsewhere than on the floor.
+    """
+    if floor is None:
+        return None
+    heights_m = []
+    for side in ("left", "right"):
+        stands = {part: np.zeros(len(motion.root_m), bool) for part in ("heel", "toe")}
+        for contact in motion.contacts:
+            if contact.side == side and contact.part in stands:
+                stands[contact.part][contact.rows] = True
+        ankle_m, _ = joint_pose(motion, f"{side.capitalize()}Foot")
+        heights_m.append(floor.height_m(ankle_m[stands["heel"] & stands["toe"]]))
+    found_m = np.concatenate(heights_m)
+    usual_m = -rest_offsets_m(motion.bone_length_m)[INDEX["LeftFootEnd"], 2]
+    median_m = float(np.median(found_m)) if len(found_m) else np.nan
+    return median_m if _LOWEST * usual_m <= median_m <= _HIGHEST * usual_m else None

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from pipeline.motion.gait.corners import Corner, rest_begins, rest_ends
+from pipeline.motion.gait.events import Corner, rest_begins, rest_ends
 from pipeline.motion.gait.points import BodyPoints
 from pipeline.motion.skeleton.feet.floor import runs_of
 

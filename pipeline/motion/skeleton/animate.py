@@ -24,7 +24,7 @@ from pipeline.motion.skeleton.hands.whole import (
     with_fingers,
     with_hands,
 )
-from pipeline.motion.skeleton.smooth import smooth_track
+from pipeline.motion.skeleton.time_series import smooth_track
 
 # Shares of the computing time: of the fit, positions and skeleton motion; then holding feet, positions from the motion.
 _FITTING, _FINISHING = (6, 6), (3, 1)

@@ -16,8 +16,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.joints import JointOffsets, JointSet
 from pipeline.motion.skeleton.landmarks import Landmarks
 from pipeline.motion.skeleton.model import INDEX, TRUNK, joint_pose
-from pipeline.motion.skeleton.rigid_parts import solve_head
-from pipeline.motion.skeleton.trunk import solve_torso
+from pipeline.motion.skeleton.rigid_parts import solve_head, solve_torso
 
 _GIRDLES = ("hip", "shoulder")
 

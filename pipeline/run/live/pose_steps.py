@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from pipeline.motion.skeleton.fitting.articulated import Evidence, JointPoses, Posed, move
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
-from pipeline.motion.skeleton.fitting.articulation_kernels import assemble
+from pipeline.motion.skeleton.fitting.fit_kernels import assemble
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 
 # Priors of ``skeleton.fitting.articulated``.

@@ -1,15 +1,31 @@
 """Accuracy of tracks on simulated scenes: joint errors, MOTA, IDF1, and hands that touch."""
 
 import itertools
-from collections.abc import Sequence
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.core.data.people import Track3D
-from pipeline.core.joints import JointSet
+from pipeline.association.clustering.cluster_people import reconstruct_evidence
+from pipeline.association.clustering.instant.candidates import FieldEvidence
+from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
+from pipeline.association.clustering.skeleton import clustering_skeleton
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.detections import PafFields
+from pipeline.core.data.people import Observations, Track3D
+from pipeline.core.joints import COCO_18, JointSet
+from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
+from pipeline.run.engine.codec import decode, save
+from pipeline.run.engine.stage import FrameCut
 from pipeline.validation.evaluation.mot import MotFrame, score_mot
 from pipeline.validation.evaluation.mpjpe import (
     BODY_JOINTS,
@@ -20,6 +36,8 @@ from pipeline.validation.evaluation.mpjpe import (
     select_joints,
 )
 from pipeline.validation.simulation.scenes import Simulation
+from pipeline.validation.simulation.views.fields import GRID, render
+from pipeline.video.timeline import span_s
 
 _WRISTS = [BODY_JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
 # Distance of a wrist from a joint of another person who is touched, and from the true wrist if it counts as found.
@@ -118,3 +136,82 @@ def _mot_frame(truth_m: np.ndarray, predicted_m: np.ndarray) -> MotFrame:
     tracks = np.flatnonzero(np.isfinite(predicted_m).all(-1).any(-1))
     distance_m = mean_distance_m(predicted_m[tracks], truth_m[people])
     return MotFrame(people, tracks, np.maximum(0.0, 1.0 - distance_m / (2 * GATE_M)))
+
+
+_CHUNK_FRAMES = 25
+_PAPERS = {"separate_clusters": False, "leniency": 1.0}
+_VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "RE": {**_PAPERS, "use_connectivity": False, "use_lengths": False},
+    "+PAF": {**_PAPERS, "use_lengths": False},
+    "+BL": {**_PAPERS, "use_connectivity": False},
+    "All": _PAPERS,
+    "unsplit": {"split_clusters": False},
+    "default": {},
+}
+
+
+class FieldFiles:
+    """Files of the fields of all cameras, so that memory does not grow with the session: one a camera and range.
+
+    ``folder`` must be empty.
+    """
+
+    def __init__(self, folder: Path, cameras: Sequence[str]) -> None:
+        self._folder, self._cameras = folder, tuple(cameras)
+
+    def write(self, camera: str, frames: range, fields: PafFields) -> None:
+        """Write the fields of a camera in a range of output frames."""
+        save(fields, self._path(camera, frames))
+
+    def read(self, frames: range) -> dict[str, PafFields]:
+        """Read the fields of all cameras for a range, by camera name."""
+        return {camera: decode(PafFields, self._path(camera, frames)) for camera in self._cameras}
+
+    def _path(self, camera: str, frames: range) -> Path:
+        return self._folder / f"{self._cameras.index(camera)}-{frames.start}.npz"
+
+
+@contextmanager
+def drawn_fields(simulation: Simulation) -> Iterator[FieldFiles]:
+    """Draw the fields of all cameras to files in a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        files = FieldFiles(Path(folder), [camera.name for camera in simulation.cameras])
+        for frames in _ranges(simulation.timebase):
+            span = span_s(simulation.timebase, frames.start, frames.stop)
+            for camera, fields in render(simulation.sketches, simulation.times, span).items():
+                files.write(camera, frames, fields)
+        yield files
+
+
+def cluster_fields(
+    simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
+    """Reconstruct tracks of ``COCO_18`` joints, and the observations behind them.
+
+    ``files`` have the fields of the simulation, see ``drawn_fields``; ``changes`` are those of the default parameters,
+    by name.
+    """
+    parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)
+    skeleton, timebase = clustering_skeleton(COCO_18), simulation.timebase
+
+    def evidence_in(frames: range) -> FieldEvidence:
+        fields = files.read(frames)
+        return FieldEvidence(simulation.cameras, simulation.times, fields, timebase, skeleton, parameters)
+
+    return reconstruct_evidence(simulation.cameras, evidence_in, _ranges(timebase), timebase, COCO_18, parameters)
+
+
+def ablate_clustering(simulation: Simulation, files: FieldFiles) -> dict[str, dict[str, Any]]:
+    """Score each variant by ``score_simulated``, in parallel on all cores; returns scores by variant."""
+    score = partial(_score_variant, simulation, files)
+    with ProcessPool(min(len(_VARIANTS), os.cpu_count() or 1)) as pool:
+        return dict(zip(_VARIANTS, pool.map(score, _VARIANTS.values()), strict=True))
+
+
+def _score_variant(simulation: Simulation, files: FieldFiles, changes: Mapping[str, Any]) -> dict[str, Any]:
+    return score_simulated(cluster_fields(simulation, files, changes)[0], simulation, COCO_18)
+
+
+def _ranges(timebase: Timebase) -> list[range]:
+    whole = range(timebase.num_frames)
+    return list(FrameCut(whole, (whole,), _CHUNK_FRAMES))

@@ -15,15 +15,14 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.core.problems.findings import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.motion.angles.compute import angles_of
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS, ActingPart
-from pipeline.validation.simulation.acrobatics.performance import (
+from pipeline.validation.simulation.acrobatics.acrobat import (
     Acrobat,
     acrobat_joints_at,
     acrobat_segments_at,
     perform_acrobatics,
 )
-from pipeline.validation.simulation.motion.director import Cast, improvise
-from pipeline.validation.simulation.motion.exchange import PlaceExchange, exchange
+from pipeline.validation.simulation.acrobatics.motions import ACROBATICS, ActingPart
+from pipeline.validation.simulation.motion.director import Cast, PlaceExchange, exchange, improvise
 from pipeline.validation.simulation.motion.performance import joints_at, perform, segments_at
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times

@@ -14,9 +14,8 @@ from pipeline.capture.session import open_session
 from pipeline.detection.profiles.detection import detection_joints
 from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.validation.evaluation.camera_errors import without_extrinsics
-from pipeline.validation.evaluation.covered_heads import score_covered_heads
-from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_rendered
-from pipeline.validation.evaluation.extremities.feet import score_foot_directions
+from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_covered_heads, score_rendered
+from pipeline.validation.evaluation.extremity_errors import score_foot_directions
 
 
 @with_choices("profile", "joints", "detector", "follow_s", "method", "smoothing", "joint_centers", "refine_calibration")

@@ -23,11 +23,10 @@ from pipeline.core.problems.findings import NO_ABLATION
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.warm_up import warm_up
+from pipeline.validation.evaluation.baselines import live_tracks
 from pipeline.validation.evaluation.camera_errors import without_extrinsics
 from pipeline.validation.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
-from pipeline.validation.evaluation.datasets.shelf_ablation import ablate
-from pipeline.validation.evaluation.datasets.shelf_tracking import association_accuracy, score_tracking
-from pipeline.validation.evaluation.live import live_tracks
+from pipeline.validation.evaluation.datasets.shelf_tracking import ablate, association_accuracy, score_tracking
 
 
 @with_choices("method", "smoothing", "refine_calibration")

@@ -25,10 +25,8 @@ from pipeline.core.problems.findings import NO_ABLATION, NO_REFINEMENT, UNKNOWN_
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
-from pipeline.validation.evaluation.extremities.feet import score_feet, score_heels_and_toes
-from pipeline.validation.evaluation.extremities.hands import score_hands
-from pipeline.validation.evaluation.simulated import score_simulated
-from pipeline.validation.evaluation.simulated_clustering import ablate_clustering, cluster_fields, drawn_fields
+from pipeline.validation.evaluation.extremity_errors import score_feet, score_hands, score_heels_and_toes
+from pipeline.validation.evaluation.simulated import ablate_clustering, cluster_fields, drawn_fields, score_simulated
 from pipeline.validation.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.

@@ -22,7 +22,7 @@ from threadpoolctl import ThreadpoolController
 
 from pipeline.core.runtime.jit import as_compiled
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
-from pipeline.motion.skeleton.fitting.articulation_kernels import assemble, differentiate, pose, turn
+from pipeline.motion.skeleton.fitting.fit_kernels import assemble, differentiate, pose, turn
 from pipeline.motion.skeleton.fitting.positions import tie_weight
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw

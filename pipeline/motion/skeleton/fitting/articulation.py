@@ -123,7 +123,7 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Articulation:
-    """A person's skeleton, or a part of it, as arrays for ``articulation_kernels``."""
+    """A person's skeleton, or a part of it, as arrays for ``fit_kernels``."""
 
     freedoms: tuple[Freedom, ...]  # All rotations; the position of the root comes before them
     twists: tuple[Twist, ...]  # Ball joints whose twist has a prior of its own

@@ -22,8 +22,6 @@ from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.solve import solve_pose
 from pipeline.motion.skeleton.fitting.uncertainty import uncertainty_m
-from pipeline.motion.skeleton.fitting.windows import Blend, windows
-from pipeline.motion.skeleton.gaps import gaps_up_to
 from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m
 from pipeline.motion.skeleton.marks import (
     centers_from_marks,
@@ -35,6 +33,7 @@ from pipeline.motion.skeleton.marks import (
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 from pipeline.motion.skeleton.rigid_parts import landmark_offsets_m
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw, filled
+from pipeline.motion.skeleton.time_series import Blend, gaps_up_to, windows
 
 _NUM_STEPS = 6
 _NUM_STEPS_PINNED = 3

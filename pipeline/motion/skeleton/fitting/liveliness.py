@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import LIMBS, JointSet
 from pipeline.motion.skeleton.fitting.rays import Rays
-from pipeline.motion.skeleton.fitting.windows import Blend, windows
+from pipeline.motion.skeleton.time_series import Blend, windows
 
 # Lag of the second differences on both sides, span of time that has one liveliness, and time over which the noise of a
 # joint is measured.

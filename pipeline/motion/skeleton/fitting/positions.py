@@ -25,9 +25,8 @@ from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import LIMBS, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.motion.skeleton.fitting.rays import Rays
-from pipeline.motion.skeleton.fitting.windows import Blend, windows
-from pipeline.motion.skeleton.gaps import filled_linearly, filled_with_body
 from pipeline.motion.skeleton.landmarks import Landmarks, limb_lengths_m
+from pipeline.motion.skeleton.time_series import Blend, filled_linearly, filled_with_body, windows
 
 # Scales c of the rays, in order of the steps; the last scale is kept.
 SCALES_M = (0.20, 0.12, 0.10)

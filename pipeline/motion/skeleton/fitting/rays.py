@@ -10,7 +10,7 @@ from pipeline.core.joints import JointSet
 from pipeline.core.runtime.jit import as_compiled
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
-from pipeline.motion.skeleton.fitting.ray_kernels import squared_distances, sum_normal_equations
+from pipeline.motion.skeleton.fitting.fit_kernels import squared_distances, sum_normal_equations
 
 # Noise of a detector across a ray.
 _SIGMA_M = 0.015

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.motion.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.motion.skeleton.landmarks import Landmarks
 from pipeline.motion.skeleton.model import INDEX, SKELETON, rest_offsets_m
-from pipeline.motion.skeleton.rigid_parts import solve_foot, solve_head
+from pipeline.motion.skeleton.rigid_parts import solve_foot, solve_head, solve_torso
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw, filled, hinge_twist_rad, swing
-from pipeline.motion.skeleton.trunk import solve_torso
 
 # Limit on the difference between measured and true length of a bone, as a share of its length; beyond it, the
 # measurement is ignored.

@@ -15,7 +15,7 @@ from scipy.ndimage import convolve1d
 
 from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
-from pipeline.motion.skeleton.fitting.articulation_kernels import factorise, spread
+from pipeline.motion.skeleton.fitting.fit_kernels import factorise, spread
 
 # Time in which the weight of evidence from other frames falls to 1 / e, and the time beyond which it is ignored.
 _MEMORY_S, _REACH_S = 0.04, 0.20

@@ -19,8 +19,7 @@ from pipeline.validation.simulation.motion.body import (
 )
 from pipeline.validation.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
 from pipeline.validation.simulation.motion.gestures import GestureMotion, overlay, smooth_noise
-from pipeline.validation.simulation.motion.hand_postures import finger_motion
-from pipeline.validation.simulation.motion.hands import Hands, fingers, random_scale
+from pipeline.validation.simulation.motion.hands import Hands, finger_motion, fingers, random_scale
 from pipeline.validation.simulation.motion.locomotion import GRID_HZ, Route, Steps, ankles, follow_steps, lay_out
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay
 

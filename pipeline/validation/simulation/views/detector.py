@@ -10,8 +10,16 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.detections import Detections
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.validation.simulation.views.faults import NO_FAULTS, Confusion, Faults, confuse, false_positives
-from pipeline.validation.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise
+from pipeline.validation.simulation.views.faults import (
+    NO_FAULTS,
+    Confusion,
+    Faults,
+    confuse,
+    false_positives,
+    heavy_tailed,
+    lasting_events,
+    lasting_noise,
+)
 from pipeline.validation.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
 
 NOBODY = -1

@@ -21,8 +21,7 @@ from pipeline.validation.simulation.views.detector import (
     find_bodies,
     noisy,
 )
-from pipeline.validation.simulation.views.faults import Confusion
-from pipeline.validation.simulation.views.noise import lasting_events
+from pipeline.validation.simulation.views.faults import Confusion, lasting_events
 from pipeline.validation.simulation.views.occlusion import Box, hidden_by_boxes, points_hidden_by_bodies
 
 _NUM_BODY = len(COCO_17.names)

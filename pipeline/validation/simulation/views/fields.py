@@ -21,8 +21,8 @@ from pipeline.detection.letterbox import fit_letterbox
 from pipeline.detection.registry import FieldGrid
 from pipeline.geometry.fields import quantise
 from pipeline.validation.simulation.views.detector import BEST_SCORE, DetectorAccuracy, look, see_joints
+from pipeline.validation.simulation.views.faults import lasting_events
 from pipeline.validation.simulation.views.field_kernels import draw_limbs, draw_peaks
-from pipeline.validation.simulation.views.noise import lasting_events
 from pipeline.validation.simulation.views.occlusion import Box
 
 GRID = FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3)

@@ -16,10 +16,9 @@ from pipeline.export.report.biomechanics import (
     gait_rows,
     movement_rows,
 )
-from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.angles.compute import JointAngles, ranges_of_motion
 from pipeline.motion.angles.definitions import ANGLE_NAMES
-from pipeline.motion.angles.ranges import ranges_of_motion
-from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.motion.gait.analysis import gait_document, movement_documents
 from pipeline.motion.gait.strides import Stride
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.gait.walks import Act, exercise, gait_of, walk

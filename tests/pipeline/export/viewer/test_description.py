@@ -19,8 +19,7 @@ from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body import installed
 from pipeline.motion.body.makehuman import NUM_COARSE_TRIANGLES
-from pipeline.motion.body.shape import shape_body
-from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.body.shape import shape_body, standing_ankle_m
 from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
 from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, shifted
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take

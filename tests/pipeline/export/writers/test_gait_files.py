@@ -14,11 +14,10 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
 from pipeline.export.writers.gait_tables import gait_tables
-from pipeline.motion.gait.analysis import MarkedEvent, PersonGait, marked_events
-from pipeline.motion.gait.document import gait_document, movement_documents
+from pipeline.motion.gait.analysis import MarkedEvent, PersonGait, gait_document, marked_events, movement_documents
 from pipeline.validation.simulation.motion.script import Gesture
-from pipeline.validation.simulation.motion.truth import flights_s, step_times
 from tests.pipeline.motion.gait.walks import exercise, gait_of, performed, track_of, walk
+from tests.pipeline.validation.simulation.true_events import flights_s, step_times
 
 ACT = walk(1.2)
 TIMEBASE = Timebase(2.0, 60.0, 1000)

@@ -10,12 +10,8 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.angles.compute import JointAngles, angles_of, joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.skeleton.animate import animate
+from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, acrobat_segments_at, perform_acrobatics
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
-from pipeline.validation.simulation.acrobatics.performance import (
-    acrobat_joints_at,
-    acrobat_segments_at,
-    perform_acrobatics,
-)
 from pipeline.validation.simulation.motion.performance import joints_at, perform, segments_at
 from pipeline.validation.simulation.motion.script import Role, Turn, Walk
 from tests.pipeline.motion.skeleton.observed import observe, ring_of

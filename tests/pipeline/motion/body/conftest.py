@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.motion.body import installed
+from pipeline.motion.body.joints import about, blend, placed, world_from_joints
 from pipeline.motion.body.shape import BodyShapes, ShapedBody
-from pipeline.motion.body.skinning import about, blend, placed, world_from_joints
 from pipeline.motion.skeleton.model import WHOLE_SKELETON
 
 

@@ -7,9 +7,9 @@ from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.motion.gait.movements import BodyMovement
 from pipeline.validation.simulation.motion.performance import joints_at
 from pipeline.validation.simulation.motion.script import Gesture
-from pipeline.validation.simulation.motion.truth import flights_s
 from tests.cases import slow_but
 from tests.pipeline.motion.gait.walks import Act, exercise, gait_of, performed
+from tests.pipeline.validation.simulation.true_events import flights_s
 
 GRAVITY_M_S2 = 9.81
 KINDS = {

@@ -7,13 +7,13 @@ from pipeline.core.joints import BODY_FEET, SIDES
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.gait.events import EventKind
 from pipeline.motion.gait.strides import Stride
+from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
-from pipeline.validation.simulation.acrobatics.performance import acrobat_joints_at, perform_acrobatics
 from pipeline.validation.simulation.motion.performance import joints_at
 from pipeline.validation.simulation.motion.script import Gesture, Stay, Turn, Walk
-from pipeline.validation.simulation.motion.truth import step_times
 from tests.cases import slow_but
 from tests.pipeline.motion.gait.walks import Act, body_only, exact, gait_of, performed, treadmill, walk
+from tests.pipeline.validation.simulation.true_events import step_times
 
 SPEEDS_M_S = (0.8, 1.2, 1.6)
 # Speed, person, number of cameras and rate of treadmills that were not used in development.

@@ -16,12 +16,12 @@ from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import BODY_25, COCO_17
 from pipeline.core.options.config import Feet, ReconstructionConfig, Smoothing
 from pipeline.geometry.camera import project
+from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.fitting import windows
 from pipeline.motion.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
 from pipeline.run.engine.stored_people import StoredSequence
-from pipeline.validation.evaluation.extremities.feet import score_feet
+from pipeline.validation.evaluation.extremity_errors import score_feet
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from pipeline.validation.simulation.views.detector import DetectorAccuracy
 from pipeline.validation.simulation.views.faults import Faults
@@ -162,7 +162,7 @@ def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else()
 def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, found = recorded("walk", 10.0)
     whole = animated("walk", 10.0)
-    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 120)
+    monkeypatch.setattr(time_series, "_WINDOW_FRAMES", 120)
     cut = animate(*found, simulation.cameras, simulation.timebase, COCO_17, ReconstructionConfig())
     for one, other in zip(whole.motions, cut.motions, strict=True):
         assert np.linalg.norm(forward_kinematics(one) - forward_kinematics(other), axis=-1).max() < 0.03
@@ -225,7 +225,7 @@ def test_nobody() -> None:
 
 @pytest.mark.slow
 def test_every_window_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 120)
+    monkeypatch.setattr(time_series, "_WINDOW_FRAMES", 120)
     simulation, found = recorded("walk", 10.0)
     shares: list[float] = []
     cameras, timebase = simulation.cameras, simulation.timebase

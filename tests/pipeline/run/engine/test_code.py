@@ -76,7 +76,7 @@ def test_equal_code_elsewhere_has_equal_digests(sources: Path) -> None:
 
 
 def test_changed_module_counts_for_stages_that_reach_it(sources: Path) -> None:
-    append(sources / "pipeline/motion/skeleton/feet/contacts.py")
+    append(sources / "pipeline/motion/skeleton/feet/stances.py")
     stages = changed(sources)
     assert stages >= {FIT, HOLD, REFIT}
     assert not stages & {LOOK, DETECT, LENGTHS, POSES}

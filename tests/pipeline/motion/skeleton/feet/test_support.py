@@ -11,14 +11,14 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.feet.contacts import find_contacts
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, shared_floor
+from pipeline.motion.skeleton.feet.stances import find_contacts
 from pipeline.motion.skeleton.feet.support import FootMarks, Support, support_of
-from pipeline.validation.simulation.acrobatics.performance import feet_on_floor
+from pipeline.validation.simulation.acrobatics.acrobat import feet_on_floor
 from pipeline.validation.simulation.scenes import simulate
 from tests.cases import slow_but
 from tests.pipeline.association.identity.test_likenesses import track
-from tests.pipeline.motion.skeleton.feet.test_contacts import RATE_HZ, steps
+from tests.pipeline.motion.skeleton.feet.test_stances import STEPS_HZ, steps
 from tests.pipeline.motion.skeleton.observed import observe
 
 ANKLES = COCO_17.indices(("left_ankle", "right_ankle"))
@@ -44,7 +44,7 @@ def body(ankles_m: np.ndarray, hips_m: np.ndarray | None = None, heights_m: Mapp
     return track(xyz_m, noise_m=0.003)
 
 
-def found(person: Track3D, rate_hz: float = RATE_HZ) -> tuple[Support, Floor | None, tuple[FootContact, ...]]:
+def found(person: Track3D, rate_hz: float = STEPS_HZ) -> tuple[Support, Floor | None, tuple[FootContact, ...]]:
     ankles_m = person.xyz_m[:, list(ANKLES)]
     known = np.isfinite(ankles_m).all(-1)
     support = support_of(person, COCO_17, ankles_m, known, FootMarks.none(len(ankles_m)), rate_hz)
@@ -60,8 +60,8 @@ def walking(num_steps: int = 6) -> tuple[np.ndarray, np.ndarray]:
     """Ankles and hips of a walk over the ground."""
     ankles_m = steps(num_steps)
     hips_m = np.zeros((len(ankles_m), 3))
-    hips_m[:, 0] = 1.2 * np.arange(len(ankles_m)) / RATE_HZ + 0.3
-    hips_m[:, 2] = 0.88 + 0.02 * np.sin(4 * np.pi * np.arange(len(ankles_m)) / RATE_HZ)
+    hips_m[:, 0] = 1.2 * np.arange(len(ankles_m)) / STEPS_HZ + 0.3
+    hips_m[:, 2] = 0.88 + 0.02 * np.sin(4 * np.pi * np.arange(len(ankles_m)) / STEPS_HZ)
     return ankles_m, hips_m
 
 
@@ -101,10 +101,10 @@ def test_a_foot_on_a_belt_has_one_contact_a_stance(belt_m_s: tuple[float, float]
     speed_m_s = float(np.hypot(*belt_m_s))
     ahead = -np.array([*belt_m_s, 0.0]) / speed_m_s
     way_m = ankles_m[..., :1] * speed_m_s / 1.2 * ahead
-    ground_m = np.arange(len(ankles_m))[:, None] / RATE_HZ * np.array([*belt_m_s, 0.0])
+    ground_m = np.arange(len(ankles_m))[:, None] / STEPS_HZ * np.array([*belt_m_s, 0.0])
     on_belt_m = ankles_m * [0.0, 1.0, 1.0] + way_m + ground_m[:, None]
     support, _, contacts = found(body(on_belt_m, hips_m * [0.0, 0.0, 1.0]))
-    np.testing.assert_allclose(np.diff(support.ground_m[:, :2], axis=0) * RATE_HZ, [belt_m_s] * 299, atol=0.06)
+    np.testing.assert_allclose(np.diff(support.ground_m[:, :2], axis=0) * STEPS_HZ, [belt_m_s] * 299, atol=0.06)
     assert NUM_STANCES - 1 <= len(contacts) <= NUM_STANCES
     whole = [contact for contact in contacts if 0 < contact.start_frame < 260]
     assert all(contact.pinned and contact.num_frames == pytest.approx(30, abs=8) for contact in whole)
@@ -113,7 +113,7 @@ def test_a_foot_on_a_belt_has_one_contact_a_stance(belt_m_s: tuple[float, float]
 
 def test_who_slides_away_is_on_no_belt() -> None:
     ankles_m = np.zeros((200, 2, 3))
-    ankles_m[..., 0] = np.arange(200)[:, None] / RATE_HZ * 0.5
+    ankles_m[..., 0] = np.arange(200)[:, None] / STEPS_HZ * 0.5
     ankles_m[..., 2] = 0.065
     support, _, contacts = found(body(ankles_m))
     assert (support.ground_m == 0.0).all()
@@ -122,7 +122,7 @@ def test_who_slides_away_is_on_no_belt() -> None:
 
 @pytest.mark.parametrize("turns_hz", [0.7, 1.5])
 def test_pedals_are_no_belt(turns_hz: float) -> None:
-    angle_rad = 2 * np.pi * turns_hz * np.arange(400)[:, None] / RATE_HZ + np.array([0.0, np.pi])
+    angle_rad = 2 * np.pi * turns_hz * np.arange(400)[:, None] / STEPS_HZ + np.array([0.0, np.pi])
     ankles_m = np.zeros((400, 2, 3)) + np.array([0.0, 0.1, 0.35])
     ankles_m[..., 0], ankles_m[..., 2] = 0.17 * np.cos(angle_rad), 0.35 + 0.17 * np.sin(angle_rad)
     support, _, contacts = found(body(ankles_m, np.tile([-0.2, 0.0, 1.0], (400, 1))))
@@ -133,7 +133,7 @@ def test_pedals_are_no_belt(turns_hz: float) -> None:
 def swinging(amplitude_m: float) -> np.ndarray:
     """Ankles half a metre above the floor that go up and down with the body."""
     ankles_m = np.full((300, 2, 3), 0.55)
-    ankles_m[..., 2] += amplitude_m * (1.0 - np.cos(2 * np.pi * 0.4 * np.arange(300) / RATE_HZ))[:, None]
+    ankles_m[..., 2] += amplitude_m * (1.0 - np.cos(2 * np.pi * 0.4 * np.arange(300) / STEPS_HZ))[:, None]
     return ankles_m
 
 
@@ -164,7 +164,7 @@ def test_feet_that_are_dragged_do_not_stand() -> None:
     """Feet of somebody who lies, at a pace at which the feet of upright people stand."""
     lying_m = {**dict.fromkeys(HEIGHTS_M, 0.0), "knee": -0.05}
     ankles_m = np.full((200, 2, 3), 0.05)
-    angle_rad = 3.0 * np.arange(200)[:, None] / RATE_HZ
+    angle_rad = 3.0 * np.arange(200)[:, None] / STEPS_HZ
     ankles_m[..., 0] += 0.05 * np.cos(angle_rad)
     ankles_m[..., 1] += 0.05 * np.sin(angle_rad)
     hips_m = np.tile([0.0, 0.0, 0.1], (200, 1))

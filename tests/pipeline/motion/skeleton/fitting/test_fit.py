@@ -12,8 +12,9 @@ from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.geometry.camera import project
+from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.fitting import rays, windows
+from pipeline.motion.skeleton.fitting import rays
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.validation.evaluation.simulated import score_simulated
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
@@ -132,7 +133,7 @@ def test_windows_leave_no_trace(ring: tuple[Camera, ...], monkeypatch: pytest.Mo
     track, seen, _ = one_knee(ring, 500)
     seen = replace(seen, points_px=seen.points_px + rng.normal(0.0, 2.0, seen.points_px.shape))
     whole = fit_one(track, seen, ring)
-    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 160)
+    monkeypatch.setattr(time_series, "_WINDOW_FRAMES", 160)
     cut = fit_one(track, seen, ring)
     assert np.nanmax(np.linalg.norm(cut.xyz_m - whole.xyz_m, axis=-1)) < 1e-3
 

@@ -12,8 +12,8 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig, Smoothing
+from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.fitting import windows
 from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed, start_from
 from pipeline.motion.skeleton.fitting.articulation import Articulation, articulate
 from pipeline.motion.skeleton.fitting.uncertainty import _FLOOR_M, _INERTIA, _LASTING, _priors, uncertainty_m
@@ -92,7 +92,7 @@ def test_other_smoothing_states_none(smoothing: Smoothing) -> None:
 def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, found = taken("room")
     whole = animated("room")
-    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 100)
+    monkeypatch.setattr(time_series, "_WINDOW_FRAMES", 100)
     cut = animate(*found, simulation.cameras, simulation.timebase, simulation.joints, ReconstructionConfig())
     for one, other in zip(whole.tracks, cut.tracks, strict=True):
         assert one.uncertainty_m is not None

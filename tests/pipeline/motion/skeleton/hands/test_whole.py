@@ -12,13 +12,15 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source
 from pipeline.core.joints import BODY_FEET, FINGER_JOINTS, WHOLE_BODY, JointSet, finger_joints
 from pipeline.core.options.config import ReconstructionConfig, Smoothing
+from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.feet.floor import SIDES
-from pipeline.motion.skeleton.fitting import windows
 from pipeline.motion.skeleton.hands.anatomy import HINGES, articulate_hand, fingers_of, joint_rotations, natural_rad
+from pipeline.motion.skeleton.hands.whole import whole_lengths_m
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, forward_kinematics
 from tests.pipeline.motion.skeleton.hands.people import RATE_HZ, gesturing, landmarks_of
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of
 
 NUM_FRAMES = 120
 FINGERS_OF = {side: np.array(WHOLE_BODY.indices(finger_joints(side))) for side in SIDES}
@@ -202,7 +204,7 @@ def test_hands_follow_smoothed_positions(smoothing: Smoothing) -> None:
 
 
 def test_windows_leave_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(windows, "_WINDOW_FRAMES", 100)
+    monkeypatch.setattr(time_series, "_WINDOW_FRAMES", 100)
     cut = animate_whole()
     whole_m, cut_m = (forward_kinematics(one.motions[0]) for one in (noisy(), cut))
     assert np.linalg.norm(whole_m - cut_m, axis=-1).max() < 0.01
@@ -233,3 +235,66 @@ def test_hinges_of_both_hands_are_mirrored() -> None:
     np.testing.assert_allclose(left.landmark_offset_m, right.landmark_offset_m * [-1.0, 1.0, 1.0])
     np.testing.assert_allclose(left.offset_m, right.offset_m * [-1.0, 1.0, 1.0])
     np.testing.assert_array_equal(left.lowest_rad, right.lowest_rad)
+
+
+PROPORTIONS_FRAMES = 200
+BODY = slice(0, len(SKELETON))
+FINGERS = slice(len(SKELETON), None)
+
+
+def lengths_m(xyz_m: np.ndarray, *, left: bool = True, right: bool = True) -> np.ndarray:
+    seen = {side: np.full(len(xyz_m), is_seen) for side, is_seen in zip(SIDES, (left, right), strict=True)}
+    return whole_lengths_m(gesturing(PROPORTIONS_FRAMES).bone_length_m[BODY], track_of(xyz_m), WHOLE_BODY, seen)
+
+
+def test_noise_does_not_lengthen_bones() -> None:
+    true_m = landmarks_of(gesturing(PROPORTIONS_FRAMES))
+    noisy_m = true_m + np.random.default_rng(0).normal(0.0, 0.006, true_m.shape)
+    found_m, bones_m = lengths_m(noisy_m)[FINGERS], gesturing(PROPORTIONS_FRAMES).bone_length_m[FINGERS]
+    np.testing.assert_allclose(found_m, bones_m, atol=0.002)
+    # Lengths of noisy vectors are longer by the noise across them: by 3 mm for the ends of fingers.
+    ends = WHOLE_BODY.indices(("left_index_dip", "left_index_tip"))
+    naive_m = np.median(np.linalg.norm(noisy_m[:, ends[1]] - noisy_m[:, ends[0]], axis=-1))
+    assert naive_m > bones_m[INDEX["LeftHandIndex3End"] - len(SKELETON)] + 0.002
+
+
+@pytest.mark.parametrize("scale", [0.85, 1.2])
+def test_a_hand_that_is_seen_gives_the_lengths_of_both(scale: float) -> None:
+    found_m = lengths_m(landmarks_of(gesturing(PROPORTIONS_FRAMES, scale)), right=False)[FINGERS]
+    np.testing.assert_allclose(found_m, gesturing(PROPORTIONS_FRAMES, scale).bone_length_m[FINGERS], rtol=0.03)
+    np.testing.assert_array_equal(found_m[:20], found_m[20:])
+
+
+def test_unseen_hands_have_adult_proportions_at_the_size_of_the_forearm() -> None:
+    found_m = lengths_m(landmarks_of(gesturing(PROPORTIONS_FRAMES, 1.2)), left=False, right=False)
+    shares = np.array([joint.stature_share for joint in WHOLE_SKELETON])
+    forearm = INDEX["LeftHand"]
+    np.testing.assert_allclose(found_m[FINGERS], shares[FINGERS] * found_m[forearm] / shares[forearm])
+    np.testing.assert_array_equal(found_m[BODY], gesturing(PROPORTIONS_FRAMES).bone_length_m[BODY])
+
+
+def test_a_finger_that_was_never_seen_has_the_size_of_the_hand() -> None:
+    true_m = landmarks_of(gesturing(PROPORTIONS_FRAMES, 1.2))
+    pinkies = [WHOLE_BODY.index(name) for side in SIDES for name in finger_joints(side) if "pinky" in name]
+    true_m[:, pinkies] = np.nan
+    np.testing.assert_allclose(
+        lengths_m(true_m)[FINGERS], gesturing(PROPORTIONS_FRAMES, 1.2).bone_length_m[FINGERS], rtol=0.03
+    )
+
+
+def test_an_implausible_bone_stays_near_proportions() -> None:
+    true_m = landmarks_of(gesturing(PROPORTIONS_FRAMES))
+    tips = WHOLE_BODY.indices(("left_index_tip", "right_index_tip"))
+    true_m[:, tips] += [0.0, 0.0, 0.3]
+    end = INDEX["LeftHandIndex3End"]
+    usual_m = gesturing(PROPORTIONS_FRAMES).bone_length_m[end]
+    assert lengths_m(true_m)[end] < 1.7 * usual_m
+
+
+def test_unmeasured_joints_are_no_evidence() -> None:
+    track = track_of(landmarks_of(gesturing(PROPORTIONS_FRAMES, 1.2)))
+    predicted = replace(track, source=np.full_like(track.source, Source.PREDICTED))
+    seen = {side: np.zeros(PROPORTIONS_FRAMES, bool) for side in SIDES}
+    body_m = gesturing(PROPORTIONS_FRAMES).bone_length_m[BODY]
+    found_m = whole_lengths_m(body_m, predicted, WHOLE_BODY, seen)
+    np.testing.assert_allclose(found_m[FINGERS], gesturing(PROPORTIONS_FRAMES).bone_length_m[FINGERS])

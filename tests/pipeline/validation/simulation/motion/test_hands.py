@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.core.joints import FINGERS, WHOLE_BODY, hand_bones
-from pipeline.validation.simulation.motion.hand_postures import REST, finger_motion
-from pipeline.validation.simulation.motion.hands import ANGLES, LIMITS_RAD, Hands, fingers
+from pipeline.validation.simulation.motion.hands import ANGLES, LIMITS_RAD, REST, Hands, finger_motion, fingers
 from pipeline.validation.simulation.motion.performance import SimulatedPerson, joints_at, perform
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay, Walk
 

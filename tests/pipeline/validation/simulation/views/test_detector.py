@@ -13,8 +13,14 @@ from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.validation.simulation.views.detector import NOBODY, PERFECT, DetectorAccuracy, detect
-from pipeline.validation.simulation.views.faults import NO_FAULTS, Faults, neighbours
-from pipeline.validation.simulation.views.noise import heavy_tailed, lasting_events, lasting_noise
+from pipeline.validation.simulation.views.faults import (
+    NO_FAULTS,
+    Faults,
+    heavy_tailed,
+    lasting_events,
+    lasting_noise,
+    neighbours,
+)
 from pipeline.validation.simulation.views.occlusion import hidden_by_bodies
 
 NUM_FRAMES = 4000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.camera import image_from_world
-from pipeline.validation.evaluation.incremental import Triangulation, triangulate_last
+from pipeline.validation.evaluation.baselines import Triangulation, triangulate_last
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 CAMERAS = build_cameras(Rig(Layout.RING, 4, (4.0, 4.0), 2.2), np.random.default_rng(0))

@@ -9,13 +9,12 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint, twist_quat
-from pipeline.motion.body.shape import BodyShapes, ShapedBody, shape_body
-from pipeline.motion.body.standing import standing_ankle_m
+from pipeline.motion.body.shape import BodyShapes, ShapedBody, shape_body, standing_ankle_m
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.fitting.fit import SkeletonFit
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics
+from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, feet_on_floor, perform_acrobatics
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
-from pipeline.validation.simulation.acrobatics.performance import acrobat_joints_at, feet_on_floor, perform_acrobatics
 from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.motion.script import Role, Stay, Walk
 from tests.cases import slow_but

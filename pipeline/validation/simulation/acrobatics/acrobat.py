@@ -22,8 +22,7 @@ from pipeline.validation.simulation.acrobatics.anatomy import (
 from pipeline.validation.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
 from pipeline.validation.simulation.motion.body import random_proportions
 from pipeline.validation.simulation.motion.feet import random_foot_shape
-from pipeline.validation.simulation.motion.hand_postures import finger_motion
-from pipeline.validation.simulation.motion.hands import Hands, fingers, random_scale
+from pipeline.validation.simulation.motion.hands import Hands, finger_motion, fingers, random_scale
 from pipeline.validation.simulation.motion.locomotion import GRID_HZ, smoothstep
 
 # Time before and after a point is planted in which it moves to and from its place.

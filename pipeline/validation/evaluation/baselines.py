@@ -1,17 +1,25 @@
-"""Incremental triangulation of the paper and its baselines (Chen et al. 2020, section 3.3 and table 3)."""
+"""Tracks by other methods, to be compared: incremental triangulation, pairwise association, and a live capture."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from enum import Enum
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.association.tracking.initialization import Unmatched, group_unmatched
+from pipeline.association.tracking.observations import NOBODY, gather, undistorted
 from pipeline.association.tracking.parameters import TrackingParameters
+from pipeline.association.tracking.tracker import make_rig
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Source, Track3D
+from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.undistortion import undistort_px
+from pipeline.run.live.capture import LiveCapture
+from pipeline.run.live.records import recorded_frames
+from pipeline.run.live.settings import LiveSettings
 
 
 class Triangulation(Enum):
@@ -122,3 +130,65 @@ def unscored_track(track_id: int, xyz_m: Float[np.ndarray, "frames joints 3"], s
         error_px=np.full(shape, np.nan),
         views=np.zeros(shape, int),
     )
+
+
+def live_tracks(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    timebase: Timebase,
+    joints: JointSet,
+) -> tuple[Track3D, ...]:
+    """Play detections to a live capture; return what it says of each person, NaN where it says nothing."""
+    capture = LiveCapture(cameras, joints, LiveSettings(timebase.frame_rate_hz))
+    instants = [instant for frame in recorded_frames(cameras, times, detections) for instant in capture.push(*frame)]
+    instants += capture.flush()
+    said: dict[int, dict[int, Float[np.ndarray, "joints 3"]]] = defaultdict(dict)
+    for instant in instants:
+        frame = round((instant.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
+        for person in instant.people:
+            said[person.id][frame] = person.xyz_m
+    return tuple(_track(number, xyz_m) for number, xyz_m in sorted(said.items()))
+
+
+def _track(number: int, said: Mapping[int, Float[np.ndarray, "joints 3"]]) -> Track3D:
+    first, last = min(said), max(said)
+    num_joints = len(said[first])
+    xyz_m = np.full((last - first + 1, num_joints, 3), np.nan)
+    for frame, joints_m in said.items():
+        xyz_m[frame - first] = joints_m
+    return unscored_track(number, xyz_m, first)
+
+
+def associate_pairwise(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    detections: Mapping[str, Detections],
+    parameters: TrackingParameters,
+) -> dict[str, Int[np.ndarray, " _"]]:
+    """Group the detections of each frame number across views by epipolar affinity and graph partitioning.
+
+    Frames are independent: a group is a person of a single frame. Returns the identity of each detection by camera
+    name, see ``associate.associate``; each group has a new one.
+    """
+    bodies = gather(cameras, times, detections)
+    ideal_px = undistorted(cameras, bodies)
+    score = np.where(bodies.score >= parameters.min_score, bodies.score, 0.0)
+    fundamental = make_rig(cameras).fundamental
+    identity = np.full(len(bodies.frame), NOBODY)
+    num_groups = 0
+    for frame in np.unique(bodies.frame):
+        pool = [
+            Unmatched(
+                int(bodies.camera[row]),
+                row,
+                float(bodies.time_s[row]),
+                np.where(score[row][:, None] > 0, ideal_px[row], np.nan),
+                score[row],
+            )
+            for row in np.flatnonzero(bodies.frame == frame).tolist()
+        ]
+        for group in group_unmatched(pool, fundamental, parameters.alpha_epipolar_px).people:
+            identity[[body.row for body in group]] = num_groups
+            num_groups += 1
+    return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}

@@ -237,3 +237,39 @@ def turn(step, freedom_joint, freedom_axis, lowest_rad, highest_rad, longest_rad
                 local[frame, joint, row, 0] = a * r00 + b * r10 + c * r20
                 local[frame, joint, row, 1] = a * r01 + b * r11 + c * r21
                 local[frame, joint, row, 2] = a * r02 + b * r12 + c * r22
+
+
+@kernel
+@no_type_check
+def squared_distances(ray, center_m, xyz_m, off_m2):
+    """Compute the squared distance of a joint's position to each ray; ``off_m2`` is the output."""
+    for frame in range(len(ray)):
+        for camera in range(len(center_m)):
+            x = xyz_m[frame, 0] - center_m[camera, 0]
+            y = xyz_m[frame, 1] - center_m[camera, 1]
+            z = xyz_m[frame, 2] - center_m[camera, 2]
+            u, v, w = ray[frame, camera, 0], ray[frame, camera, 1], ray[frame, camera, 2]
+            along = u * x + v * y + w * z
+            off_m2[frame, camera] = (x - along * u) ** 2 + (y - along * v) ** 2 + (z - along * w) ** 2
+
+
+@kernel
+@no_type_check
+def sum_normal_equations(ray, center_m, weight, normal, right):
+    """Add up the normal equations of a joint over its rays; ``normal`` and ``right`` are outputs.
+
+    A ray with unit vector r from c contributes its weight times ``I - r r^T`` and ``(I - r r^T) c``.
+    """
+    normal[:] = 0.0
+    right[:] = 0.0
+    for frame in range(len(ray)):
+        for camera in range(len(center_m)):
+            along = 0.0
+            for row in range(3):
+                along += ray[frame, camera, row] * center_m[camera, row]
+            for row in range(3):
+                turned = weight[frame, camera] * ray[frame, camera, row]
+                right[frame, row] += weight[frame, camera] * center_m[camera, row] - turned * along
+                normal[frame, row, row] += weight[frame, camera]
+                for column in range(3):
+                    normal[frame, row, column] -= turned * ray[frame, camera, column]

@@ -1,6 +1,7 @@
-"""Smoothing filters on signals with known results, and on simulated people."""
+"""Gaps, windows and smoothing of positions over time."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,9 +13,78 @@ from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.geometry.camera import project
-from pipeline.motion.skeleton.smooth import butterworth, one_euro, smooth_track
+from pipeline.motion.skeleton.time_series import (
+    Blend,
+    butterworth,
+    filled_linearly,
+    filled_relative_to,
+    one_euro,
+    smooth_track,
+    windows,
+)
 from pipeline.validation.evaluation.simulated import score_simulated
 from pipeline.validation.simulation.scenes import find_scene, record
+
+NAN = np.full(3, np.nan)
+
+
+def test_linear_inside_and_held_at_the_ends() -> None:
+    points = np.array([NAN, [0.0, 1.0, 2.0], NAN, NAN, [3.0, 1.0, -1.0], NAN])
+    expected = [[0, 1, 2], [0, 1, 2], [1, 1, 1], [2, 1, 0], [3, 1, -1], [3, 1, -1]]
+    np.testing.assert_allclose(filled_linearly(points, np.zeros(3)), expected)
+
+
+def test_default_where_nothing_is_known() -> None:
+    np.testing.assert_allclose(filled_linearly(np.array([NAN, NAN]), np.array([1.0, 2.0, 3.0])), [[1, 2, 3]] * 2)
+
+
+def test_a_carried_point_keeps_its_offset() -> None:
+    reference = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 7.0, 0.0]])
+    points = np.array([[0.0, 0.0, 1.0], NAN, [0.0, 7.0, 2.0]])
+    np.testing.assert_allclose(
+        filled_relative_to(points, reference, np.zeros(3)), np.array([[0, 0, 1], [5, 0, 1.5], [0, 7, 2]])
+    )
+    np.testing.assert_allclose(filled_relative_to(np.array([NAN] * 3), reference, np.ones(3)), reference + 1)
+
+
+@pytest.mark.parametrize("num_frames", [1, 60, 599, 600, 601, 660, 1140, 1141, 5000])
+def test_windows_cover_all_frames_and_overlap(num_frames: int) -> None:
+    rows = list(windows(num_frames))
+    assert rows[0].start == 0
+    assert rows[-1].stop == num_frames
+    for before, after in pairwise(rows):
+        assert before.stop - after.start == 60
+    assert max(one.stop - one.start for one in rows) <= 600
+
+
+def test_equal_windows_blend_to_the_same() -> None:
+    values = np.random.default_rng(0).normal(size=(1500, 4, 3))
+    result = np.empty((1500, 4, 3))
+    blend = Blend(result)
+    for rows in windows(1500):
+        blend.add(rows, values[rows])
+    np.testing.assert_allclose(result, values)
+
+
+def test_windows_that_differ_pass_evenly_into_each_other() -> None:
+    result = np.empty((1100, 1))
+    blend = Blend(result)
+    for number, rows in enumerate(windows(1100)):
+        blend.add(rows, np.full((rows.stop - rows.start, 1), float(number)))
+    steps = np.diff(result[:, 0])
+    assert steps.min() >= 0.0
+    assert steps.max() < 0.02
+
+
+def test_what_one_window_does_not_know_the_other_one_says() -> None:
+    result = np.empty((1100, 1))
+    blend = Blend(result)
+    first, second = windows(1100)
+    blend.add(first, np.full((600, 1), np.nan))
+    blend.add(second, np.ones((second.stop - second.start, 1)))
+    assert np.isnan(result[:540]).all()
+    assert (result[540:] == 1.0).all()
+
 
 BUTTERWORTH = ReconstructionConfig(smoothing="butterworth")
 TWO_JOINTS = JointSet(("one", "other"), ())

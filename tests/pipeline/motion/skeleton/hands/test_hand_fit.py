@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.joints import WHOLE_BODY, finger_joints
 from pipeline.motion.skeleton.hands.anatomy import natural_rad
-from pipeline.motion.skeleton.hands.start import seen_well, start_of
+from pipeline.motion.skeleton.hands.hand_fit import seen_well, start_of
 from pipeline.motion.skeleton.model import joint_pose
 from tests.pipeline.motion.skeleton.hands.people import RATE_HZ, gesturing, hinge_angles_rad, landmarks_of
 

@@ -1,1 +1,0 @@
-"""Accuracy of feet and hands against the truth."""
