@@ -18,7 +18,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset, Timeline
 from pipeline.core.progress import OnShare, part_of, split
-from pipeline.export.origin import file_origin_m
+from pipeline.export.scene import file_origin_m
 from pipeline.export.timelines import presence, unknown_outside
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice

@@ -31,7 +31,6 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems.findings import TAKE_TOO_LARGE
 from pipeline.core.problems.requests import VALUE_NOT_ALLOWED
 from pipeline.core.progress import OnShare, ignore, part_of, split
-from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import (
     SKELETONS,
     KeptFile,
@@ -46,10 +45,10 @@ from pipeline.export.person_files import (
 from pipeline.export.quality.report import encode as encode_metrics
 from pipeline.export.quality.report import quality_report
 from pipeline.export.resample import resample
-from pipeline.export.scene import scene_of
+from pipeline.export.scene import file_origin_m, scene_of
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
-from pipeline.export.writers.gait_tables import gait_tables
+from pipeline.export.writers.angle_tables import gait_tables
 from pipeline.export.writers.registry import find_writer
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics

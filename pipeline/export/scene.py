@@ -3,6 +3,7 @@
 Places are in world coordinates, metres; each format turns and scales them to its own axes and unit.
 """
 
+import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan
@@ -15,8 +16,37 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
-from pipeline.export.origin import file_origin_m
 from pipeline.export.timelines import presence
+from pipeline.geometry.camera import center_in_world
+
+Rgb = tuple[int, int, int]
+
+# The golden ratio spreads hues evenly however many people there are.
+_HUE_STEP = 0.618034
+
+
+def color_rgb(track_id: int) -> Rgb:
+    """Bright colour of a person, different from the colours of the next numbers."""
+    red, green, blue = colorsys.hsv_to_rgb(track_id * _HUE_STEP % 1.0, 0.85, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+# Within this distance numbers of single precision are less than 0.04 mm off.
+_NEAR_M = 1000.0
+
+
+def file_origin_m(cameras: Sequence[Camera], near_m: float = _NEAR_M) -> Float[np.ndarray, " 3"]:
+    """World position that is the origin of files of single precision, in whole metres.
+
+    The world's origin, unless a camera is farther than ``near_m`` from it, by default a kilometre, as in survey
+    coordinates: then the median of the cameras' positions. Numbers of single precision at 5,000 km would be off by up
+    to 25 cm.
+    """
+    centers_m = np.array([center_in_world(camera) for camera in cameras])
+    if np.abs(centers_m).max(initial=0.0) <= near_m:
+        return np.zeros(3)
+    return np.round(np.median(centers_m, axis=0))
+
 
 FLOOR = "floor"
 """Name of the floor in a scene."""

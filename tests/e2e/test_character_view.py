@@ -13,9 +13,9 @@ from playwright.sync_api import Page, Request, Route, expect
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
+from pipeline.export.character.character_files import write_character_files
 from pipeline.export.character.fbx.reader import decode_fbx_character
 from pipeline.export.character.figure import CharacterFigure, measure
-from pipeline.export.character.files import write_character_files
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
 from pipeline.export.character.writers.character_glb import read_xyz

@@ -20,7 +20,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.core.options.rules import require, value_problems
-from pipeline.export.character.files import write_character_files
+from pipeline.export.character.character_files import write_character_files
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import write_files
 from pipeline.motion.skeleton.animate import animate

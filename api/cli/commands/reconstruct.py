@@ -17,7 +17,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.config import method_warnings
 from pipeline.core.options.rules import config_problems, require
 from pipeline.core.problems.sessions import BONES_INVALID
-from pipeline.export.character.files import DESCRIPTION
+from pipeline.export.character.character_files import DESCRIPTION
 from pipeline.export.character.mapping import read_bone_table
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.quality.report import all_checks

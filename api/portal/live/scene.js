@@ -84,7 +84,7 @@ export class LiveScene {
 
 // The 3D view draws trails of a second and a half.
 const KEPT_S = 1.6;
-const HUE_STEP = 0.618034; // as pipeline/export/colors.py
+const HUE_STEP = 0.618034; // as pipeline/export/scene.py
 
 /** Colour of a person, the same as in results. */
 export const colorOf = (id) => `hsl(${((id * HUE_STEP) % 1) * 360}, 100%, 57.5%)`;

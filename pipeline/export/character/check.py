@@ -19,8 +19,8 @@ from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE, CHARACTER_UNREA
 from pipeline.core.runtime.checking import print_answer
 from pipeline.export.character.bone_names import REQUIRED
 from pipeline.export.character.figure import CharacterFigure, measure
-from pipeline.export.character.file_reader import read_character_file
 from pipeline.export.character.mapping import map_bones, read_bone_table
+from pipeline.export.character.source import read_character_file
 
 MAX_CONTENTS_BYTES = 1 << 20
 """Largest size of what is said about a character: each answer about it has all of that."""

@@ -18,16 +18,16 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import printable
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.problems.sessions import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
-from pipeline.export.character.problems import (
+from pipeline.export.character.rig import (
     MAX_COORDINATE,
     MAX_LEVELS,
     MAX_NODES,
     MAX_SCALE,
     MIN_SCALE,
     CharacterFileError,
+    CharacterRig,
     checked,
 )
-from pipeline.export.character.rig import CharacterRig
 
 Format = Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"]
 """Formats of characters' files."""

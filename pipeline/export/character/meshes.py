@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from pipeline.core.data.arrays import read_only
 from pipeline.export.character.gltf_reader import CharacterFile, GltfDocument, objects_in
-from pipeline.export.character.problems import checked
+from pipeline.export.character.rig import checked
 
 _TRIANGLES = 4
 _INFLUENCES = 4

@@ -1,6 +1,6 @@
 """Scale a model and run its inverse kinematics: ``python -m pipeline.export.opensim.child FOLDER CPU_S``.
 
-The folder has the files of ``setup_files``. The process has limits on memory, computing time and the size of what it
+The folder has the files of ``setup``. The process has limits on memory, computing time and the size of what it
 writes, and needs no network. OpenSim writes its log to stdout, which the parent reads; the last line of stderr is the
 error of a step that failed, as JSON.
 """

@@ -6,16 +6,228 @@ beyond a largest number of people, people whom edits remove, and everybody where
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.core.data.arrays import read_only
-from pipeline.core.data.cameras import Camera
+from pipeline.core.data.cameras import Camera, Timebase
+from pipeline.core.data.detections import Detections, PafFields
 from pipeline.core.data.heads import HeadRegions, SeenHeads
-from pipeline.export.privacy.people import HeadPath
+from pipeline.core.data.people import Track3D
+from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import project
+
+FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+"""Joints of the head."""
+
+HOLD_S = 0.5
+"""Time before the first and after the last frame of a track for which its head is expected where it was."""
+
+# Radii of spheres, by what is known of the head. A head reaches 0.13 m from its middle; hair, hats and the errors of
+# joints come on top.
+_OF_EARS_M, _OF_FACE_M, _OF_TRUNK_M, _OF_SHOULDERS_M, _OF_HIPS_M = 0.20, 0.24, 0.32, 0.36, 0.70
+# Distance of the middle of the head from the middle between the shoulders, for each metre of the trunk and in metres,
+# and from the middle between the hips.
+_NECK_BY_TRUNK, _NECK_M, _ABOVE_HIPS_M = 0.5, 0.25, 0.75
+# A head of which nothing is known moves at most so fast, and the sphere grows by this much at most.
+_SPEED_M_S, _MAX_GROWTH_M = 1.0, 0.5
+# Standard deviations of joints by which spheres grow.
+_SIGMAS, _MAX_SIGMAS_M = 2.0, 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadPath:
+    """Sphere around a person's head over time."""
+
+    time_s: Float[np.ndarray, " frames"]  # Ascending times on the session's clock
+    center_m: Float[np.ndarray, "frames 3"]  # World coordinates, never NaN
+    radius_m: Float[np.ndarray, " frames"]
+
+    def at(self, time_s: float) -> tuple[Float[np.ndarray, " 3"], float] | None:
+        """Centre and radius at a time; ``None`` more than ``HOLD_S`` before the first and after the last frame."""
+        away_s = max(float(self.time_s[0]) - time_s, time_s - float(self.time_s[-1]), 0.0)
+        if away_s > HOLD_S:
+            return None
+        center_m = np.array([np.interp(time_s, self.time_s, self.center_m[:, axis]) for axis in range(3)])
+        radius_m = float(np.interp(time_s, self.time_s, self.radius_m))
+        return center_m, radius_m + min(_SPEED_M_S * away_s, _MAX_GROWTH_M)
+
+
+def head_path(track: Track3D, joints: JointSet, timebase: Timebase) -> HeadPath | None:
+    """Sphere around the head of a person in each frame of a track, also where the joints of the head are unknown.
+
+    The less is known, the larger is the sphere: around the ears, the face, above the shoulders, the hips. Frames in
+    which nothing is known have a sphere between those of the frames around them. ``None`` if no frame has any of these
+    joints.
+    """
+    center_m, radius_m = _spheres(track, joints)
+    is_known = np.isfinite(radius_m)
+    if not is_known.any():
+        return None
+    frames = np.arange(track.num_frames)
+    known = frames[is_known]
+    away = np.abs(
+        frames[:, None] - known[np.clip(np.searchsorted(known, frames)[:, None] + [-1, 0], 0, len(known) - 1)]
+    )
+    growth_m = np.minimum(_SPEED_M_S * away.min(axis=1) / timebase.frame_rate_hz, _MAX_GROWTH_M)
+    filled_m = np.stack([np.interp(frames, known, center_m[is_known, axis]) for axis in range(3)], axis=1)
+    time_s = timebase.start_time_s + (track.start_frame + frames) / timebase.frame_rate_hz
+    return HeadPath(time_s, filled_m, np.interp(frames, known, radius_m[is_known]) + growth_m)
+
+
+def _spheres(track: Track3D, joints: JointSet) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, " frames"]]:
+    """Centres and radii from the joints of each frame alone, NaN where they tell nothing."""
+    shoulders_m, hips_m = _middle(track, joints, "shoulder"), _middle(track, joints, "hip")
+    up = np.array([0.0, 0.0, 1.0])
+    # From the vaguest to the best; what is known better takes the place of what was found before.
+    center_m, radius_m = hips_m + _ABOVE_HIPS_M * up, np.full(track.num_frames, _OF_HIPS_M)
+    ways = [
+        (shoulders_m + _NECK_M * up, _OF_SHOULDERS_M),
+        (shoulders_m + _NECK_BY_TRUNK * (shoulders_m - hips_m), _OF_TRUNK_M),
+    ]
+    face = [joints.index(name) for name in FACE if name in joints.names]
+    if face:
+        face_m = track.xyz_m[:, face]
+        is_seen = np.isfinite(face_m).all(axis=-1)
+        num_seen = is_seen.sum(axis=1, keepdims=True)
+        total_m = np.where(is_seen[..., None], face_m, 0.0).sum(axis=1)
+        ways.append((np.where(num_seen > 0, total_m / np.maximum(num_seen, 1), np.nan), _OF_FACE_M))
+        ways.append((_middle(track, joints, "ear", both=True), _OF_EARS_M))
+    for way_m, way_radius_m in ways:
+        is_known = np.isfinite(way_m).all(axis=-1)
+        center_m = np.where(is_known[:, None], way_m, center_m)
+        radius_m = np.where(is_known, way_radius_m, radius_m)
+    if face and track.uncertainty_m is not None:
+        sigma_m = np.nan_to_num(track.uncertainty_m[:, face]).max(axis=1)
+        radius_m = radius_m + np.minimum(_SIGMAS * sigma_m, _MAX_SIGMAS_M)
+    return center_m, np.where(np.isfinite(center_m).all(axis=-1), radius_m, np.nan)
+
+
+def _middle(track: Track3D, joints: JointSet, part: str, both: bool = False) -> Float[np.ndarray, "frames 3"]:
+    """Middle between the left and the right joint of a part, or the only known one of them; else NaN.
+
+    ``both``: NaN unless both are known.
+    """
+    names = [name for name in (f"left_{part}", f"right_{part}") if name in joints.names]
+    if len(names) < 2:
+        return np.full((track.num_frames, 3), np.nan)
+    left_m, right_m = (track.xyz_m[:, joints.index(name)] for name in names)
+    middle_m = (left_m + right_m) / 2
+    if both:
+        return middle_m
+    middle_m = np.where(np.isfinite(middle_m), middle_m, left_m)
+    return np.where(np.isfinite(middle_m), middle_m, right_m)
+
+
+# Lengths on a grown body, by which the pixels of a metre are estimated. Each of them is foreshortened in some view,
+# so that the largest estimate counts.
+_LENGTHS_M = {
+    ("shoulders", "hips"): 0.50,
+    ("left_shoulder", "right_shoulder"): 0.35,
+    ("left_ear", "right_ear"): 0.15,
+    ("left_eye", "right_eye"): 0.065,
+    ("nose", "left_ear"): 0.12,
+    ("nose", "right_ear"): 0.12,
+    ("left_shoulder", "left_elbow"): 0.28,
+    ("right_shoulder", "right_elbow"): 0.28,
+    ("left_hip", "left_knee"): 0.42,
+    ("right_hip", "right_knee"): 0.42,
+    ("left_knee", "left_ankle"): 0.42,
+    ("right_knee", "right_ankle"): 0.42,
+}
+# Radii by what is known of the head, as of people in the world, and the distance of the head from the shoulders.
+_OF_PICTURED_FACE_M, _OF_NOSE_M, _OF_PICTURED_SHOULDERS_M = 0.18, 0.24, 0.36
+# A radius is at most this share of the longer side of the box around the body, and at least the other share: a head is
+# a seventh of an upright body.
+_MAX_OF_BOX, _MIN_OF_BOX = 0.35, 0.09
+
+
+def seen_heads(chunks: Iterable[Detections | PafFields], joints: JointSet) -> dict[str, SeenHeads]:
+    """Heads in the detections of tasks, by camera; the tasks of a camera are in order of time."""
+    frames: dict[str, list[np.ndarray]] = {}
+    ellipses: dict[str, list[np.ndarray]] = {}
+    for chunk in chunks:
+        if isinstance(chunk, PafFields):
+            face = [joints.index(name) for name in FACE if name in joints.names]
+            is_head = np.isin(chunk.peak_joint, face)
+            frame = chunk.frame[chunk.peak_row[is_head]]
+            ellipse_px = np.pad(chunk.peak_px[is_head], ((0, 0), (0, 2)), constant_values=np.nan)
+        else:
+            frame, ellipse_px = chunk.frame, head_ellipses(chunk.keypoints_px, chunk.box_px, joints)
+        frames.setdefault(chunk.camera, []).append(frame)
+        ellipses.setdefault(chunk.camera, []).append(ellipse_px)
+    return {camera: SeenHeads(np.concatenate(frames[camera]), np.concatenate(ellipses[camera])) for camera in frames}
+
+
+def head_ellipses(
+    keypoints_px: Float[np.ndarray, "n joints 2"], box_px: Float[np.ndarray, "n 4"], joints: JointSet
+) -> Float[np.ndarray, "n 4"]:
+    """Ellipse around the head of each body: centre, half of the width and half of the height, in pixels.
+
+    Of a body without joints of the head the region above its shoulders is taken; without shoulders, the whole box.
+    Joints are NaN where they are unknown.
+    """
+    place_px = {name: keypoints_px[:, number] for number, name in enumerate(joints.names)}
+    place_px["shoulders"] = _mean(place_px, ("left_shoulder", "right_shoulder"), len(box_px))
+    place_px["hips"] = _mean(place_px, ("left_hip", "right_hip"), len(box_px))
+    side_px = (box_px[:, 2:] - box_px[:, :2]).max(axis=1)
+    pixels_a_metre = _pixels_a_metre(place_px, len(box_px))
+    radius_px = np.fmin(np.fmax(pixels_a_metre * _OF_PICTURED_FACE_M, _MIN_OF_BOX * side_px), _MAX_OF_BOX * side_px)
+    up_px = np.array([0.0, -1.0]) * (radius_px / _OF_PICTURED_FACE_M)[:, None]
+    shoulders_px, hips_px = place_px["shoulders"], place_px["hips"]
+    # From the vaguest to the best. Twice the area of the box is the smallest ellipse around it.
+    middle_px, half_px = (box_px[:, 2:] + box_px[:, :2]) / 2, (box_px[:, 2:] - box_px[:, :2]) / 2
+    ellipse_px = np.concatenate([middle_px, half_px * np.sqrt(2.0)], axis=1)
+    face_px = [place_px[name] for name in FACE if name in place_px]
+    num_seen = sum((np.isfinite(joint_px[:, 0]).astype(int) for joint_px in face_px), np.zeros(len(box_px), int))
+    above_px = shoulders_px + _NECK_M * up_px
+    along_px = shoulders_px + _NECK_BY_TRUNK * (shoulders_px - hips_px)
+    center_px = _mean(place_px, FACE, len(box_px))
+    ways = [
+        (above_px, np.full(len(box_px), _OF_PICTURED_SHOULDERS_M)),
+        (along_px, np.full(len(box_px), _OF_PICTURED_SHOULDERS_M)),
+        (center_px, np.where(num_seen > 1, _OF_PICTURED_FACE_M, _OF_NOSE_M)),
+    ]
+    for way_px, way_m in ways:
+        is_known = np.isfinite(way_px).all(axis=1)
+        half_way_px = (radius_px * way_m / _OF_PICTURED_FACE_M)[:, None].repeat(2, axis=1)
+        ellipse_px = np.where(is_known[:, None], np.concatenate([way_px, half_way_px], axis=1), ellipse_px)
+    return _around_joints(ellipse_px, face_px)
+
+
+def _pixels_a_metre(place_px: dict[str, Float[np.ndarray, "n 2"]], num_bodies: int) -> Float[np.ndarray, " n"]:
+    """Largest estimate of the pixels that a metre has at each body; NaN if no length is known."""
+    largest = np.full(num_bodies, np.nan)
+    for (start, end), length_m in _LENGTHS_M.items():
+        if start in place_px and end in place_px:
+            largest = np.fmax(largest, np.linalg.norm(place_px[end] - place_px[start], axis=1) / length_m)
+    return largest
+
+
+def _mean(place_px: dict[str, Float[np.ndarray, "n 2"]], names: tuple[str, ...], num_bodies: int) -> np.ndarray:
+    """Mean of the known joints among some, NaN without any."""
+    total_px, num_known = np.zeros((num_bodies, 2)), np.zeros((num_bodies, 1), int)
+    for name in names:
+        if name in place_px:
+            is_known = np.isfinite(place_px[name]).all(axis=1, keepdims=True)
+            total_px += np.where(is_known, place_px[name], 0.0)
+            num_known += is_known
+    return np.where(num_known > 0, total_px / np.maximum(num_known, 1), np.nan)
+
+
+def _around_joints(
+    ellipse_px: Float[np.ndarray, "n 4"], face_px: list[Float[np.ndarray, "n 2"]]
+) -> Float[np.ndarray, "n 4"]:
+    """Ellipses widened until each joint of the head is half of the radius inside at least."""
+    radius_px = ellipse_px[:, 2:].copy()
+    for joint_px, axis in itertools.product(face_px, (0, 1)):
+        reach_px = np.abs(joint_px[:, axis] - ellipse_px[:, axis]) + ellipse_px[:, 2 + axis] / 2
+        radius_px[:, axis] = np.fmax(radius_px[:, axis], reach_px)
+    return np.concatenate([ellipse_px[:, :2], radius_px], axis=1)
+
 
 NEAR_S = 0.2
 """Time around a frame in which a detected head counts where the frame itself has no region: detectors miss frames."""

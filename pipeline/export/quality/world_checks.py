@@ -29,9 +29,24 @@ from pipeline.core.problems.findings import (
 )
 from pipeline.core.problems.model import Code
 from pipeline.export.quality.camera_shifts import CameraShift
-from pipeline.export.quality.names import first_names
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
+
+_MAX_NAMES = 10
+
+
+def first_names(names: Sequence[str]) -> str:
+    """List the first ten names and the number of the others.
+
+    >>> first_names([f"person-{k}" for k in range(1, 4)])
+    'person-1, person-2, person-3'
+    >>> first_names([f"cam{k}" for k in range(12)])
+    'cam0, cam1, cam2, cam3, cam4, cam5, cam6, cam7, cam8, cam9 and 2 more'
+    """
+    more = len(names) - _MAX_NAMES
+    listed = ", ".join(names[:_MAX_NAMES])
+    return f"{listed} and {more} more" if more > 0 else listed
+
 
 # Limit on the median angle from upright: people stand, walk or sit most of the time.
 MAX_LEAN_DEG = 45.0

@@ -33,12 +33,10 @@ from pipeline.core.data.heads import HeadRegions
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.progress import OnShare, ignore, part_of, split
-from pipeline.export.colors import Rgb, color_rgb
-from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import spoilt
-from pipeline.export.recording.pictures import small_pictures, small_size_px
-from pipeline.export.recording.unmatched import is_unmatched
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.recording.recorded_pictures import is_unmatched, small_pictures, small_size_px
+from pipeline.export.scene import Rgb, color_rgb, file_origin_m
+from pipeline.export.timelines import frame_blocks
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of

@@ -3,6 +3,7 @@
 Times of a camera's frames are few numbers: knots between which times are interpolated.
 """
 
+import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,28 +14,75 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.capture.session import Session
-from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.data.cameras import Camera, FrameTimes, Synchronization
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import without_hands
-from pipeline.export.colors import color_rgb
 from pipeline.export.quality.views import PersonViews
-from pipeline.export.viewer.bodies import describe_body, describe_shape
+from pipeline.export.scene import color_rgb
 from pipeline.export.viewer.frames import (
     ABSENT,
     ANGLE_STEP_DEG,
+    COLUMNS,
     ERROR_STEP_PX,
     UNKNOWN_ERROR,
     PersonFrames,
     encode_person,
+    encode_strips,
+    frames_a_bucket,
+    identity_confidence,
     position_step_m,
     record_type,
 )
-from pipeline.export.viewer.strips import COLUMNS, encode_strips, frames_a_bucket, identity_confidence
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
-from pipeline.motion.body.shape import BodyShapes
-from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
+from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
+from pipeline.motion.body.shape import BodyShapes, shape_body, standing_ankle_m
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics, skeleton_of
+
+
+def describe_body(shapes: BodyShapes) -> Mapping[str, Any]:
+    """Describe what bodies of all people have in common. ``shapes`` are coarse."""
+    return {
+        "joints": BODY_JOINTS,
+        "twists": [
+            {"name": twist.name, "parent": twist.parent, "hand": twist.hand, "share": twist.share}
+            for twist in TWIST_JOINTS
+        ],
+        "middle_twist_rad": MIDDLE_TWIST_RAD,
+        "step_m": 1.0 / UNITS_PER_M,
+        "triangles": _in_base64(shapes.triangles, "<u2"),
+        "carriers": _in_base64(shapes.carriers, "u1"),
+        "weights": _in_base64(np.rint(shapes.weights * FULL_WEIGHT), "u1"),
+    }
+
+
+def describe_shape(shapes: BodyShapes, motion: SkeletonMotion, floor: Floor | None) -> Mapping[str, str]:
+    """Describe the shape of a person's body at rest: its vertices and joints."""
+    shaped = shape_body(shapes, motion.bone_length_m, standing_ankle_m(motion, floor))
+    return {
+        "vertices": _in_base64(_in_steps(shaped.vertices_m), "<i2"),
+        "joints": _in_base64(_in_steps(_with_fingers(shaped.joints_m)), "<i2"),
+    }
+
+
+def _with_fingers(joints_m: Float[np.ndarray, "joints 3"]) -> Float[np.ndarray, "all_joints 3"]:
+    """Positions of all joints of bodies; joints of fingers that a skeleton has not are at the wrist."""
+    num_joints = len(joints_m) - len(TWIST_JOINTS)
+    wrists = [
+        INDEX[f"{'Left' if joint.name.startswith('Left') else 'Right'}Hand"] for joint in WHOLE_SKELETON[num_joints:]
+    ]
+    return np.concatenate([joints_m[:num_joints], joints_m[wrists], joints_m[num_joints:]])
+
+
+def _in_steps(positions_m: Float[np.ndarray, "positions 3"]) -> Float[np.ndarray, "positions 3"]:
+    return np.rint(positions_m * UNITS_PER_M)
+
+
+def _in_base64(values: np.ndarray, kind: str) -> str:
+    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
+
 
 SCHEMA_VERSION = 1
 TOLERANCE_S = 1e-3

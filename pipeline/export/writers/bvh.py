@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import PRESETS, Convention
-from pipeline.export.writers.blocks import fixed, held_blocks, read_rows
+from pipeline.export.timelines import fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.registry import Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
-from pipeline.export.timelines import unknown_outside
-from pipeline.export.writers.blocks import fixed, frame_blocks, read_rows
+from pipeline.export.timelines import fixed, frame_blocks, read_rows, unknown_outside
 from pipeline.export.writers.registry import Writer, joint_positions
 
 

@@ -27,11 +27,9 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.options.config import Body, Preset
-from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
-from pipeline.export.scene import FLOOR, TakeScene
-from pipeline.export.timelines import held
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.scene import FLOOR, Rgb, TakeScene, color_rgb
+from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_camera, add_material, add_mesh, add_skin

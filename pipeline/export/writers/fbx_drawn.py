@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.export.colors import Rgb
 from pipeline.export.presets import Convention
-from pipeline.export.scene import SceneCamera
+from pipeline.export.scene import Rgb, SceneCamera
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_nodes import Int64, Node, array
 from pipeline.export.writers.fbx_scene import (

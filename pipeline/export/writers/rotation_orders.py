@@ -11,10 +11,53 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
-from pipeline.export.writers.blender_bones import file_from_bones, halfway_in_blender
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.timelines import frame_blocks
 from pipeline.export.writers.euler import ORDERS, angle_rad, halfway_by_angles, halfway_on_arc
-from pipeline.motion.skeleton.model import WHOLE_SKELETON, parents_of
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+
+# Length in the file's unit up to which a bone has no direction, and deviation up to which it points straight down.
+_NO_LENGTH, _STRAIGHT_DOWN = 1e-3, 2.5e-4
+_HALF_TURN_ABOUT_Z = (0.0, 0.0, 1.0, 0.0)
+
+
+def file_from_bones(offsets: Float[np.ndarray, "joints 3"]) -> Float[np.ndarray, "joints 3 3"]:
+    """Rotations from the axes of Blender's bones in the rest pose to the file's axes.
+
+    A bone points along its y axis to the middle of its children. Its other axes follow from the shortest rotation of
+    the file's y axis to this direction. ``offsets`` are from the parents, in the file's axes and unit.
+    """
+    children = children_of(len(offsets))
+    quat_xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))
+    for index, joint in enumerate(skeleton_of(len(offsets))):
+        direction = offsets[[INDEX[child] for child in children[joint.name]]].sum(0)
+        length = np.linalg.norm(direction)
+        if length > _NO_LENGTH:
+            x, y, z = direction / length
+            is_down = y < 0.0 and np.hypot(x, z) < _STRAIGHT_DOWN
+            quat_xyzw[index] = _HALF_TURN_ABOUT_Z if is_down else (z, 0.0, -x, 1.0 + y)
+    return Rotation.from_quat(quat_xyzw).as_matrix()
+
+
+def halfway_in_blender(
+    quat_xyzw: Float[np.ndarray, "frames joints 4"],
+    orders: Sequence[str],
+    file_from_bone: Float[np.ndarray, "joints 3 3"],
+) -> Float[np.ndarray, "_ joints 4"]:
+    """Rotations (x, y, z, w) half-way between consecutive frames, as Blender interpolates them.
+
+    ``orders`` has the axes of each joint's channels, such as ``ZXY``; ``file_from_bone`` is of ``file_from_bones``.
+    """
+    in_bones = _in_axes(quat_xyzw, file_from_bone.swapaxes(-1, -2))
+    return _in_axes(halfway_by_angles(in_bones, [order[::-1] for order in orders]), file_from_bone)
+
+
+def _in_axes(
+    quat_xyzw: Float[np.ndarray, "frames joints 4"], turns: Float[np.ndarray, "joints 3 3"]
+) -> Float[np.ndarray, "frames joints 4"]:
+    """Same rotations in other axes: of each joint, a vector in the new axes is ``turns`` times the old one."""
+    vector = (turns @ quat_xyzw[..., :3, None])[..., 0]
+    return np.concatenate([vector, quat_xyzw[..., 3:]], axis=-1)
+
 
 _MM_PER_M = 1000.0
 _USUAL = "ZXY"

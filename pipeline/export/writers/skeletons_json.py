@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.export.writers.blocks import BLOCK_FRAMES, frame_blocks
+from pipeline.export.timelines import BLOCK_FRAMES, frame_blocks
 
 SCHEMA_VERSION = 1
 

@@ -30,11 +30,9 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.options.config import Body
-from pipeline.export.colors import Rgb, color_rgb
 from pipeline.export.presets import WORLD, Convention
-from pipeline.export.scene import FLOOR, SceneCamera, TakeScene
-from pipeline.export.timelines import held
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.scene import FLOOR, Rgb, SceneCamera, TakeScene, color_rgb
+from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint

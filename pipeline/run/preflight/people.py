@@ -22,7 +22,7 @@ from pipeline.core.problems.findings import (
     SAME_VIDEO,
 )
 from pipeline.export.quality.camera_shifts import find_shifted
-from pipeline.export.quality.names import first_names
+from pipeline.export.quality.world_checks import first_names
 from pipeline.run.preflight.consensus import CameraAgreement, LocatedPeople, locate_people, measure_agreement
 from pipeline.run.preflight.explain import (
     DOUBTFUL,

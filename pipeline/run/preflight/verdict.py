@@ -14,7 +14,7 @@ from pipeline.core.errors import Problem, SessionRefused
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.problems.findings import CALIBRATION_OF_ANOTHER_RIG, CAMERA_DISAGREES, NOT_UPRIGHT, UPSIDE_DOWN
-from pipeline.export.quality.findings import join_findings
+from pipeline.export.quality.report import join_findings
 
 # Errors that refinement of the calibration may mend: it moves cameras, and levels the world.
 _MENDABLE = frozenset({CAMERA_DISAGREES, CALIBRATION_OF_ANOTHER_RIG, NOT_UPRIGHT, UPSIDE_DOWN})

@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 def find_heads(task: Task, context: Context) -> Output:
     """Find the heads of everybody who was located or detected, in every camera."""
     from pipeline.core.data.detections import Detections, PafFields
-    from pipeline.export.privacy.bodies import seen_heads
-    from pipeline.export.privacy.heads import head_regions
-    from pipeline.export.privacy.people import head_path
+    from pipeline.export.privacy.heads import head_path, head_regions, seen_heads
     from pipeline.run.engine.codec import encode, output_records
     from pipeline.run.engine.detections import detection_source
     from pipeline.run.engine.stored_people import found_people
@@ -60,7 +58,7 @@ def find_heads(task: Task, context: Context) -> Output:
 def blur_videos(task: Task, context: Context) -> Output:
     """Make the blurred video of a camera."""
     from pipeline.core.errors import PipelineError
-    from pipeline.export.blurred_video import write_blurred
+    from pipeline.export.privacy.blur import write_blurred
     from pipeline.run.engine.wanted_frames import captured_videos, wanted_on_clocks
     from pipeline.video.timeline import frames_in
 

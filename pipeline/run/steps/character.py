@@ -10,7 +10,7 @@ _MEDIA_TYPES = {"glb": "model/gltf-binary", "bvh": "text/plain; charset=utf-8", 
 
 def retarget_character(task: Task, context: Context) -> Output:
     """Retarget everybody onto the character, and write their files."""
-    from pipeline.export.character.files import DESCRIPTION, write_character_files
+    from pipeline.export.character.character_files import DESCRIPTION, write_character_files
     from pipeline.run.engine.take import assemble
 
     config, take, folder, on_share = context.config, assemble(context), context.scratch, context.on_share(task)

@@ -6,7 +6,7 @@ from pipeline.run.engine.stage import OPENSIM, TAKE, Context, Output, ResultFile
 
 def run_opensim(task: Task, context: Context) -> Output:
     """Write the archives of a part of the people."""
-    from pipeline.export.opensim.files import write_opensim_files
+    from pipeline.export.opensim.model_files import write_opensim_files
     from pipeline.run.engine.take import assemble
 
     take = assemble(context)

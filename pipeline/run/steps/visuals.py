@@ -23,7 +23,7 @@ from pipeline.run.steps.blur import head_regions_in
 
 def draw_overlay(task: Task, context: Context) -> Output:
     """Make the overlay video of a camera; none if it took no frame of the take."""
-    from pipeline.export.overlay_video import draw_video, overlay_names
+    from pipeline.export.overlay import draw_video, overlay_names
     from pipeline.run.engine.take import assemble
     from pipeline.run.engine.wanted_frames import captured_videos, wanted_on_clocks
 

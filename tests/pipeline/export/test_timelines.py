@@ -16,9 +16,8 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ending_of, installed_formats, of_people
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
-from pipeline.export.timelines import held, unknown_outside
+from pipeline.export.timelines import BLOCK_FRAMES, held, held_blocks, unknown_outside
 from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
-from pipeline.export.writers.blocks import BLOCK_FRAMES, held_blocks
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos

@@ -1,6 +1,6 @@
 // Edits of people as words, and people by their numbers.
 
-const HUE_STEP = 0.618034; // as in pipeline/export/colors.py
+const HUE_STEP = 0.618034; // as in pipeline/export/scene.py
 
 // Colour of a person by number, that of the 3D view and of the exported models.
 export function colorOf(id) {

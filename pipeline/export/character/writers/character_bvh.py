@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.export.character.writers.chains import chained_places, together
-from pipeline.export.character.writers.posed import PosedCharacter, names_by_node
+from pipeline.export.character.writers.posed import PosedCharacter, chained_places, names_by_node, together
 from pipeline.export.presets import Y_UP_FROM_WORLD
-from pipeline.export.writers.blocks import filled, fixed, held_blocks, read_rows
+from pipeline.export.timelines import filled, fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg, turned
 
 _UNITS = 100.0

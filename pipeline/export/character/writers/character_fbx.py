@@ -17,10 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.export.character.meshes import MeshPart, mesh_parts
 from pipeline.export.character.rig import CharacterRig
-from pipeline.export.character.writers.chains import chained_places, together
-from pipeline.export.character.writers.posed import PosedCharacter
+from pipeline.export.character.writers.posed import PosedCharacter, chained_places, together
 from pipeline.export.presets import Y_UP_FROM_WORLD
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.timelines import frame_blocks
 from pipeline.export.writers.euler import euler_deg, turned
 from pipeline.export.writers.fbx import ORIGIN, add_top
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_material, add_mesh, add_skin

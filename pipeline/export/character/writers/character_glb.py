@@ -19,10 +19,9 @@ from jaxtyping import Float, Float32, Shaped
 
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.rig import CharacterRig
-from pipeline.export.character.writers.chains import chained_places, together
-from pipeline.export.character.writers.posed import PosedCharacter, present_ranges
+from pipeline.export.character.writers.posed import PosedCharacter, chained_places, present_ranges, together
 from pipeline.export.presets import Y_UP_FROM_WORLD
-from pipeline.export.writers.blocks import frame_blocks
+from pipeline.export.timelines import frame_blocks
 
 _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _ALIGNMENT, _FLOAT = 4, 5126

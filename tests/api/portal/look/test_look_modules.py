@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.export.colors import color_rgb
+from pipeline.export.scene import color_rgb
 from tests.api.portal.node import run_by_node
 
 NUM_COLOURS = 500

@@ -17,8 +17,7 @@ from pipeline.export.character.writers import character_glb
 from pipeline.export.character.writers.posed import PosedCharacter
 from pipeline.export.quality.report import quality_report
 from pipeline.export.quality.views import views_of
-from pipeline.export.viewer.bodies import describe_body, describe_shape
-from pipeline.export.viewer.description import ViewerMotion
+from pipeline.export.viewer.description import ViewerMotion, describe_body, describe_shape
 from pipeline.geometry.camera import project
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES

@@ -12,10 +12,10 @@ import pytest
 
 from pipeline.core.errors import InputError
 from pipeline.export.character.figure import measure
-from pipeline.export.character.file_reader import read_character_file
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
-from pipeline.export.character.problems import MAX_NODES
+from pipeline.export.character.rig import MAX_NODES
+from pipeline.export.character.source import read_character_file
 from tests.pipeline.export.character.characters import bones_of, character, glb, parts, vrm
 
 MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)

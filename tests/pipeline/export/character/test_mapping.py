@@ -12,7 +12,7 @@ from pipeline.export.character.bone_shapes import joints_by_shape
 from pipeline.export.character.figure import measure
 from pipeline.export.character.gltf_reader import CharacterFile, decode_character
 from pipeline.export.character.mapping import bone_table, map_bones, read_bone_table
-from pipeline.export.character.problems import MAX_NODES
+from pipeline.export.character.rig import MAX_NODES
 from tests.cases import slow_but
 from tests.pipeline.export.character.characters import Bones, bones_of, character, glb, ik_bones, odd_bones, parts, vrm
 

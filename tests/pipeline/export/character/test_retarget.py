@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import Floor, FootContact, SkeletonMotion
+from pipeline.export.character.character_files import angles_deg, figures_of
 from pipeline.export.character.figure import CharacterFigure, measure
-from pipeline.export.character.figures import angles_deg, figures_of
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
 from pipeline.export.character.retarget import CharacterMotion, place_of, retarget

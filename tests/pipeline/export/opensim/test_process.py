@@ -11,7 +11,7 @@ import pytest
 from pipeline.core.errors import ChildError
 from pipeline.core.progress import ignore
 from pipeline.export.opensim import process
-from pipeline.export.opensim.files import OpenSimPerson
+from pipeline.export.opensim.model_files import OpenSimPerson
 from pipeline.export.opensim.process import run_opensim
 from tests.pipeline.export.opensim.conftest import needs_opensim
 

@@ -9,9 +9,16 @@ from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.detections import Detections, MapGrid, PafFields
 from pipeline.core.data.heads import HeadRegions, SeenHeads
 from pipeline.core.joints import COCO_17, COCO_18
-from pipeline.export.privacy.bodies import head_ellipses, seen_heads
-from pipeline.export.privacy.heads import NEAR_S, head_regions, sphere_ellipse
-from pipeline.export.privacy.people import FACE, HOLD_S, head_path
+from pipeline.export.privacy.heads import (
+    FACE,
+    HOLD_S,
+    NEAR_S,
+    head_ellipses,
+    head_path,
+    head_regions,
+    seen_heads,
+    sphere_ellipse,
+)
 from pipeline.geometry.camera import project
 from tests.pipeline.export.test_overlay import CAMERA
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker

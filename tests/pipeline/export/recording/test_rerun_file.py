@@ -22,14 +22,14 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import PipelineError
 from pipeline.core.options.config import Export
-from pipeline.export.colors import color_rgb
 from pipeline.export.recording import rerun_file
 from pipeline.export.recording.rerun_file import RecordedFootage, write_recording
 from pipeline.export.results import write_results
+from pipeline.export.scene import color_rgb
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.skeleton.model import forward_kinematics
-from tests.pipeline.export.test_overlay_video import LARGE, NUM_FRAMES, OFFSET_S, RATE_HZ, runner, session_of, take_of
+from tests.pipeline.export.test_overlay import LARGE, NUM_FRAMES, OFFSET_S, RATE_HZ, runner, session_of, take_of
 from tests.pipeline.export.test_results import take
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 

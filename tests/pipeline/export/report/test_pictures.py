@@ -6,8 +6,7 @@ import numpy as np
 from pipeline.core.joints import COCO_17
 from pipeline.export.quality.views import views_of
 from pipeline.export.report.pictures import LONG_SIDE_PX, Moment, choose_moments, draw_picture, presence
-from tests.pipeline.export.test_overlay import CAMERA, standing
-from tests.pipeline.export.test_overlay_video import LARGE
+from tests.pipeline.export.test_overlay import CAMERA, LARGE, standing
 from tests.pipeline.export.viewer.takes import take
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 

@@ -13,7 +13,7 @@ import pytest
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
-from pipeline.export.writers.gait_tables import gait_tables
+from pipeline.export.writers.angle_tables import gait_tables
 from pipeline.motion.gait.analysis import MarkedEvent, PersonGait, gait_document, marked_events, movement_documents
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.gait.walks import exercise, gait_of, performed, track_of, walk

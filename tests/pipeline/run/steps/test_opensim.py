@@ -11,7 +11,7 @@ import pytest
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import InputError
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.export.opensim import files
+from pipeline.export.opensim import model_files
 from pipeline.export.opensim.process import OpenSimLog
 from pipeline.export.quality.report import all_checks
 from pipeline.export.results import write_results
@@ -53,7 +53,7 @@ def test_a_person_whom_opensim_can_t_follow_is_a_warning(
     session: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = "Inverse kinematics failed after 0.5 s, where the marker RKnee was 300 mm off: AssemblySolver"
-    monkeypatch.setattr(files, "run_opensim", lambda *_: (OpenSimLog(), problem))
+    monkeypatch.setattr(model_files, "run_opensim", lambda *_: (OpenSimLog(), problem))
     written = reconstruct_to_files(session, tmp_path, CONFIG)
     warned = [finding.message for finding in all_checks(written.metrics) if finding.code == "opensim_failed"]
     people = [f"Person {person['id']}: {problem}" for person in written.metrics["people"]]

@@ -14,7 +14,7 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import BODY_FEET
-from pipeline.export.character.files import DESCRIPTION, write_character_files
+from pipeline.export.character.character_files import DESCRIPTION, write_character_files
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.meshes import mesh_parts
 from pipeline.export.character.retarget import retarget

@@ -12,7 +12,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.data.heads import HeadRegions
 from pipeline.core.progress import ignore
-from pipeline.export.recording.pictures import MAX_RATE_HZ, small_pictures, thinned
+from pipeline.export.recording.recorded_pictures import MAX_RATE_HZ, small_pictures, thinned
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from tests.pipeline.export.test_overlay import CAMERA

@@ -21,10 +21,8 @@ from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ending_of
 from pipeline.core.progress import OnShare, ignore, split
 from pipeline.export.opensim.installed import ATTRIBUTION, LICENCE_FILE, load
-from pipeline.export.opensim.markers import MarkerPaths, marker_paths
 from pipeline.export.opensim.process import OpenSimLog, run_opensim
-from pipeline.export.opensim.scaling import ModelSize, size_of
-from pipeline.export.opensim.setup_files import (
+from pipeline.export.opensim.setup import (
     GENERIC_MODEL,
     IK_SETUP,
     MARKER_PATHS,
@@ -32,16 +30,20 @@ from pipeline.export.opensim.setup_files import (
     MOTION,
     SCALE_SETUP,
     SCALED_MODEL,
+    MarkerPaths,
+    ModelSize,
     columns_of,
     encode_ik_setup,
     encode_marker_set,
     encode_paths,
     encode_scale_setup,
     marker_errors_file,
+    marker_paths,
+    size_of,
 )
-from pipeline.export.origin import file_origin_m
 from pipeline.export.person_files import replacing, spoilt, without_resting_fingers
 from pipeline.export.results import at_rate
+from pipeline.export.scene import file_origin_m
 
 REPORT, README = "report.json", "README.txt"
 

@@ -14,8 +14,8 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.export.opensim.anatomy import MARKERS
-from pipeline.export.opensim.files import OpenSimPerson, write_opensim_files
-from pipeline.export.opensim.setup_files import columns_of
+from pipeline.export.opensim.model_files import OpenSimPerson, write_opensim_files
+from pipeline.export.opensim.setup import columns_of
 from pipeline.export.quality.report import estimate_stature_m
 from pipeline.motion.angles.compute import JointAngles, joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
