@@ -92,9 +92,7 @@ def test_files_are_read_back_as_they_were_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[3:10, :, 0], expected, atol=6e-4)
 
 
-def test_results_of_a_take_hold_angles_and_a_changed_angle_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_hold_angles_and_report_a_changed_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     person = take(track_of(walker(30)), num_frames=40)
     paths = write_files(person, tmp_path / "first", ("angles", "mot")).paths
     assert [path.name for path in paths] == ["person-1.angles.csv", "person-1.mot", "skeletons.json", "metrics.json"]

@@ -40,7 +40,7 @@ def test_the_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:
 
 
 @pytest.mark.parametrize("factor", [pytest.param(2, marks=pytest.mark.slow), 3])
-def test_of_a_multiple_each_second_or_third_frame_is_the_session_s(take: Reconstruction, factor: int) -> None:
+def test_resampling_by_multiple_keeps_frames_of_session(take: Reconstruction, factor: int) -> None:
     fine = resample(take, factor * take.timebase.frame_rate_hz)
     assert fine.timebase.num_frames == factor * (take.timebase.num_frames - 1) + 1
     for one, other in zip(take.tracks, fine.tracks, strict=True):

@@ -114,7 +114,7 @@ def test_nobody(tmp_path: Path) -> None:
     assert check == {export: {figure[export]: None} for export in check}
 
 
-def test_too_many_frames_at_another_rate_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_too_many_frames_at_other_rate_are_refused_first(tmp_path: Path) -> None:
     long = take(num_frames=200_000)
     with pytest.raises(InputError) as refused:
         write_results(long, tmp_path / "out", EXPORTS, frame_rate_hz=240.0)
@@ -200,7 +200,7 @@ def test_usual_worlds_keep_their_origin(tmp_path: Path) -> None:
     assert "WORLD" not in ezc3d.c3d(str(tmp_path / "person-1.c3d"))["parameters"]
 
 
-def test_metrics_name_the_joint_and_the_frame_whose_interpolated_angles_are_off(tmp_path: Path) -> None:
+def test_metrics_name_joint_and_frame_of_worst_interpolation(tmp_path: Path) -> None:
     only_bvh: tuple[Export, ...] = ("bvh",)
     alone = take(track_of(walker(60)))
     motions = (tumbling(), replace(tumbling(), track_id=2, start_frame=30, root_m=tumbling().root_m + 3.0))

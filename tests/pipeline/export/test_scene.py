@@ -173,7 +173,7 @@ def mixed_path(mixed: Reconstruction, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.mark.blender
 @pytest.mark.parametrize("importer", ["import_scene.fbx", "wm.fbx_import"])
-def test_fbx_cameras_of_any_shape_have_their_focal_lengths_in_blender(
+def test_fbx_cameras_in_blender_have_focal_lengths(
     mixed: Reconstruction, mixed_path: Path, importer: str, tmp_path: Path
 ) -> None:
     read = read_take_with_blender(mixed_path, RATE_HZ, tmp_path, mixed.cameras, {"importer": importer})["cameras"]
@@ -182,7 +182,7 @@ def test_fbx_cameras_of_any_shape_have_their_focal_lengths_in_blender(
         assert read[camera.name]["focal_px"] == pytest.approx(np.diag(camera.matrix)[:2], rel=1e-5), camera.name
 
 
-def test_fbx_cameras_of_any_shape_have_their_focal_lengths_in_three(mixed: Reconstruction, mixed_path: Path) -> None:
+def test_fbx_cameras_in_three_js_have_focal_lengths(mixed: Reconstruction, mixed_path: Path) -> None:
     read = read_take_with_three(mixed_path)["cameras"]
     assert len(read) == len(mixed.cameras)
     for found, camera in zip(read.values(), mixed.cameras, strict=True):
@@ -281,7 +281,7 @@ def test_a_person_is_the_same_in_both_files(named: Reconstruction, path: Path) -
     assert together["meshes"][0] == alone["meshes"][0]
 
 
-def test_survey_coordinates_have_the_origin_of_the_people_s_files(named: Reconstruction, tmp_path: Path) -> None:
+def test_survey_coordinates_have_origin_of_files(named: Reconstruction, tmp_path: Path) -> None:
     away_m = np.array([500_123.4, 5_412_345.6, 312.7])
     cameras = tuple(
         replace(camera, cam_from_world=camera.cam_from_world @ Rigid3(np.eye(3), -away_m)) for camera in named.cameras

@@ -87,9 +87,7 @@ def test_bvh_has_all_frames_and_holds_the_nearest_pose(two_people: Reconstructio
             np.testing.assert_allclose(found[joint], 100 * y_up(expected_m)[:, INDEX[joint]], atol=0.1)
 
 
-def test_glb_has_all_frames_holds_the_nearest_pose_and_draws_nobody_who_is_not_there(
-    two_people: Reconstruction, of_take: Path
-) -> None:
+def test_glb_holds_nearest_pose_and_hides_absent_people(two_people: Reconstruction, of_take: Path) -> None:
     paths = {of_take / f"{name}.glb": name for name in OF_PERSON}
     for path, issues in validate_with_khronos(list(paths)).items():
         assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), (path, issues["messages"])
@@ -148,9 +146,7 @@ def test_files_of_joints_have_all_frames_and_no_joints_of_nobody(two_people: Rec
         np.testing.assert_array_equal(is_empty, np.isnan(expected_m[:, 0, 0]))
 
 
-def test_files_of_the_person_s_own_frames_are_those_of_the_motion_alone(
-    two_people: Reconstruction, tmp_path: Path
-) -> None:
+def test_files_of_own_frames_equal_files_of_motion(two_people: Reconstruction, tmp_path: Path) -> None:
     """They begin at the person's first frame and mark no presence."""
     write_results(two_people, tmp_path, EXPORTS, timeline="person")
     for track, motion in zip(two_people.tracks, two_people.motions, strict=True):

@@ -175,7 +175,7 @@ def test_the_shape_never_contradicts_names() -> None:
         map_bones(read(renamed))
 
 
-def test_a_robot_with_feet_on_the_root_and_palms_in_place_of_hands() -> None:
+def test_robot_with_feet_on_root_and_palms_is_retargeted() -> None:
     """Bones as three.js' RobotExpressive has them."""
     up, out = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     bones: Bones = {"Bone": (None, 0 * up, up)}

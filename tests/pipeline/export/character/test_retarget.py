@@ -77,7 +77,7 @@ def test_limbs_of_a_twin_have_the_person_s_directions(take: tuple[str, str, floa
     assert figures.direction_deg[1] <= 3.0
 
 
-def test_hands_and_feet_that_hang_elsewhere_move_as_if_they_hung_on_their_limbs() -> None:
+def test_hands_and_feet_below_other_bones_follow_limbs() -> None:
     animation = take_of("walk", "feet", 4.0)
     file = decode_character("whole.glb", character(bones_of("default"), unit=100.0, turn=Z_UP))
     whole = retarget(animation.motions[0], measure(file, map_bones(file)), animation.floor)

@@ -60,7 +60,7 @@ def run_in(folder: Path, code: str) -> str:
     return done.stdout
 
 
-def test_a_walk_has_a_model_that_follows_the_markers_with_our_angles(
+def test_walk_has_model_that_follows_markers_and_angles(
     walk: Reconstruction, walk_archive: tuple[OpenSimPerson, Path]
 ) -> None:
     person, folder = walk_archive

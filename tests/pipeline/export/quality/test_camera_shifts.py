@@ -51,7 +51,7 @@ def moved(number: int, parameters: slice, step: float) -> list[Camera]:
     return [move_camera(camera, steps) if k == number else camera for k, camera in enumerate(CAMERAS)]
 
 
-def test_a_small_picture_with_the_noise_of_the_others_is_no_shift() -> None:
+def test_small_picture_with_equal_noise_is_no_shift() -> None:
     """Two pixels of the small picture are 7 cm at the people."""
     assert shifted(CAMERAS, observe()) == []
     noise_px = [shift.noise_px for shift in measure_shifts(CAMERAS, observe(), INSTANT)]
@@ -62,7 +62,7 @@ def test_a_small_picture_with_the_noise_of_the_others_is_no_shift() -> None:
 @pytest.mark.parametrize(
     ("parameters", "step"), [(ROTATION, np.radians(0.5)), (slice(2, 3), np.radians(3.0)), (FOCAL, 0.04)]
 )
-def test_a_camera_that_was_turned_or_zoomed_is_the_only_one_that_is_named(parameters: slice, step: float) -> None:
+def test_turned_or_zoomed_camera_alone_is_named(parameters: slice, step: float) -> None:
     (shift,) = shifted(moved(1, parameters, step), observe())
     assert shift.camera == 1
     # The step leads back.

@@ -44,7 +44,7 @@ def test_an_empty_result_says_so() -> None:
     assert [check.code for check in all_checks(report)] == ["nobody_found"]
 
 
-def test_a_take_without_people_after_edits_is_no_take_without_people() -> None:
+def test_take_emptied_by_edits_is_not_found_empty() -> None:
     report = quality_report(replace(reconstruction(), is_emptied=True))
     assert [check.code for check in all_checks(report)] == ["everybody_removed"]
 
@@ -97,7 +97,7 @@ def test_many_people_whom_two_cameras_see_are_one_check() -> None:
     }
 
 
-def test_many_cameras_that_were_matched_with_nobody_are_one_check() -> None:
+def test_unmatched_cameras_many_make_one_check() -> None:
     others = tuple(camera(f"elsewhere-{k}", 4.0) for k in range(60))
     ((code, message),) = checks(
         unseen(observe(TRACK, (*CAMERAS, *others)), slice(None), *range(3, 63)), (*CAMERAS, *others)
@@ -145,7 +145,7 @@ def test_only_people_whose_identity_is_uncertain_are_named() -> None:
     assert f"person-{TRACK.track_id} (frame 20)" in message
 
 
-def test_refined_and_bumped_cameras_are_named_with_angles_and_times() -> None:
+def test_moved_cameras_named_with_angles_and_times() -> None:
     one = replace(
         reconstruction(track_of(walker(40))),
         refinement=Refinement(
@@ -170,7 +170,7 @@ def test_refined_and_bumped_cameras_are_named_with_angles_and_times() -> None:
     assert "b from 02:14 on (0.9 degrees)" in bumped["message"]
 
 
-def test_a_calibration_that_was_kept_says_why_and_which_camera_would_move_most() -> None:
+def test_kept_calibration_says_why_and_names_camera() -> None:
     take = reconstruction(track_of(walker(40)))
 
     def kept(*refinement: Any, **more: Any) -> tuple[Finding, dict[str, Any]]:
@@ -191,7 +191,7 @@ def test_a_calibration_that_was_kept_says_why_and_which_camera_would_move_most()
     assert "at 6.0 px, determine no camera" in undetermined.message
 
 
-def test_people_who_are_lost_and_phantoms_are_findings_with_person_frames_and_place() -> None:
+def test_lost_people_and_phantoms_are_findings() -> None:
     losses = (PersonLoss("vanished", 1, 12, 40, (0.52, -1.25, 1.0)), PersonLoss("phantom", 0, 3, 9, (2.0, 0.1, 0.9)))
     take = replace(reconstruction(TRACK, observations=(observe(TRACK),)), losses=losses)
     lost, phantom = all_checks(quality_report(take))
@@ -203,7 +203,7 @@ def test_people_who_are_lost_and_phantoms_are_findings_with_person_frames_and_pl
     assert phantom.evidence["people"][0]["id"] is None
 
 
-def test_a_limb_that_was_located_half_as_long_as_the_skeleton_has_it_is_named() -> None:
+def test_limb_located_half_as_long_is_named() -> None:
     xyz_m = walker(40)
     elbow, wrist = COCO_17.indices(("left_elbow", "left_wrist"))
     xyz_m[:, wrist] = (xyz_m[:, wrist] + xyz_m[:, elbow]) / 2

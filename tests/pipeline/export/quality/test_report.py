@@ -275,7 +275,7 @@ def test_bytes_are_strict_and_always_the_same() -> None:
 DOUBT = Finding(CAMERA_BELOW_FLOOR, "The camera is 0.40 m below z = 0.", "a")
 
 
-def test_a_mirrored_world_is_an_error_and_a_wrong_floor_a_warning() -> None:
+def test_mirrored_world_is_error_wrong_floor_warning() -> None:
     mirrored = walker(60) * [-1.0, 1.0, 1.0] + [0.0, 0.0, 0.4]
     found = people_findings(quality_report(reconstruction(track_of(mirrored))))
     assert [(one.code, one.severity) for one in found] == [
@@ -292,7 +292,7 @@ def test_people_decide_where_the_floor_is() -> None:
     assert join_findings([DOUBT], found) == []
 
 
-def test_people_outweigh_errors_of_cameras_alone_but_for_those_with_which_nobody_is_located() -> None:
+def test_findings_of_people_outweigh_errors_of_cameras() -> None:
     folds = Finding(DISTORTION_FOLDS, "The distortion folds the picture.", "a", "error")
     unposed = Finding(CALIBRATION_UNPOSED, "All cameras have the same pose.", None, "error")
     joined = join_findings([folds, unposed], [])

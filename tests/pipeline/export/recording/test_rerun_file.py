@@ -162,7 +162,7 @@ def test_angles_and_contacts_are_time_series(path: Path, whole: Reconstruction) 
             assert not found[np.setdiff1d(np.arange(len(found)), others)].any()
 
 
-def test_pictures_and_bodies_of_nobody_are_at_the_times_of_the_camera(tmp_path: Path) -> None:
+def test_pictures_and_unmatched_bodies_have_times_of_camera(tmp_path: Path) -> None:
     camera = replace(LARGE, name="front left/1")
     session = session_of(camera, tmp_path)
     timebase = Timebase(0.0, RATE_HZ, 40)

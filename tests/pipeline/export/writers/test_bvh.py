@@ -225,7 +225,7 @@ def test_rotations_survive_the_file(data: st.DataObject, num_frames: int, skelet
     assert rest_cm[INDEX["LeftFootEnd"], 2] > 10
 
 
-def test_angles_are_continuous_through_gimbal_lock_and_full_turns() -> None:
+def test_angles_through_gimbal_lock_and_turns_are_continuous() -> None:
     steps = np.linspace(0, 1, 181)
     over_the_top = np.column_stack([0 * steps + 20, 360 * steps - 180, 30 * steps])
     around = np.column_stack([720 * steps, 10 * np.sin(9 * steps), -400 * steps])
@@ -237,7 +237,7 @@ def test_angles_are_continuous_through_gimbal_lock_and_full_turns() -> None:
     np.testing.assert_allclose(again, matrices, atol=1e-6)
 
 
-def test_the_same_motion_gives_the_same_bytes_without_negative_zeros() -> None:
+def test_equal_motions_give_equal_bytes_without_negative_zeros() -> None:
     content = encoded(walk(5))
     assert content == encoded(walk(5))
     assert b"-0.0000 " not in content
@@ -292,19 +292,19 @@ def about_the_lock(axis: str, num_frames: int = 60) -> SkeletonMotion:
 
 
 @pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset != "unity-humanoid"])
-def test_bvh_of_a_body_that_turns_stays_near_its_motion_in_blender(preset: Preset) -> None:
+def test_bvh_of_turning_body_in_blender_stays_near_motion(preset: Preset) -> None:
     motion = tumbling()
     assert between_frames_mm(motion, PRESETS[preset]).max() < 1.0
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
-def test_bvh_of_limbs_turned_by_90_degrees_stays_near_their_motion_in_blender(axis: str) -> None:
+def test_bvh_of_limbs_at_90_degrees_in_blender_stays_near(axis: str) -> None:
     motion = about_the_lock(axis)
     for convention in (PRESETS["default"], PRESETS["unreal"]):
         assert between_frames_mm(motion, convention).max() < 3.0
 
 
-def test_bvh_in_one_order_is_off_in_blender_and_the_other_orders_are_few() -> None:
+def test_bvh_in_one_order_in_blender_is_off() -> None:
     motion = tumbling()
     assert 2.0 < between_frames_mm(motion, ONE_ORDER).max() < 3.0
     orders = orders_in(encoded(motion))

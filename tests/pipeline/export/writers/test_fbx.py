@@ -91,7 +91,7 @@ def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
     }
 
 
-def test_humanik_has_a_take_in_which_the_skeleton_stands_in_the_rest_pose(tmp_path: Path) -> None:
+def test_humanik_has_take_of_the_rest_pose(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx", "humanik")
     scene = scene_of(path)
     assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
@@ -108,7 +108,7 @@ def test_humanik_has_a_take_in_which_the_skeleton_stands_in_the_rest_pose(tmp_pa
     np.testing.assert_allclose(read_by_three.positions["LeftFoot"], np.column_stack([x, z, -y]), atol=1e-2)
 
 
-def test_joints_have_an_order_of_rotations_each_where_one_interpolates_badly(tmp_path: Path) -> None:
+def test_rotation_orders_differ_where_one_interpolates_badly(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx")
     models = scene_of(path).of_kind("Model", "LimbNode").values()
     orders = {name_of(model): numbers(model, "RotationOrder", 1)[0] for model in models}

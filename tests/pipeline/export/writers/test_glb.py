@@ -86,7 +86,7 @@ def mesh_of(motion: SkeletonMotion) -> tuple[BodyMesh, np.ndarray]:
 
 
 @MOTIONS
-def test_the_body_is_closed_about_every_bone_and_shows_its_outside(
+def test_body_mesh_is_closed_and_faces_outside(
     dressed: Callable[[SkeletonMotion], SkeletonMotion],
 ) -> None:
     mesh, rest_m = mesh_of(dressed(walk(1)))

@@ -131,7 +131,7 @@ def test_a_glb_file_is_valid(tmp_path: Path) -> None:
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0)
 
 
-def test_three_js_finds_the_joints_and_draws_hardly_anything_of_who_is_not_there(tmp_path: Path) -> None:
+def test_three_js_finds_joints_and_hides_absent_people(tmp_path: Path) -> None:
     motion, is_present = gesturing(12), np.arange(12) > 3
     of_glb, of_fbx = tmp_path / "person.glb", tmp_path / "person.fbx"
     of_glb.write_bytes(b"".join(glb.encode(motion, ORIGIN_M, is_present=is_present, body=HUMAN)))

@@ -282,9 +282,7 @@ def test_a_take_in_blender(two_people: Reconstruction, named: Reconstruction, pa
         assert found["focal_px"] == pytest.approx(np.diag(camera.matrix)[:2], rel=1e-4)
 
 
-def test_a_person_who_comes_later_is_held_and_hidden_in_the_person_s_own_file(
-    two_people: Reconstruction, path: Path
-) -> None:
+def test_person_who_comes_later_is_held_and_hidden(two_people: Reconstruction, path: Path) -> None:
     stage = Usd.Stage.Open(str(path.with_name("person-2.usdc")))
     (person,) = people_in(stage)
     np.testing.assert_allclose(places_m(stage, person), nearest_m(two_people)["person-2"], atol=1e-5)

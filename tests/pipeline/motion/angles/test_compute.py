@@ -82,7 +82,7 @@ def test_standard_deviations_are_those_of_the_errors() -> None:
     assert (np.isfinite(angles.sigma_deg) == np.isfinite(angles.angle_deg)).all()
 
 
-def test_the_twist_of_a_straight_limb_is_unknown_and_its_bend_is_not() -> None:
+def test_straight_limb_has_bend_but_no_twist() -> None:
     xyz_m = walker(20, elbow_rad=lambda phase: np.full_like(phase, 0.05))
     track = track_of(xyz_m)
     angles = joint_angles(replace(posed({}), root_m=np.zeros((20, 3)), parent_from_joint=np.tile(
@@ -180,7 +180,7 @@ def test_ranges_of_motion_are_those_of_the_known_frames() -> None:
     }  # fmt: skip
 
 
-def test_cycles_of_different_lengths_are_stretched_to_the_same_percents() -> None:
+def test_cycles_of_different_lengths_have_same_percents() -> None:
     # An angle that goes from 0 to 60 and back in each cycle, one of 40 frames and one of 25.5.
     rows = np.arange(80)
     phase = np.where(rows < 45, (rows - 5.0) / 40.0, (rows - 45.0) / 25.5)
@@ -191,7 +191,7 @@ def test_cycles_of_different_lengths_are_stretched_to_the_same_percents() -> Non
     np.testing.assert_allclose(found, [expected, expected], atol=0.5)
 
 
-def test_cycles_with_unknown_angles_or_beyond_the_frames_are_left_out() -> None:
+def test_cycles_with_unknown_angles_are_left_out() -> None:
     angle_deg = np.arange(50.0)
     angle_deg[20] = np.nan
     cycles = [

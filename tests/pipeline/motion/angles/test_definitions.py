@@ -125,7 +125,7 @@ def test_a_single_side_moves_no_angle_of_the_other() -> None:
     assert (found["left_hip_flexion"], found["left_knee_flexion"]) == pytest.approx((0.0, 0.0))
 
 
-def test_frames_of_segments_are_rotations_and_joints_are_of_the_body() -> None:
+def test_segment_frames_are_rotations_at_joints_of_body() -> None:
     body = {joint.name for joint in SKELETON}
     for segment in SEGMENTS.values():
         axes = segment.rest_from_segment
@@ -160,7 +160,7 @@ def test_the_mirror_keeps_rotations_about_the_axis_to_the_right() -> None:
     np.testing.assert_allclose(angles_rad(mirrored(turned), (2, 0, 1)), [[0.3, -0.2, 0.4]], atol=1e-12)
 
 
-def test_an_arm_that_is_raised_aside_and_overhead_is_abducted_by_more_than_90_degrees() -> None:
+def test_arm_raised_overhead_is_abducted_beyond_90_degrees() -> None:
     raised_deg = np.linspace(0.0, 170.0, 60)
     rotation = Rotation.from_euler("ZXY", np.stack([0 * raised_deg + 2.0, -raised_deg, 0 * raised_deg], -1), True)
     found_deg = np.degrees(continuous(angles_rad(rotation.as_matrix(), (2, 0, 1)), is_proper=False))

@@ -114,7 +114,7 @@ def test_a_forearm_keeps_its_volume_while_the_hand_turns(
 
 
 @pytest.mark.parametrize("twist", TWIST_JOINTS, ids=lambda twist: twist.name)
-def test_twist_joints_turn_by_their_share_of_the_hand_s_turn_about_the_arm(twist: TwistJoint) -> None:
+def test_twist_joints_turn_by_share_of_hand(twist: TwistJoint) -> None:
     angles_deg = np.array([-230.0, -180.0, -90.0, 0.0, 80.0])
     quat = np.tile(still(), (len(angles_deg), 1, 1))
     bend = Rotation.from_euler("zy", [20.0, 35.0], degrees=True)

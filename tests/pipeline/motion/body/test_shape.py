@@ -81,7 +81,7 @@ def test_shapes_are_those_of_the_skeleton_at_rest(shapes: BodyShapes) -> None:
             np.testing.assert_allclose(way_m, length_m * np.array(joint.rest_direction), atol=2e-4)
 
 
-def test_a_skeleton_without_fingers_has_hands_that_are_a_little_bent(shapes: BodyShapes) -> None:
+def test_skeleton_without_fingers_has_slightly_bent_hands(shapes: BodyShapes) -> None:
     straight, relaxed = (shape_body(shapes, adult_lengths_m(1.75, number)) for number in (64, 24))
     tips = straight.carriers[:, 0] == INDEX["LeftHandMiddle3"]
     assert set(relaxed.carriers[tips, 0]) == {INDEX["LeftHand"]}

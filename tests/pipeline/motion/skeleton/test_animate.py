@@ -145,7 +145,7 @@ def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
 
 
 @pytest.mark.slow
-def test_feet_without_toes_are_level_while_they_stand_and_follow_the_shin_else() -> None:
+def test_feet_without_toes_stand_level_and_follow_shins() -> None:
     motion = animated("walk", 10.0).motions[0]
     _, world_from_foot = joint_pose(motion, "LeftFoot")
     up = world_from_foot.apply([0.0, 0.0, 1.0])[:, 2]

@@ -34,7 +34,7 @@ def landmarks_of(xyz_m: np.ndarray, views: np.ndarray | int = 4) -> Landmarks:
 
 @pytest.mark.parametrize("kind", list(TRUE_M))
 @pytest.mark.parametrize("factor", [0.48, 0.7, 1.4, 1.9])
-def test_a_side_that_is_measured_wrong_all_the_time_gets_the_length_of_the_other_one(kind: str, factor: float) -> None:
+def test_side_measured_wrong_gets_length_of_other_side(kind: str, factor: float) -> None:
     """The wrong side is measured in more frames, and as exactly as the right one."""
     xyz_m = stretched(walker(60), f"left_{kind}", factor)
     xyz_m[::3, COCO_17.index(f"right_{kind}")] = np.nan
@@ -54,7 +54,7 @@ def test_two_limbs_with_a_wrong_side_each_are_both_right() -> None:
     assert lengths_m["knee"] == pytest.approx(THIGH_M, rel=0.01)
 
 
-def test_a_joint_that_few_cameras_place_wrong_has_the_length_that_many_cameras_see() -> None:
+def test_length_by_many_cameras_beats_few_wrong_ones() -> None:
     """Both wrists are hidden from all but two cameras in most frames, which place them too near to the elbows."""
     hidden = slice(0, 40)
     xyz_m = stretched(stretched(walker(60), "left_wrist", 0.8, hidden), "right_wrist", 0.8, hidden)
@@ -74,7 +74,7 @@ def test_sides_that_are_both_plausible_go_by_their_views(views_of_right: int) ->
     assert is_longer == (views_of_right == 5)
 
 
-def test_shins_that_a_table_cuts_on_both_sides_get_the_length_of_the_proportions() -> None:
+def test_shins_cut_by_table_get_length_by_proportions() -> None:
     xyz_m = stretched(stretched(walker(60), "left_ankle", 0.45), "right_ankle", 0.5)
     # The walker's own proportions differ from usual ones.
     assert limb_lengths_m(landmarks_of(xyz_m))["ankle"] == pytest.approx(SHIN_M, rel=0.15)
@@ -113,7 +113,7 @@ def test_few_lengths_that_scatter_decide_nothing() -> None:
     assert limb_lengths_m(landmarks_of(xyz_m))["ankle"] == pytest.approx(SHIN_M * (1.05 + 1.25) / 2)
 
 
-def test_a_side_that_was_never_measured_has_the_length_of_the_other_one() -> None:
+def test_side_never_measured_gets_length_of_other_side() -> None:
     xyz_m = walker(20)
     xyz_m[:, COCO_17.index("left_wrist")] = np.nan
     assert limb_lengths_m(landmarks_of(xyz_m))["wrist"] == pytest.approx(FOREARM_M)

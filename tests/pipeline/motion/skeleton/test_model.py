@@ -45,7 +45,7 @@ def positions_m(shown: SkeletonMotion) -> dict[str, np.ndarray]:
 
 
 @BOTH
-def test_parents_come_before_children_and_every_end_hangs_on_one_joint(skeleton: tuple[SkeletonJoint, ...]) -> None:
+def test_skeleton_has_parents_first_and_ends_on_one_joint(skeleton: tuple[SkeletonJoint, ...]) -> None:
     children = children_of(len(skeleton))
     assert skeleton_of(len(skeleton)) is skeleton
     assert set(children) == {joint.name for joint in skeleton}

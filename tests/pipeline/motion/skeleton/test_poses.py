@@ -178,7 +178,7 @@ def test_hips_travel_with_the_shoulders_while_unseen() -> None:
     assert error_m["LeftUpLeg"].max() < 1e-2
 
 
-def test_a_joint_that_is_never_seen_takes_the_other_side_s_length_and_rests() -> None:
+def test_joint_never_seen_takes_length_of_other_side() -> None:
     truth_m = walker(40)
     motion = solve(without(truth_m, "left_wrist"))
     assert motion.bone_length_m[INDEX["LeftHand"]] == pytest.approx(FOREARM_M)

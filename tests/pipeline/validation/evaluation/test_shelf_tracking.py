@@ -52,7 +52,7 @@ def test_the_truth_is_right(tracks: list[Track3D], simulation: Simulation, bench
     assert scores["ghost_tracks"] == 0
 
 
-def test_identities_that_swap_halfway_are_wrong_for_the_shorter_half(
+def test_identities_swapped_halfway_are_wrong_for_shorter_half(
     simulation: Simulation, benchmark: ShelfBenchmark
 ) -> None:
     swapped = {
@@ -79,7 +79,7 @@ def test_a_duplicate_costs_and_somebody_elsewhere_does_not(
     assert scores["ghost_tracks"] == 0
 
 
-def test_somebody_behind_an_actor_is_not_taken_for_the_actor_whose_own_track_is_near(
+def test_person_behind_actor_with_own_track_is_not_the_actor(
     tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
 ) -> None:
     actor_m, camera = simulation.truth_m[0], simulation.cameras[0]
@@ -125,7 +125,7 @@ def test_a_single_view_tracker_loses_people_that_are_hidden(benchmark: ShelfBenc
     assert min(scores["idf1"].values()) < 1.0
 
 
-def test_thinned_cameras_have_phases_and_the_truth_of_their_instants(benchmark: ShelfBenchmark) -> None:
+def test_thinned_cameras_have_phases_and_truth_of_instants(benchmark: ShelfBenchmark) -> None:
     thinned, kept = thin(benchmark, 4)
     firsts = [thinned.times[camera.name].time_s[0] * 25.0 for camera in benchmark.cameras]
     assert firsts == pytest.approx([0.0, 1.0, 2.0, 3.0], abs=1.5)

@@ -141,7 +141,7 @@ def test_joints_are_those_asked_for(joints: Joints) -> None:
         np.testing.assert_array_equal(found.keypoints_px[:, :5], plain.keypoints_px[:, :5])
 
 
-def test_perfect_detections_of_hands_and_feet_are_projections_of_the_truth() -> None:
+def test_perfect_detections_of_extremities_project_truth() -> None:
     simulation = record(replace(SCENES["hands"], duration_s=3.0, detector=PERFECT), 3, joints="whole")
     for camera in simulation.cameras:
         detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]

@@ -51,7 +51,7 @@ def test_feet_that_are_never_flat_keep_their_own_pitch(name: str) -> None:
     assert np.median(axis_errors_deg(name, BODY_FEET)) < 10.0
 
 
-def test_without_toes_feet_of_kneeling_people_lie_on_their_insteps() -> None:
+def test_feet_without_toes_of_kneeling_people_lie_on_insteps() -> None:
     assert np.median(axis_errors_deg("kneel", COCO_17)) < 12.0
 
 
@@ -62,7 +62,7 @@ def test_without_toes_feet_that_carry_nobody_are_relaxed(name: str, limit_deg: f
 
 
 @pytest.mark.parametrize("name", slow_but(["lying"], ["crawl", "lying", "roll"]))
-def test_without_toes_feet_behind_lying_shins_are_above_the_floor(name: str) -> None:
+def test_feet_without_toes_behind_lying_shins_are_above_floor(name: str) -> None:
     _, animation = fitted(name, COCO_17)
     (motion,), floor = animation.motions, animation.floor
     assert floor is not None

@@ -39,6 +39,6 @@ def test_a_part_that_stands_alone_stands_still() -> None:
     assert np.isnan(places_m[..., 2]).all()
 
 
-def test_contacts_that_are_not_pinned_or_of_whole_feet_hold_no_part() -> None:
+def test_contacts_unpinned_or_of_whole_feet_hold_no_part() -> None:
     free = [contact("heel", 34, 12, pinned=False), contact("foot", 34, 12)]
     assert np.isnan(held_parts_m(parts_m(), free, RATE_HZ)).all()

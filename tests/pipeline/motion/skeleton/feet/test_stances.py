@@ -238,7 +238,7 @@ def test_one_place_says_nothing_of_a_slope() -> None:
     assert floor.tilt_deg < 1.5
 
 
-def test_without_feet_there_is_no_floor_and_without_rest_it_is_the_lowest() -> None:
+def test_floor_without_feet_is_none_without_rest_lowest() -> None:
     assert estimate_floor([], [], STEPS_HZ) is None
     ankles_m = steps()
     assert estimate_floor([ankles_m], [np.zeros((200, 2), bool)], STEPS_HZ) is None

@@ -56,7 +56,7 @@ def errors_m(tracks: tuple[Track3D, ...], simulation: Simulation) -> tuple[np.nd
 
 
 @pytest.mark.parametrize("scene", ["room", pytest.param("outdoor", marks=pytest.mark.slow)])
-def test_noise_misses_and_swaps_are_fitted_away_in_fast_motion_too(scene: str) -> None:
+def test_fit_of_fast_motion_removes_noise_misses_and_swaps(scene: str) -> None:
     simulation = record(replace(find_scene(scene), duration_s=6.0, detector=HARD), seed=5)
     found = track_people(simulation)
     (raw_m, raw_speed), (fit_m, fit_speed) = (

@@ -36,7 +36,7 @@ def test_stretches_end_at_pauses(seen: tuple[int, ...], expected: list[tuple[int
 
 @pytest.mark.slow
 @pytest.mark.parametrize("burst", [1, 3])
-def test_people_in_pictures_seconds_apart_are_where_they_were_seen(burst: int) -> None:
+def test_people_in_pictures_seconds_apart_stay_where_seen(burst: int) -> None:
     """Pictures by three cameras every two seconds, a third of the joints missing, of a person who walks about."""
     scene = replace(find_scene("room"), duration_s=30.0)
     truth_m = np.array(record(scene, 2, 1).truth_m[1])

@@ -25,7 +25,7 @@ def seen(fingers_m: np.ndarray, wrist_m: np.ndarray | None = None) -> np.ndarray
     return seen_well(located()[0] if wrist_m is None else wrist_m, fingers_m, measured, RATE_HZ)
 
 
-def test_a_hand_with_few_joints_or_without_knuckles_is_not_seen_well() -> None:
+def test_hand_with_few_joints_or_no_knuckles_is_unseen() -> None:
     _, fingers_m = located()
     assert seen(fingers_m).all()
     fingers_m[10:20, 7:] = np.nan  # seven joints are left, one of them a knuckle
@@ -49,7 +49,7 @@ def test_a_glimpse_is_not_enough() -> None:
     assert not seen(fingers_m)[20:60].any()
 
 
-def test_the_start_is_the_pose_where_it_is_known_and_natural_far_from_there() -> None:
+def test_start_of_hand_is_known_pose_and_natural_elsewhere() -> None:
     motion = gesturing(NUM_FRAMES)
     wrist_m, fingers_m = located()
     _, forearm = joint_pose(motion, "LeftForeArm")

@@ -217,7 +217,7 @@ def test_short_tracks(num_frames: int) -> None:
         assert error_m(animation, side, num_frames).mean() < 0.01
 
 
-def test_a_body_without_a_torso_has_natural_hands_and_located_fingers() -> None:
+def test_body_without_torso_has_natural_hands_and_fingers() -> None:
     cameras = ring_of(6)
     true_m = landmarks_of(gesturing(20))
     kept = [WHOLE_BODY.index("left_wrist"), *FINGERS_OF["left"]]
@@ -265,7 +265,7 @@ def test_a_hand_that_is_seen_gives_the_lengths_of_both(scale: float) -> None:
     np.testing.assert_array_equal(found_m[:20], found_m[20:])
 
 
-def test_unseen_hands_have_adult_proportions_at_the_size_of_the_forearm() -> None:
+def test_unseen_hands_have_adult_proportions_of_forearm() -> None:
     found_m = lengths_m(landmarks_of(gesturing(PROPORTIONS_FRAMES, 1.2)), left=False, right=False)
     shares = np.array([joint.stature_share for joint in WHOLE_SKELETON])
     forearm = INDEX["LeftHand"]
