@@ -50,7 +50,7 @@ class PersonOfTake:
     body: BodyChoice  # Body in files that have one
 
 
-def people_of(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
+def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
     """People of a take, in its order."""
     origin_m = file_origin_m(take.cameras)
     # Capsules are the same on every floor.

@@ -37,15 +37,15 @@ from pipeline.export.person_files import (
     KeptFiles,
     PersonOfTake,
     furthest_mm,
-    people_of,
     replacing,
     spoilt,
+    take_people,
     write_person,
 )
 from pipeline.export.quality.report import encode as encode_metrics
 from pipeline.export.quality.report import quality_report
 from pipeline.export.resample import resample
-from pipeline.export.scene import file_origin_m, scene_of
+from pipeline.export.scene import file_origin_m, take_scene
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
 from pipeline.export.writers.angle_tables import gait_tables
@@ -205,7 +205,7 @@ def write_files(
     on_people = split(part_of(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(people_of(shown, timeline, body), on_people, strict=True):
+        for person, on_person in zip(take_people(shown, timeline, body), on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[SKELETONS])
             for name, file in write_person(person, of_person, preset, kept, on_person):
@@ -272,7 +272,7 @@ def keep_people(
     ``rows`` are those of the people among the tracks.
     """
     shown = at_rate(reconstruction, frame_rate_hz)
-    people = islice(people_of(shown, timeline, body), rows.start, rows.stop, rows.step)
+    people = islice(take_people(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, of_people(exports))
@@ -300,7 +300,7 @@ class _TakeFiles:
     """Files with a whole take, of the formats that have them; without people there are none."""
 
     def __init__(self, take: Reconstruction, folder: Path, preset: Preset, body: Body) -> None:
-        self._scene, self._folder, self._preset, self._body = scene_of(take), folder, preset, body
+        self._scene, self._folder, self._preset, self._body = take_scene(take), folder, preset, body
         self.distances_mm: dict[str, float] = {}  # Largest distance in the file of each format
         self.too_large: list[dict[str, str]] = []  # Checks of files that their format does not allow
 

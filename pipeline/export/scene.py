@@ -113,7 +113,7 @@ class TakeScene:
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
 
 
-def scene_of(take: Reconstruction) -> TakeScene:
+def take_scene(take: Reconstruction) -> TakeScene:
     """Scene of a take with its people, in its order, its cameras and the floor under the people."""
     frames = range(take.timebase.num_frames)
     return TakeScene(

@@ -21,10 +21,10 @@ from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.character.bone_names import HIPS, LIMBS, SIDES
 from pipeline.export.character.figure import CharacterFigure
 from pipeline.export.character.limbs import ScaledFloor, level
-from pipeline.export.character.retarget import CharacterMotion, place_of, retarget
+from pipeline.export.character.retarget import CharacterMotion, node_place, retarget
 from pipeline.export.character.writers import character_bvh, character_fbx, character_glb
 from pipeline.export.character.writers.posed import PosedCharacter, bone_places
-from pipeline.export.person_files import furthest_mm, people_of, replacing
+from pipeline.export.person_files import furthest_mm, replacing, take_people
 from pipeline.export.results import at_rate
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from pipeline.motion.skeleton.rotations import times
@@ -48,18 +48,18 @@ class RetargetingFigures:
     hips_deg: tuple[float, float]
 
 
-def figures_of(motion: CharacterMotion) -> RetargetingFigures:
+def retargeting_figures(motion: CharacterMotion) -> RetargetingFigures:
     """Measure a character's motion."""
     joints = motion.figure.joints
     places = {
-        joint: place_of(motion.figure, motion.hips, motion.turns, joints[joint]) for limb in LIMBS for joint in limb
+        joint: node_place(motion.figure, motion.hips, motion.turns, joints[joint]) for limb in LIMBS for joint in limb
     }
     slides, depths, kept = [0.0], [0.0], []
     for side in SIDES:
         if motion.floor is None:
             break
         contacts = [c for c in motion.source.contacts if c.pinned and c.side == side.lower()]
-        apart_m, heights_m, is_upright = _soles_of(motion, motion.floor, side, places[f"{side}Foot"], contacts)
+        apart_m, heights_m, is_upright = _sole_paths(motion, motion.floor, side, places[f"{side}Foot"], contacts)
         for contact, apart in zip(contacts, apart_m, strict=True):
             slides.append(float(apart.mean()))
             heights, upright = heights_m[contact.rows], is_upright[contact.rows]
@@ -85,7 +85,7 @@ def figures_of(motion: CharacterMotion) -> RetargetingFigures:
     )
 
 
-def _soles_of(
+def _sole_paths(
     motion: CharacterMotion,
     floor: ScaledFloor,
     side: str,
@@ -118,7 +118,7 @@ def _without_fingers(motion: SkeletonMotion) -> SkeletonMotion:
 def angles_deg(motion: CharacterMotion, start: str, end: str) -> Float[np.ndarray, " frames"]:
     """Angles between a bone of the character and the person's, by the joints at its ends."""
     joints = motion.figure.joints
-    places = [place_of(motion.figure, motion.hips, motion.turns, joints[name]) for name in (start, end)]
+    places = [node_place(motion.figure, motion.hips, motion.turns, joints[name]) for name in (start, end)]
     places_m = forward_kinematics(motion.source)
     return _angles_deg(places[1] - places[0], places_m[:, INDEX[end]] - places_m[:, INDEX[start]])
 
@@ -187,12 +187,12 @@ def write_character_files(
     shown = at_rate(take, frame_rate_hz)
     formats: tuple[Export, ...] = ("glb", *(export for export in exports if export in ("bvh", "fbx")))
     described: list[dict[str, Any]] = []
-    people = list(people_of(shown, timeline, "capsules"))
+    people = list(take_people(shown, timeline, "capsules"))
     for person, on_person in zip(people, split(on_share, [len(person.frames) for person in people]), strict=True):
         motion = retarget(person.motion, figure, shown.animation.floor)
         posed = PosedCharacter(motion, person.motion.name, person.frames, person.is_present, person.origin_m)
         entry: dict[str, Any] = {"id": person.track.track_id, "name": person.motion.name, "units_per_m": motion.scale}
-        figures = asdict(figures_of(motion))
+        figures = asdict(retargeting_figures(motion))
         entry |= {name: _rounded(value) for name, value in figures.items()}
         entry["max_distance_mm"] = {}
         for export, on_file in zip(formats, split(on_person, [1] * len(formats)), strict=True):

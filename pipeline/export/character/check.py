@@ -28,7 +28,7 @@ MAX_CONTENTS_BYTES = 1 << 20
 _DECIMALS = 4
 
 
-def contents_of(path: Path, table: Path | None) -> dict[str, Any]:
+def describe_character(path: Path, table: Path | None) -> dict[str, Any]:
     """Read a character and say what it contains, as JSON.
 
     Parameters
@@ -113,7 +113,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words)
     message = "The check of the file needs more memory than the service allows."
     too_large = Problem(CHARACTER_TOO_LARGE, message, hint="Leave out what is not the character.")
-    return print_answer(lambda: contents_of(arguments.file, arguments.bones), too_large)
+    return print_answer(lambda: describe_character(arguments.file, arguments.bones), too_large)
 
 
 if __name__ == "__main__":

@@ -195,12 +195,12 @@ def _flat_hand(
         return before
     wrist, middle = positions[joints[f"{side}Hand"]], bases.get("middle", (across[0] + across[1]) / 2)
     is_now = _axes(middle - wrist, across[0] - across[1])
-    rest = {finger: _base_of(side, finger) for finger in ("index", "middle", "pinky")}
+    rest = {finger: _finger_base(side, finger) for finger in ("index", "middle", "pinky")}
     is_then = _axes(rest["middle"], rest["index"] - rest["pinky"])
     return before if is_now is None or is_then is None else is_then @ is_now.T
 
 
-def _base_of(side: str, finger: str) -> Float[np.ndarray, " 3"]:
+def _finger_base(side: str, finger: str) -> Float[np.ndarray, " 3"]:
     """Base of a finger of the skeleton from its wrist, as shares of the stature."""
     joint = WHOLE_SKELETON[INDEX[f"{side}Hand{finger.capitalize()}1"]]
     return np.array(joint.rest_direction) * joint.stature_share

@@ -78,10 +78,10 @@ def decode_character(name: str, content: bytes) -> CharacterFile:
     """
     with checked(name):
         document, binary = _chunks(content)
-        return character_of(name, document, binary, _format(document))
+        return build_character(name, document, binary, _format(document))
 
 
-def character_of(name: str, document: dict[str, Any], binary: memoryview, format_name: Format) -> CharacterFile:
+def build_character(name: str, document: dict[str, Any], binary: memoryview, format_name: Format) -> CharacterFile:
     """Character of a document and its buffer; errors are those of ``checked``."""
     reader = GltfDocument(document, binary)
     rig, skinned = reader.rig(), []

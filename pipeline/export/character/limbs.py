@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import Floor, FootContact
 from pipeline.export.character.figure import FootMeasures
-from pipeline.motion.skeleton.feet.floor import runs_of
+from pipeline.motion.skeleton.feet.floor import find_runs
 from pipeline.motion.skeleton.feet.holding import eased
 from pipeline.motion.skeleton.rotations import times
 
@@ -341,4 +341,4 @@ def _rows(contacts: Sequence[FootContact], parts: Sequence[str], num_frames: int
 
 
 def _runs(stands: Bool[np.ndarray, " frames"]) -> list[slice]:
-    return [slice(start, stop) for start, stop in runs_of(stands)]
+    return [slice(start, stop) for start, stop in find_runs(stands)]

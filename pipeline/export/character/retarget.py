@@ -327,7 +327,7 @@ class _Fit:
                 figure.length(f"{side}Arm", f"{side}ForeArm"),
                 figure.length(f"{side}ForeArm", f"{side}Hand"),
             )
-            starts[side] = place_of(figure, self.hips, self.turns, self._joints[f"{side}Arm"])
+            starts[side] = node_place(figure, self.hips, self.turns, self._joints[f"{side}Arm"])
             upper, lower = self.joint(f"{side}Arm"), self.joint(f"{side}ForeArm")
             (first, second), out = lengths[side], _OUTWARDS[side]
             free[side] = starts[side] + first * times(upper, out) + second * times(lower, out)
@@ -378,7 +378,7 @@ class _Fit:
                         self.set_turn(joint, self.joint(joint))
 
 
-def place_of(
+def node_place(
     figure: CharacterFigure,
     hips: Float[np.ndarray, "frames 3"],
     turns: Mapping[int, Float[np.ndarray, "frames 3 3"]],

@@ -32,14 +32,14 @@ from pipeline.export.opensim.setup import (
     SCALED_MODEL,
     MarkerPaths,
     ModelSize,
-    columns_of,
     encode_ik_setup,
     encode_marker_set,
     encode_paths,
     encode_scale_setup,
     marker_errors_file,
     marker_paths,
-    size_of,
+    model_size,
+    read_columns,
 )
 from pipeline.export.person_files import replacing, spoilt, without_resting_fingers
 from pipeline.export.results import at_rate
@@ -156,7 +156,7 @@ class _Work:
     def write(self, folder: Path, model: bytes, licence: bytes, on_share: OnShare) -> WrittenPerson:
         """Write a person's archive."""
         number = self.track.track_id
-        size = size_of(self.motion, self.track, self.joints)
+        size = model_size(self.motion, self.track, self.joints)
         paths = marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
         if len(paths.frames) < _MIN_FRAMES:
             problem = "Hips and shoulders are known together in fewer than two frames: OpenSim's model has no place."
@@ -211,7 +211,7 @@ class _Work:
             if name == SCALED_MODEL:
                 is_whole = content.rstrip().endswith("</OpenSimDocument>")
             else:
-                columns = columns_of(content)
+                columns = read_columns(content)
                 is_whole = bool(columns) and all(
                     len(values) == num_frames and np.isfinite(values).all() for values in columns.values()
                 )

@@ -68,7 +68,7 @@ class ModelSize:
         )
 
 
-def size_of(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> ModelSize:
+def model_size(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> ModelSize:
     """Size of a person's model.
 
     Limbs have the lengths of the skeleton's bones. The width of the pelvis is that of the hips, and the width and
@@ -312,7 +312,7 @@ def marker_errors_file(name: str) -> str:
     return f"{name}_ik_marker_errors.sto"
 
 
-def columns_of(content: str) -> Mapping[str, np.ndarray]:
+def read_columns(content: str) -> Mapping[str, np.ndarray]:
     """Columns of a table that OpenSim has written, by name; empty if it is not whole."""
     names, *rows = content.partition("endheader")[2].strip().splitlines() or [""]
     cells = [row.split() for row in rows]

@@ -135,7 +135,7 @@ def parameter_bytes(groups: Groups) -> bytes:
     entries = [
         entry
         for number, (group, parameters) in enumerate(groups.items(), start=1)
-        for entry in (_entry(group, -number, b""), *_entries_of(number, parameters))
+        for entry in (_entry(group, -number, b""), *_parameter_entries(number, parameters))
     ]
     # Each entry states where the next one begins; the last one states 0.
     linked = [
@@ -149,7 +149,7 @@ def parameter_bytes(groups: Groups) -> bytes:
     return bytes((1, _KEY, num_blocks, _INTEL)) + content[4:].ljust(num_blocks * BLOCK_BYTES - 4, b"\0")
 
 
-def _entries_of(group: int, parameters: Mapping[str, Value]) -> Iterator[tuple[bytes, bytes]]:
+def _parameter_entries(group: int, parameters: Mapping[str, Value]) -> Iterator[tuple[bytes, bytes]]:
     """Entries of a group's parameters; long lists go on in further ones."""
     for name, value in parameters.items():
         for start in range(0, max(len(value), 1), _MAX_ITEMS):

@@ -50,7 +50,7 @@ from pipeline.export.writers.fbx_scene import (
     ticks,
     vector,
 )
-from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
+from pipeline.export.writers.fbx_stored import StoredScene, has_setting, numbers, object_name
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.motion.body.joints import TWIST_JOINTS
@@ -108,7 +108,7 @@ def encode(
     """
     frames = motion.frames if frames is None else frames
     people = _People(motion.frame_rate_hz, convention_of_fbx(preset), origin_m, frames, body)
-    name = people.name_of(motion)
+    name = people.person_name(motion)
     clip = people.scene.add_clip(name, len(frames))
     people.add(motion, clip, people.convention.top or name, is_present)
     people.add_rest_take()
@@ -122,7 +122,7 @@ def encode_take(scene: TakeScene, preset: Preset, body: Body = "capsules") -> It
     )
     clip = people.scene.add_clip("take", len(scene.frames))
     for person in scene.people:
-        people.add(person.motion, clip, people.name_of(person.motion), person.is_present)
+        people.add(person.motion, clip, people.person_name(person.motion), person.is_present)
     people.add_rest_take()
     for camera in scene.cameras:
         add_camera(people.scene, camera, people.convention, scene.origin_m)
@@ -149,7 +149,7 @@ class _People:
         self._origin_m, self._frames = origin_m, frames
         self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
 
-    def name_of(self, motion: SkeletonMotion) -> str:
+    def person_name(self, motion: SkeletonMotion) -> str:
         """Name of a person in the file, never that of a joint: some programs find models by their names."""
         name = safe_name(motion.name) or f"person-{motion.track_id}"
         is_of_joint = name in {self.convention.name(joint.name) for joint in WHOLE_SKELETON}
@@ -173,7 +173,7 @@ class _People:
             for twist, offset in zip(body.twists, body.twist_offsets, strict=True)
         ]
         places = {top: np.zeros(3), **dict(zip([*models, *twists], body.positions, strict=True))}
-        skin = _add_skin(scene, self.name_of(motion), motion.track_id, body, places)
+        skin = _add_skin(scene, self.person_name(motion), motion.track_id, body, places)
         if is_present is not None and not is_present.all():
             scene.show(clip, skin, is_present)
         orders += (_TWIST_ORDER,) * len(twists)
@@ -403,7 +403,7 @@ def _limbs_below(scene: StoredScene, top: int) -> dict[str, int]:
     for model, node in scene.of_kind("Model", _LIMB).items():
         if scene.parent(model, "Model") in below:
             below.add(model)
-            limbs[name_of(node)] = model
+            limbs[object_name(node)] = model
     return limbs
 
 

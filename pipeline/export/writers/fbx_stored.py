@@ -26,7 +26,7 @@ class StoredScene:
 
     def __init__(self, nodes: tuple[Node, ...]) -> None:
         objects = _top_node(nodes, "Objects").children
-        self.objects = {property_of(node, 0, int): node for node in objects if _has_id(node)}
+        self.objects = {typed_property(node, 0, int): node for node in objects if _has_id(node)}
         self.global_settings = _top_node(nodes, "GlobalSettings")
         # Children of each object, and the setting to which a child is connected; "" for the object itself.
         self._children: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
@@ -34,8 +34,8 @@ class StoredScene:
         for node in _top_node(nodes, "Connections").children:
             if node.properties[:1] not in _CONNECTIONS:
                 continue
-            of_setting = property_of(node, 3, str) if property_of(node, 0, str) == "OP" else ""
-            child, parent = property_of(node, 1, int), property_of(node, 2, int)
+            of_setting = typed_property(node, 3, str) if typed_property(node, 0, str) == "OP" else ""
+            child, parent = typed_property(node, 1, int), typed_property(node, 2, int)
             self._children[parent].append((child, of_setting))
             if not of_setting:
                 self._parents[child].append(parent)
@@ -45,7 +45,7 @@ class StoredScene:
         return {
             number: node
             for number, node in self.objects.items()
-            if node.name == kind and property_of(node, 2, str) == subclass
+            if node.name == kind and typed_property(node, 2, str) == subclass
         }
 
     def parent(self, child: int, kind: str) -> int | None:
@@ -83,9 +83,9 @@ def _has_id(node: Node) -> bool:
     return bool(node.properties) and isinstance(node.properties[0], int)
 
 
-def name_of(node: Node) -> str:
+def object_name(node: Node) -> str:
     """Name of an object, without its class."""
-    return property_of(node, 1, str).partition(SEPARATOR)[0]
+    return typed_property(node, 1, str).partition(SEPARATOR)[0]
 
 
 def has_setting(node: Node, name: str) -> bool:
@@ -108,7 +108,7 @@ def _values(node: Node, name: str) -> tuple[Property, ...] | None:
     return next((values[_FIRST_VALUE:] for values in found), None)
 
 
-def property_of(node: Node, place: int, kind: type[_Value]) -> _Value:
+def typed_property(node: Node, place: int, kind: type[_Value]) -> _Value:
     """Property of a node, of a type; ``FbxError`` if there is none."""
     value = node.properties[place] if place < len(node.properties) else None
     if not isinstance(value, kind):
@@ -124,7 +124,7 @@ def _top_node(nodes: tuple[Node, ...], name: str) -> Node:
 
 
 def _array(node: Node, name: str, code: str) -> np.ndarray:
-    stored = property_of(node.child(name) or Node(name), 0, ArrayProperty)
+    stored = typed_property(node.child(name) or Node(name), 0, ArrayProperty)
     if stored.code != code:
         raise FbxError(f"{name} has elements of the type {stored.code}")
     return stored.values()

@@ -17,13 +17,13 @@ from pipeline.motion.angles.definitions import (
     WORLD,
     AngleJoint,
     BodySegment,
+    angle_name,
     angles_rad,
     continuous,
     is_locked,
+    joint_segments,
+    joint_sides,
     mirrored,
-    name_of,
-    segments_of,
-    sides_of,
 )
 from pipeline.motion.angles.precision import angle_sigma_rad, vector_m
 from pipeline.motion.skeleton.model import INDEX, posed_joints
@@ -33,7 +33,7 @@ from pipeline.motion.skeleton.rotations import unit
 _STRAIGHT_SINE = 0.2
 # Frames that are worked on at once, so that a long take needs little memory.
 _BLOCK_FRAMES = 2048
-_JOINTS = tuple((joint, side) for joint in JOINTS for side in sides_of(joint))
+_JOINTS = tuple((joint, side) for joint in JOINTS for side in joint_sides(joint))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
     is_free = np.zeros(found_rad.shape, bool)
     for start in range(0, num_frames, _BLOCK_FRAMES):
         rows = slice(start, start + _BLOCK_FRAMES)
-        part = _rows_of(track, rows)
+        part = _track_rows(track, rows)
         world_from_segment = segments_from(
             replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
         )
@@ -84,7 +84,7 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
             found_rad[number, rows] = angles_rad(rotation, joint.sequence)
             if has_sigmas:
                 sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
-            ends = [name for name in segments_of(joint, side) if name]
+            ends = [name for name in joint_segments(joint, side) if name]
             is_free[number, rows] = np.all([known[name] for name in ends], axis=0)[:, None]
             is_free[number, rows, ::2] &= ~is_locked(rotation, joint.sequence)[:, None]
             is_free[number, rows, joint.twist] &= np.all([bent[name] for name in ends], axis=0)
@@ -92,13 +92,13 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
     for number, (joint, side) in enumerate(_JOINTS):
         turned_deg = np.degrees(continuous(found_rad[number], joint.is_proper))
         for angle in joint.angles:
-            column, free = ANGLE_NAMES.index(name_of(angle, side)), is_free[number, :, angle.rotation]
+            column, free = ANGLE_NAMES.index(angle_name(angle, side)), is_free[number, :, angle.rotation]
             angle_deg[free, column] = angle.sign * turned_deg[free, angle.rotation]
             sigma_deg[free, column] = np.degrees(sigma_rad[number, free, angle.rotation])
     return JointAngles(motion.start_frame, read_only(angle_deg), read_only(sigma_deg))
 
 
-def _rows_of(track: Track3D, rows: slice) -> Track3D:
+def _track_rows(track: Track3D, rows: slice) -> Track3D:
     """Some frames of a track."""
     sigma_m = track.uncertainty_m
     return replace(
@@ -115,9 +115,9 @@ def _rows_of(track: Track3D, rows: slice) -> Track3D:
 def observable_angles(joints: JointSet) -> tuple[str, ...]:
     """Names of the angles that the joints of a detector can show, in the order of ``ANGLE_NAMES``."""
     return tuple(
-        name_of(angle, side)
+        angle_name(angle, side)
         for joint, side in _JOINTS
-        if all(_has_landmarks(SEGMENTS[name], joints) for name in segments_of(joint, side) if name)
+        if all(_has_landmarks(SEGMENTS[name], joints) for name in joint_segments(joint, side) if name)
         for angle in joint.angles
     )
 
@@ -135,7 +135,9 @@ def segments_from(motion: SkeletonMotion) -> dict[str, Float[np.ndarray, "frames
     }
 
 
-def angles_of(world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]]) -> Float[np.ndarray, "frames angles"]:
+def segment_angles(
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]],
+) -> Float[np.ndarray, "frames angles"]:
     """Angles of ``ANGLE_NAMES`` in radians from orientations of segments, continuous in time.
 
     NaN for joints one of whose segments is missing. Where a sequence is locked, two of its angles are arbitrary.
@@ -143,12 +145,12 @@ def angles_of(world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]])
     num_frames = len(next(iter(world_from_segment.values())))
     angle_rad = np.full((num_frames, len(ANGLE_NAMES)), np.nan)
     for joint, side in _JOINTS:
-        if not {name for name in segments_of(joint, side) if name} <= world_from_segment.keys():
+        if not {name for name in joint_segments(joint, side) if name} <= world_from_segment.keys():
             continue
         rotation = _proximal_from_distal(world_from_segment, joint, side)
         turned_rad = continuous(angles_rad(rotation, joint.sequence), joint.is_proper)
         for angle in joint.angles:
-            angle_rad[:, ANGLE_NAMES.index(name_of(angle, side))] = angle.sign * turned_rad[:, angle.rotation]
+            angle_rad[:, ANGLE_NAMES.index(angle_name(angle, side))] = angle.sign * turned_rad[:, angle.rotation]
     return angle_rad
 
 
@@ -189,7 +191,7 @@ def _proximal_from_distal(
     world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotation of a joint; that of the left side is mirrored."""
-    proximal, distal = segments_of(joint, side)
+    proximal, distal = joint_segments(joint, side)
     world_from_proximal = WORLD if proximal is None else world_from_segment[proximal]
     rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]
     return mirrored(rotation) if side == "left" else rotation

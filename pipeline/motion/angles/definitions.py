@@ -226,17 +226,17 @@ SEGMENTS: Mapping[str, BodySegment] = MappingProxyType(
 """Segments by name; those of limbs begin with the side."""
 
 
-def sides_of(joint: AngleJoint) -> tuple[str | None, ...]:
+def joint_sides(joint: AngleJoint) -> tuple[str | None, ...]:
     """Sides on which there is a joint; ``None`` for a joint of the trunk."""
     return SIDES if joint.is_sided else (None,)
 
 
-def name_of(angle: Angle, side: str | None) -> str:
+def angle_name(angle: Angle, side: str | None) -> str:
     """Full name of an angle, such as ``left_hip_flexion``."""
     return angle.name if side is None else f"{side}_{angle.name}"
 
 
-def segments_of(joint: AngleJoint, side: str | None) -> tuple[str | None, str]:
+def joint_segments(joint: AngleJoint, side: str | None) -> tuple[str | None, str]:
     """Names of the proximal and the distal segment of a joint; ``None`` for the world."""
 
     def named(segment: str) -> str:
@@ -246,7 +246,7 @@ def segments_of(joint: AngleJoint, side: str | None) -> tuple[str | None, str]:
 
 
 ANGLE_NAMES: tuple[str, ...] = tuple(
-    name_of(angle, side) for joint in JOINTS for side in sides_of(joint) for angle in joint.angles
+    angle_name(angle, side) for joint in JOINTS for side in joint_sides(joint) for angle in joint.angles
 )
 """Full names of all angles, in the order of columns."""
 

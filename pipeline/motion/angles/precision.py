@@ -22,8 +22,8 @@ from pipeline.motion.angles.definitions import (
     AngleJoint,
     BodySegment,
     angles_rad,
+    joint_segments,
     mirrored,
-    segments_of,
 )
 from pipeline.motion.skeleton.rotations import unit
 
@@ -43,7 +43,7 @@ def angle_sigma_rad(
 
     NaN where a landmark has no position or no standard deviation.
     """
-    proximal, distal = segments_of(joint, side)
+    proximal, distal = joint_segments(joint, side)
     ends = [SEGMENTS[name] for name in (distal, proximal) if name]
     landmarks = sorted({name for end in ends for name in (*end.primary, *end.secondary)})
     sigma_m = track.uncertainty_m
@@ -69,7 +69,7 @@ def _derivative(
     world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Derivatives of the angles of a sequence (rows) by a rotation of the distal segment about the world's axes."""
-    proximal, distal = segments_of(joint, side)
+    proximal, distal = joint_segments(joint, side)
     proximal_from_world = np.swapaxes(WORLD if proximal is None else world_from_segment[proximal], -1, -2)
     columns = []
     for axis in np.eye(3):

@@ -139,7 +139,7 @@ def build(read: ReadText) -> Mapping[str, np.ndarray]:
     """
     points, quads = _read_mesh(read(_MESH))
     groups = json.loads(read(_GROUPS))
-    kept = np.concatenate([_vertices_of(groups[name]) for name in _KEPT_GROUPS])
+    kept = np.concatenate([_range_vertices(groups[name]) for name in _KEPT_GROUPS])
     number = np.full(len(points), -1)
     number[kept] = np.arange(len(kept))
     faces = number[quads]
@@ -199,7 +199,7 @@ def _move(points: Float[np.ndarray, "points 3"], content: bytes, share: float) -
     points[table[:, 0].astype(int)] += share * table[:, 1:]
 
 
-def _vertices_of(ranges: Sequence[tuple[int, int]]) -> Int[np.ndarray, " vertices"]:
+def _range_vertices(ranges: Sequence[tuple[int, int]]) -> Int[np.ndarray, " vertices"]:
     return np.concatenate([np.arange(first, last + 1) for first, last in ranges])
 
 
@@ -231,7 +231,7 @@ def _joint_positions(
     places: dict[str, Float[np.ndarray, " 3"]] = {}
     for pattern, group in _CUBES.items():
         for joint, cube in _sides(pattern, group):
-            places[joint] = points_m[_vertices_of(groups[cube])].mean(0)
+            places[joint] = points_m[_range_vertices(groups[cube])].mean(0)
     places["Hips"] = 0.5 * (places["LeftUpLeg"] + places["RightUpLeg"])
     places["Neck"] = 0.5 * (places["LeftArm"] + places["RightArm"])
     shares = np.cumsum([WHOLE_SKELETON[INDEX[name]].stature_share for name in TRUNK])

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from pipeline.core.data.animation import Side
 from pipeline.motion.gait.points import BodyPoints
-from pipeline.motion.skeleton.feet.floor import SIDES, runs_of, speed_m_s
+from pipeline.motion.skeleton.feet.floor import SIDES, find_runs, speed_m_s
 
 # Steps between tried instants, as a share of a frame.
 _STEP = 0.05
@@ -130,11 +130,11 @@ class Swing:
 
 def find_swings(points: BodyPoints) -> tuple[Swing, ...]:
     """Find the swings of both feet with their events, in order of their middles."""
-    swings = [found for foot, side in enumerate(SIDES) for found in _swings_of(points, foot, side)]
+    swings = [found for foot, side in enumerate(SIDES) for found in _foot_swings(points, foot, side)]
     return tuple(swing for _, swing in sorted(swings, key=lambda item: item[0]))
 
 
-def _swings_of(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, Swing]]:
+def _foot_swings(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, Swing]]:
     """Middle, in rows, and events of each swing of a foot."""
     rate_hz = points.frame_rate_hz
     heel_m, toe_m = (marks_m[:, foot] * _HORIZONTAL for marks_m in (points.heels_m, points.toes_m))
@@ -143,7 +143,7 @@ def _swings_of(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, S
     middle_m = (heel_m + toe_m) / 2
     speed = speed_m_s(middle_m, rate_hz)
     found = []
-    runs = runs_of(speed > _SWING_M_S)
+    runs = find_runs(speed > _SWING_M_S)
     for number, (start, stop) in enumerate(runs):
         way_m = middle_m[min(stop, len(middle_m) - 1)] - middle_m[max(start - 1, 0)]
         length_m = float(np.linalg.norm(way_m))

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.motion.gait.events import Corner, rest_begins, rest_ends
 from pipeline.motion.gait.points import BodyPoints
-from pipeline.motion.skeleton.feet.floor import runs_of
+from pipeline.motion.skeleton.feet.floor import find_runs
 
 MovementKind = Literal["jump", "squat", "sit_to_stand", "stand_to_sit"]
 
@@ -99,7 +99,7 @@ def _jumps(points: BodyPoints, standing_z_m: float) -> list[BodyMovement]:
     toes_m = points.toes_m[..., 2].mean(1)
     flies = (points.lowest_m > _FLIGHT_M).all(1)
     jumps = []
-    for start, stop in runs_of(np.asarray(flies)):
+    for start, stop in find_runs(np.asarray(flies)):
         lasts = _FLIGHT_S[0] <= (stop - start) / rate_hz <= _FLIGHT_S[1]
         if not lasts or start == 0 or stop == points.num_frames or not _falls(points.centre_m[start:stop, 2], rate_hz):
             continue
@@ -167,13 +167,13 @@ def _dips(
     rate_hz = points.frame_rate_hz
     seated = _seated(points, height_m)
     movements: list[BodyMovement] = []
-    for start, stop in runs_of(height_m < _BEGINS * standing_m):
+    for start, stop in find_runs(height_m < _BEGINS * standing_m):
         rows = slice(start, stop)
         if height_m[rows].min() > _DEEP * standing_m or not _feet_stay(points, rows):
             continue
         depth_m = float(standing_m - height_m[rows].min())
         measured = float(points.measured[rows].mean())
-        rests = [run for run in runs_of(seated[rows]) if run[1] - run[0] >= _SEATED_S * rate_hz]
+        rests = [run for run in find_runs(seated[rows]) if run[1] - run[0] >= _SEATED_S * rate_hz]
         if rests:
             down, up = start + rests[0][0], start + rests[-1][1]
             if start > 0:

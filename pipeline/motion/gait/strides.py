@@ -74,12 +74,12 @@ def find_strides(points: BodyPoints, swings: Sequence[Swing]) -> tuple[tuple[Str
     num_bouts = 0
     steps = _Steps.of(swings)
     for bout in _bouts(points, steps):
-        own = _strides_of(points, steps, bout, num_bouts + 1)
+        own = _bout_strides(points, steps, bout, num_bouts + 1)
         if not own:
             continue
         num_bouts += 1
         strides += own
-        events += _events_of(steps, bout)
+        events += _bout_events(steps, bout)
     return tuple(sorted(strides, key=lambda stride: stride.strike_row)), tuple(sorted(events, key=lambda e: e.row))
 
 
@@ -124,7 +124,7 @@ def _goes_on(points: BodyPoints, last: FootEvent, strike: FootEvent) -> bool:
     return strike.side != last.side and in_time and is_upright and bool(points.known[rows].mean() > 0.5)
 
 
-def _events_of(steps: _Steps, bout: Sequence[FootEvent]) -> list[FootEvent]:
+def _bout_events(steps: _Steps, bout: Sequence[FootEvent]) -> list[FootEvent]:
     """Strikes of a bout, and foot offs from just before its first strike to just after its last one."""
     offs = [off for strike in bout if (off := steps.strikes[strike]) is not None]
     return [*bout, *offs, *(off for off in steps.cut_off if bout[0].row < off.row and _follows(bout, off))]
@@ -135,7 +135,7 @@ def _follows(bout: Sequence[FootEvent], off: FootEvent) -> bool:
     return off.side != bout[-1].side and off.row > bout[-2].row
 
 
-def _strides_of(points: BodyPoints, steps: _Steps, bout: Sequence[FootEvent], number: int) -> list[Stride]:
+def _bout_strides(points: BodyPoints, steps: _Steps, bout: Sequence[FootEvent], number: int) -> list[Stride]:
     places = [_footprint_m(points, steps.offs[strike.side], strike) for strike in bout]
     strides = []
     for k in range(len(bout) - 2):

@@ -12,7 +12,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.rules import cutoff_problems, require
 from pipeline.core.progress import OnShare, ignore, split
 from pipeline.motion.skeleton.feet.floor import shared_floor
-from pipeline.motion.skeleton.feet.stances import FootPoints, contacts_of, foot_points, hold_feet
+from pipeline.motion.skeleton.feet.stances import FootPoints, foot_contacts, foot_points, hold_feet
 from pipeline.motion.skeleton.fitting.fit import FitState, SkeletonFit, fit_to_rays, follow
 from pipeline.motion.skeleton.hands.whole import (
     fit_hands,
@@ -131,7 +131,7 @@ class PersonFitter:
         fit = SkeletonFit.resumed(
             fitted.state, body_seen, self.cameras, self.timebase, self._body, self.offsets, self._by_rays
         )
-        contacts = contacts_of(fitted.points, floor, self.timebase.frame_rate_hz, self.config.feet)
+        contacts = foot_contacts(fitted.points, floor, self.timebase.frame_rate_hz, self.config.feet)
         motion = hold_feet(fit, fit.current, fitted.points, contacts, floor, on_held)
         followed = follow(fit, motion, body_seen, self.cameras, on_followed) if self._by_rays else fit.track
         if has_fingers(self.joints):

@@ -39,7 +39,7 @@ def matched_joints(
     return taken_m[row_of, frames], measured[row_of, frames]
 
 
-def mean_of(values: np.ndarray) -> float | None:
+def mean_or_none(values: np.ndarray) -> float | None:
     """Mean of the finite values, ``None`` without any."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else None
@@ -79,12 +79,12 @@ def score_heels_and_toes(
     error_mm = 1000 * np.linalg.norm(predicted_m - truth_m, axis=-1)
     along, true_along = (points_m[:, :, 2:] - points_m[:, :, :2] for points_m in (predicted_m, truth_m))
     return {
-        "heel_mm": mean_of(error_mm[..., :2]),
-        "toe_mm": mean_of(error_mm[..., 2:]),
+        "heel_mm": mean_or_none(error_mm[..., :2]),
+        "toe_mm": mean_or_none(error_mm[..., 2:]),
         "heel_slide_cm": slide_cm(predicted_m[:, :, :2], standing(truth_m[:, :, :2], rate_hz), rate_hz),
         "toe_slide_cm": slide_cm(predicted_m[:, :, 2:], standing(truth_m[:, :, 2:], rate_hz), rate_hz),
-        "foot_pitch_deg": mean_of(np.abs(pitch_deg(along) - pitch_deg(true_along))),
-        "foot_heading_deg": mean_of(np.abs(heading_error_deg(along, true_along))),
+        "foot_pitch_deg": mean_or_none(np.abs(pitch_deg(along) - pitch_deg(true_along))),
+        "foot_heading_deg": mean_or_none(np.abs(heading_error_deg(along, true_along))),
     }
 
 
@@ -297,13 +297,13 @@ def score_hands(tracks: Sequence[Track3D], simulation: Simulation, joints: Joint
     known_mm = of_measured_mm[np.isfinite(of_measured_mm)]
     kinds = np.array([name.rpartition("_")[2] for name in finger_joints(SIDES[0])])
     return {
-        "finger_mm": mean_of(of_measured_mm),
+        "finger_mm": mean_or_none(of_measured_mm),
         "finger_p95_mm": float(np.percentile(known_mm, 95)) if known_mm.size else None,
-        "finger_all_mm": mean_of(error_mm),
-        "hands_measured": mean_of(is_measured[simulation.present].astype(float)),
+        "finger_all_mm": mean_or_none(error_mm),
+        "hands_measured": mean_or_none(is_measured[simulation.present].astype(float)),
         "backward_bends": count_backward_bends(tracks, joints),
         "finger_by_joint_mm": {
-            kind: mean_of(of_measured_mm[..., kinds == kind]) for kind in dict.fromkeys(kinds.tolist())
+            kind: mean_or_none(of_measured_mm[..., kinds == kind]) for kind in dict.fromkeys(kinds.tolist())
         },
     }
 

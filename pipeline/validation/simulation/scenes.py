@@ -14,7 +14,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.core.problems.findings import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
-from pipeline.motion.angles.compute import angles_of
+from pipeline.motion.angles.compute import segment_angles
 from pipeline.validation.simulation.acrobatics.acrobat import (
     Acrobat,
     acrobat_joints_at,
@@ -387,7 +387,7 @@ def record(scene: Scene, seed: int, num_views: int | None = None, joints: Joints
     timebase = Timebase(0.0, rate_hz, round(scene.duration_s * rate_hz))
     frame_s = np.arange(timebase.num_frames) / rate_hz
     truth_m = truth_at(frame_s)
-    truth_deg = np.degrees([angles_of(segments_of_person_at(frame_s)) for _, segments_of_person_at in people])
+    truth_deg = np.degrees([segment_angles(segments_of_person_at(frame_s)) for _, segments_of_person_at in people])
     return Simulation(
         cameras=tuple(cameras[number] for number in chosen),
         times=times,

@@ -14,11 +14,11 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.options.config import Body, Export
 from pipeline.export.results import write_files, write_results
-from pipeline.export.scene import TakeScene, scene_of
+from pipeline.export.scene import TakeScene, take_scene
 from pipeline.export.writers import fbx, glb
 from pipeline.export.writers.fbx_nodes import read
 from pipeline.export.writers.fbx_scene import ticks
-from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
+from pipeline.export.writers.fbx_stored import StoredScene, numbers, object_name, typed_property
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 from tests.e2e.foreign import read_take_with_blender, read_take_with_three, validate_with_khronos
@@ -126,7 +126,7 @@ def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> N
     np.testing.assert_allclose([low_x, high_x], [roots_m[:, 0].min() - 1.0, roots_m[:, 0].max() + 1.0], atol=1e-5)
     np.testing.assert_allclose([-high_z, -low_z], [roots_m[:, 1].min() - 1.0, roots_m[:, 1].max() + 1.0], atol=1e-5)
     np.testing.assert_allclose([low_y, high_y], [0.1 + 0.05 * low_x, 0.1 + 0.05 * high_x], atol=1e-5)
-    level = scene_of(replace(named, animation=replace(named.animation, floor=None)))
+    level = take_scene(replace(named, animation=replace(named.animation, floor=None)))
     np.testing.assert_array_equal(level.floor_m[:, 2], 0.0)
 
 
@@ -167,7 +167,7 @@ def mixed(named: Reconstruction) -> Reconstruction:
 @pytest.fixture(scope="module")
 def mixed_path(mixed: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mixed") / "take.fbx"
-    path.write_bytes(b"".join(fbx.encode_take(scene_of(mixed), "default")))
+    path.write_bytes(b"".join(fbx.encode_take(take_scene(mixed), "default")))
     return path
 
 
@@ -240,24 +240,24 @@ def test_our_readers_find_each_person(named: Reconstruction, path: Path, fbx_pat
 
 def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path: Path) -> None:
     scene = StoredScene(read(fbx_path.read_bytes()))
-    assert [name_of(node) for node in scene.of_kind("Model", "Null").values()] == list(NAMES)
-    assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["take"]
+    assert [object_name(node) for node in scene.of_kind("Model", "Null").values()] == list(NAMES)
+    assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == ["take"]
     models = scene.of_kind("Model", "Camera")
     for node, camera in zip(models.values(), named.cameras, strict=True):
-        assert name_of(node) == camera.name
+        assert object_name(node) == camera.name
         place_m = np.array(numbers(node, "Lcl Translation", 3)) / 100.0
         np.testing.assert_allclose(place_m, y_up(center_in_world(camera)), atol=1e-9)
         right, down, forward = camera.cam_from_world.rotation
         # Angles about fixed axes: X first. The camera looks along its x, with y up.
         turn = Rotation.from_euler("xyz", numbers(node, "Lcl Rotation", 3), degrees=True).as_matrix()
         np.testing.assert_allclose(turn.T, [y_up(forward), -y_up(down), y_up(right)], atol=1e-9)
-    assert [name_of(node) for node in scene.of_kind("Model", "Mesh").values()] == [
+    assert [object_name(node) for node in scene.of_kind("Model", "Mesh").values()] == [
         "person-1 body",
         "Zoë K. body",
         "floor",
     ]
-    (node,) = (node for node in scene.of_kind("AnimationCurveNode", "").values() if name_of(node) == "Visibility")
-    (curve,) = scene.children(property_of(node, 0, int), "AnimationCurve", "d|Visibility")
+    (node,) = (node for node in scene.of_kind("AnimationCurveNode", "").values() if object_name(node) == "Visibility")
+    (curve,) = scene.children(typed_property(node, 0, int), "AnimationCurve", "d|Visibility")
     keys, shown = (values(scene.objects[curve], name) for name in ("KeyTime", "KeyValueFloat"))
     frames = np.searchsorted(keys, ticks(NUM_FRAMES, RATE_HZ), side="right") - 1
     is_there = np.isfinite(joints_m(named)["person-2"]).any((1, 2))
@@ -307,8 +307,8 @@ def test_survey_coordinates_have_origin_of_files(named: Reconstruction, tmp_path
 def test_a_take_that_is_too_large_is_left_out_with_a_warning(
     named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert glb.fits(scene_of(named))
-    assert not glb.fits(replace(scene_of(named), frames=range(6_000_000)))
+    assert glb.fits(take_scene(named))
+    assert not glb.fits(replace(take_scene(named), frames=range(6_000_000)))
     monkeypatch.setattr(glb, "_MAX_BYTES", 2**20)
     paths = write_results(named, tmp_path, GLB)
     assert "take.glb" not in {path.name for path in paths}

@@ -19,7 +19,7 @@ from pipeline.export.character.fbx.content import EXPORT_AGAIN, FbxContent
 from pipeline.export.character.rig import MAX_LEVELS, MAX_NODES, MAX_SCALE, MIN_SCALE, CharacterFileError
 from pipeline.export.writers.fbx_nodes import FbxError, Node
 from pipeline.export.writers.fbx_scene import ROTATION, ROTATION_ORDERS, TRANSLATION
-from pipeline.export.writers.fbx_stored import property_of
+from pipeline.export.writers.fbx_stored import typed_property
 
 SCALING = "Lcl Scaling"
 """Setting of a model: its scales."""
@@ -79,7 +79,7 @@ class ModelTree:
         for geometry in (number for number, node in scene.objects.items() if node.name == "Geometry"):
             clusters = []
             for skin in scene.children(geometry, "Deformer"):
-                if property_of(scene.objects[skin], 2, str) != "Skin":
+                if typed_property(scene.objects[skin], 2, str) != "Skin":
                     continue
                 for cluster in scene.children(skin, "Deformer"):
                     node = scene.objects[cluster]
@@ -94,7 +94,7 @@ class ModelTree:
     @cached_property
     def bones(self) -> frozenset[int]:
         """Models of bones: those that are so called, and those that move a mesh."""
-        called = {number for number, node in self.models.items() if property_of(node, 2, str) in _LIMBS}
+        called = {number for number, node in self.models.items() if typed_property(node, 2, str) in _LIMBS}
         return frozenset(called | {cluster.bone for clusters in self.clusters.values() for cluster in clusters})
 
     @cached_property
@@ -127,7 +127,7 @@ class ModelTree:
             for node in (child for child in pose.children if child.name == "PoseNode"):
                 named, matrix = node.child("Node"), self._content.matrix(node, "Matrix")
                 if named is not None and matrix is not None:
-                    found.setdefault(property_of(named, 0, int), matrix)
+                    found.setdefault(typed_property(named, 0, int), matrix)
         return found
 
     def _local(self, node: Node) -> Float[np.ndarray, "4 4"]:
@@ -153,9 +153,9 @@ class ModelTree:
         angles_deg = content.vector(node, ROTATION, _ZERO)
         is_plain = content.number(node, "RotationActive", 1.0) == 0.0
         if is_plain or content.number(node, "RotationSpaceForLimitOnly", 0.0) != 0.0:
-            return turn_of(angles_deg)
-        before, behind = (turn_of(content.vector(node, name, _ZERO)) for name in ("PreRotation", "PostRotation"))
-        return before @ turn_of(angles_deg, int(content.number(node, "RotationOrder", 0.0))) @ behind.T
+            return euler_matrix(angles_deg)
+        before, behind = (euler_matrix(content.vector(node, name, _ZERO)) for name in ("PreRotation", "PostRotation"))
+        return before @ euler_matrix(angles_deg, int(content.number(node, "RotationOrder", 0.0))) @ behind.T
 
     def _scales(self, node: Node, name: str) -> Float[np.ndarray, " 3"]:
         """Scales of a model; those that are zero, which hide it, are very small."""
@@ -167,7 +167,7 @@ class ModelTree:
     def geometric(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Matrix from the geometry of a model to the model."""
         node, matrix = self.models[number], np.eye(4)
-        turned = turn_of(self._content.vector(node, "GeometricRotation", _ZERO))
+        turned = euler_matrix(self._content.vector(node, "GeometricRotation", _ZERO))
         matrix[:3, :3] = turned * self._scales(node, "GeometricScaling")
         matrix[:3, 3] = self._content.vector(node, "GeometricTranslation", _ZERO)
         return matrix
@@ -184,14 +184,14 @@ class ModelTree:
         return next((above for above in self.ancestors(number) if above in self.bones), None)
 
 
-def turn_of(angles_deg: Float[np.ndarray, " 3"], order: int = 0) -> Float[np.ndarray, "3 3"]:
+def euler_matrix(angles_deg: Float[np.ndarray, " 3"], order: int = 0) -> Float[np.ndarray, "3 3"]:
     """Rotation by angles about x, y and z, in one of the orders of ``ROTATION_ORDERS``; others count as the first."""
     axes = ROTATION_ORDERS[order if 0 <= order < len(ROTATION_ORDERS) else 0]
     angles = [angles_deg["XYZ".index(axis)] for axis in axes]
     return np.asarray(Rotation.from_euler(axes, angles, degrees=True).as_matrix())
 
 
-def axes_of(content: FbxContent) -> tuple[float, Float[np.ndarray, "3 3"]]:
+def file_axes(content: FbxContent) -> tuple[float, Float[np.ndarray, "3 3"]]:
     """Unit of a file in metres, and the rotation from its axes to those of GLB, with Y up.
 
     Raises ``CharacterFileError`` if the axes are not right-handed, or the unit is none.

@@ -15,11 +15,11 @@ from jaxtyping import Float, Int, Shaped
 from pipeline.core.errors import printable
 from pipeline.core.problems.sessions import CHARACTER_BONES, CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import EXPORT_AGAIN, FbxContent, is_invertible
-from pipeline.export.character.fbx.placement import ModelTree, axes_of, bind
-from pipeline.export.character.gltf_reader import CharacterFile, character_of, decomposed
+from pipeline.export.character.fbx.placement import ModelTree, bind, file_axes
+from pipeline.export.character.gltf_reader import CharacterFile, build_character, decomposed
 from pipeline.export.character.rig import MAX_COORDINATE, MAX_NODES, CharacterFileError, checked
 from pipeline.export.writers.fbx_nodes import FbxError, Node
-from pipeline.export.writers.fbx_stored import name_of
+from pipeline.export.writers.fbx_stored import object_name
 
 Rgb = tuple[float, float, float]
 """Colour in linear light, 0 to 1."""
@@ -189,7 +189,7 @@ class _Polygons:
         return np.column_stack([first, first + steps + 1, first + steps + 2]), polygons
 
 
-def surface_of(content: FbxContent, geometry: Node, before: tuple[int, int]) -> Surface | None:
+def read_surface(content: FbxContent, geometry: Node, before: tuple[int, int]) -> Surface | None:
     """Read the surface of a geometry; ``None`` if it has no polygons.
 
     Normals and places in pictures that do not fit its corners are left out. ``before`` are the numbers of points
@@ -293,7 +293,7 @@ def decode_fbx_character(name: str, content: bytes) -> CharacterFile:
             document, binary = _Character(FbxContent(content)).document()
         except FbxError as error:
             raise CharacterFileError(f"The file is damaged: {printable(str(error))}.", hint=EXPORT_AGAIN) from error
-        return character_of(name, document, binary, "FBX")
+        return build_character(name, document, binary, "FBX")
 
 
 class _Character:
@@ -301,7 +301,7 @@ class _Character:
 
     def __init__(self, content: FbxContent) -> None:
         self._content, self._tree = content, ModelTree(content)
-        self._unit_m, axes = axes_of(content)
+        self._unit_m, axes = file_axes(content)
         self._scene_from_file = np.diag([0.0, 0.0, 0.0, 1.0])
         self._scene_from_file[:3, :3] = self._unit_m * axes
         self._builder = GltfBuilder()
@@ -317,15 +317,15 @@ class _Character:
             worlds = np.array([self._world(number) for number in bones])
             self._builder.add_skin([nodes[number] for number in bones], np.linalg.inv(worlds))
         joints = {number: place for place, number in enumerate(bones)}
-        taken = {name_of(tree.models[number]) for number in kept}
+        taken = {object_name(tree.models[number]) for number in kept}
         for model in tree.order:
             for geometry in dict.fromkeys(self._content.scene.children(model, "Geometry")):
                 before = self._num_points, self._num_corners
-                surface = surface_of(self._content, self._content.scene.objects[geometry], before)
+                surface = read_surface(self._content, self._content.scene.objects[geometry], before)
                 if surface is not None:
                     self._num_points += len(surface.points)
                     self._num_corners += len(surface.corners)
-                    name = name_of(tree.models[model]) or "mesh"
+                    name = object_name(tree.models[model]) or "mesh"
                     primitives = self._primitives(model, geometry, surface, joints)
                     self._builder.add_mesh(f"{name} mesh" if name in taken else name, primitives)
         return self._builder.document()
@@ -340,7 +340,7 @@ class _Character:
         """Add nodes at rest; returns the number of each model's node."""
         nodes: dict[int, int] = {}
         for number in numbers:
-            name, parent = name_of(self._tree.models[number]), self._tree.parents[number]
+            name, parent = object_name(self._tree.models[number]), self._tree.parents[number]
             above, world = np.eye(4) if parent is None else self._world(parent), self._world(number)
             place = decomposed(np.linalg.inv(above) @ world) if is_invertible(world) else None
             if place is None:
@@ -400,10 +400,10 @@ class _Character:
             return _PLAIN, "plain"
         content, node = self._content, self._content.scene.objects[number]
         if any(next(content.scene.children(number, kind, _COLOR), None) for kind in ("Texture", "LayeredTexture")):
-            return _PLAIN, name_of(node)
+            return _PLAIN, object_name(node)
         color = content.vector(node, _COLOR, _USUAL_COLOR) * content.number(node, _FACTOR, 1.0)
         red, green, blue = (np.clip(color, 0.0, 1.0) ** _GAMMA).tolist()
-        return (red, green, blue), name_of(node)
+        return (red, green, blue), object_name(node)
 
 
 def merged(

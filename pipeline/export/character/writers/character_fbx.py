@@ -25,7 +25,7 @@ from pipeline.export.writers.fbx import ORIGIN, add_top
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_material, add_mesh, add_skin
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, read, write
 from pipeline.export.writers.fbx_scene import ROTATION, SCENE, TRANSLATION, Clip, FbxScene, local, safe_name, vector
-from pipeline.export.writers.fbx_stored import StoredScene, has_setting, name_of, numbers
+from pipeline.export.writers.fbx_stored import StoredScene, has_setting, numbers, object_name
 
 _UNITS = 100.0
 _SCALING = "Lcl Scaling"
@@ -37,7 +37,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
     """Write a character in motion as FBX, piece by piece. Equal motions give equal bytes."""
     motion, rig = posed.motion, posed.motion.figure.file.rig
     scene = FbxScene(motion.source.frame_rate_hz, _UNITS)
-    name = _name_of(posed)
+    name = _person_name(posed)
     clip = scene.add_clip(name, len(posed.frames))
     top = add_top(scene, motion.source, name, posed.origin_m, posed.frames.start)
     models: dict[int, Int64] = {}
@@ -54,7 +54,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
     yield from write(scene.nodes)
 
 
-def _name_of(posed: PosedCharacter) -> str:
+def _person_name(posed: PosedCharacter) -> str:
     """Name of the person in the file, never that of a bone."""
     name = safe_name(posed.name) or "person"
     return f"{name} ({posed.motion.source.track_id})" if name in posed.motion.figure.rig.names else name
@@ -168,7 +168,7 @@ class _StoredBones:
     def __init__(self, scene: StoredScene) -> None:
         self._scene = scene
         limbs, nulls = scene.of_kind("Model", "LimbNode"), scene.of_kind("Model", "Null")
-        self._models = {name_of(node): number for number, node in {**nulls, **limbs}.items()}
+        self._models = {object_name(node): number for number, node in {**nulls, **limbs}.items()}
         top = next(iter(nulls.values()), None)
         if top is None:
             raise FbxError("there is no node at the top")

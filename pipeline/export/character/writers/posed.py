@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.export.character.bone_names import HIPS
-from pipeline.export.character.retarget import CharacterMotion, place_of
+from pipeline.export.character.retarget import CharacterMotion, node_place
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import held
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw, times
@@ -116,20 +116,20 @@ class PosedCharacter:
     def matrices(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
         """Rotations of a node that turns, to its parent in the file."""
         rig, figure = self.motion.figure.file.rig, self.motion.figure
-        at_rest = figure.skeleton_from_file @ rotation_of(rig.worlds[node])
+        at_rest = figure.skeleton_from_file @ unscaled_rotation(rig.worlds[node])
         parent = int(rig.parents[node])
         if not self._moves(parent):
-            above = np.eye(3) if parent < 0 else rotation_of(rig.worlds[parent])
+            above = np.eye(3) if parent < 0 else unscaled_rotation(rig.worlds[parent])
             return times((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node), at_rest)
-        above = figure.skeleton_from_file @ rotation_of(rig.worlds[parent])
+        above = figure.skeleton_from_file @ unscaled_rotation(rig.worlds[parent])
         return times(times(self.turn_of(parent), above).swapaxes(1, 2) @ self.turn_of(node), at_rest)
 
     def translations(self, node: int) -> Float[np.ndarray, "frames 3"]:
         """Translations of a node of ``shifting`` in its parent in the file."""
         motion, figure, rig = self.motion, self.motion.figure, self.motion.figure.file.rig
-        place, parent = place_of(figure, motion.hips, motion.turns, node), int(rig.parents[node])
+        place, parent = node_place(figure, motion.hips, motion.turns, node), int(rig.parents[node])
         if self._moves(parent):
-            way = place - place_of(figure, motion.hips, motion.turns, parent)
+            way = place - node_place(figure, motion.hips, motion.turns, parent)
             axes = times(self.turn_of(parent), figure.skeleton_from_file @ rig.worlds[parent, :3, :3])
             return np.asarray(np.linalg.solve(axes, way[..., None])[..., 0])
         above = np.eye(4) if parent < 0 else rig.worlds[parent]
@@ -156,7 +156,7 @@ class PosedCharacter:
         return tuple(node for node in below if node in needed)
 
 
-def rotation_of(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
+def unscaled_rotation(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
     """Rotation of a matrix whose scales are even."""
     turned = matrix[:3, :3]
     return np.asarray(turned / np.linalg.norm(turned, axis=0))

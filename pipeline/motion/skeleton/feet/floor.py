@@ -105,7 +105,7 @@ def speed_m_s(
     return np.asarray(np.linalg.norm(np.gradient(smooth_m, axis=0), axis=-1) * frame_rate_hz)
 
 
-def runs_of(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
+def find_runs(mask: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
     """Ranges of frames (start, stop) in which a mask is true."""
     borders = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
     return [(int(start), int(stop)) for start, stop in borders.reshape(-1, 2)]
@@ -119,7 +119,7 @@ def _resting_m(
     step = max(1, round(_REST_S * frame_rate_hz))
     for foot in range(2):
         slow = (speed_m_s(ankles_m[:, foot], frame_rate_hz) < _REST_M_S) & known[:, foot]
-        for start, stop in runs_of(slow):
+        for start, stop in find_runs(slow):
             count = (stop - start) // step
             points.append(ankles_m[start : start + count * step, foot].reshape(count, step, 3).mean(1))
     return np.concatenate(points)

@@ -13,9 +13,9 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import Feet
 from pipeline.core.progress import OnShare
-from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, SIDES, runs_of, speed_m_s
+from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, SIDES, find_runs, speed_m_s
 from pipeline.motion.skeleton.feet.holding import PARTS, held_parts_m, held_positions_m
-from pipeline.motion.skeleton.feet.support import FootMarks, Support, middle_of, support_of
+from pipeline.motion.skeleton.feet.support import FootMarks, Support, find_support, middle_rows
 from pipeline.motion.skeleton.feet.unseen import foot_without_toes
 from pipeline.motion.skeleton.fitting.fit import SkeletonFit
 from pipeline.motion.skeleton.model import joint_pose
@@ -97,7 +97,7 @@ def find_contacts(
         point_m = points_m[:, foot]
         of_foot: list[FootContact] = []
         likely = _likelihood(height_m[:, foot], speed_m_s(point_m, frame_rate_hz), standing) * known[:, foot]
-        for start, stop in runs_of(likely >= _LIKELY):
+        for start, stop in find_runs(likely >= _LIKELY):
             for rows in _split_stance(point_m, start, stop, frame_rate_hz):
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
                 if duration_s < _SHORTEST_S or (support is not None and support.rides(rows, foot)):
@@ -105,7 +105,7 @@ def find_contacts(
                 stands_up = support is None or 2 * support.shin_stands[rows, foot].sum() >= rows.stop - rows.start
                 if stands_up and _drift_m_s(point_m[rows], frame_rate_hz) > _DRIFT_M_S + _DRIFT_M / duration_s:
                     continue
-                if not stands_up and np.median(pace_m_s[middle_of(rows), foot]) > _STILL_M_S:
+                if not stands_up and np.median(pace_m_s[middle_rows(rows), foot]) > _STILL_M_S:
                     continue
                 confidence = float(likely[rows].mean() * (1.0 - np.exp(-duration_s / _SURE_AFTER_S)))
                 pinned = feet == "always" or (feet == "auto" and confidence >= _MIN_CONFIDENCE)
@@ -223,7 +223,7 @@ def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -
     parts_known &= often[:, None]
     num_frames = len(ankles_m)
     marks = FootMarks(parts_m.reshape(num_frames, -1, 3), parts_known.reshape(num_frames, -1))
-    support = support_of(fitted.track, joints, ankles_m, ankles_known, marks, motion.frame_rate_hz)
+    support = find_support(fitted.track, joints, ankles_m, ankles_known, marks, motion.frame_rate_hz)
     return FootPoints(ankles_m, ankles_known, parts_m, parts_known, support)
 
 
@@ -248,7 +248,7 @@ def _known(track: Track3D, joints: JointSet, name: str) -> Bool[np.ndarray, " fr
     return np.asarray(np.isfinite(track.xyz_m[:, joints.index(name)]).all(-1))
 
 
-def contacts_of(points: FootPoints, floor: Floor | None, frame_rate_hz: float, feet: Feet) -> tuple[FootContact, ...]:
+def foot_contacts(points: FootPoints, floor: Floor | None, frame_rate_hz: float, feet: Feet) -> tuple[FootContact, ...]:
     """Find the contacts of both feet, by heel and toe where they are known, sorted by start.
 
     Feet stand where their ground does, and do not ride along with the body.

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import SIDES, JointSet
-from pipeline.motion.skeleton.feet.floor import runs_of
+from pipeline.motion.skeleton.feet.floor import find_runs
 
 # Height of the hips above a foot, as a share of the leg, from which on the foot carries an upright body: people who
 # sit, squat or crawl have half of it.
@@ -67,11 +67,11 @@ class Support:
 
     def rides(self, rows: slice, foot: int) -> bool:
         """Tell if a foot moves along with the hips in the middle of some frames, and so does not stand."""
-        middle = middle_of(rows)
+        middle = middle_rows(rows)
         return bool(_is_riding(self.along_m2_s2[middle, foot].mean(), self.squared_m2_s2[middle].mean()))
 
 
-def support_of(
+def find_support(
     track: Track3D,
     joints: JointSet,
     ankles_m: Float[np.ndarray, "frames 2 3"],
@@ -102,7 +102,7 @@ def support_of(
     return Support(along, squared, ~shin_lies, np.asarray(carries), np.asarray(bears_nothing), ground_m)
 
 
-def middle_of(rows: slice) -> slice:
+def middle_rows(rows: slice) -> slice:
     """Some frames without the first and the last fifth, in which a foot comes and goes."""
     margin = (rows.stop - rows.start) // 5
     return slice(rows.start + margin, rows.stop - margin)
@@ -174,7 +174,10 @@ def belt_m(
     stands = low & (np.linalg.norm(velocity_m_s - belt_m_s, axis=-1) < _spread_m_s(belt_m_s))
     shortest = _STANCE_M / max(speed_m_s, 1e-9) * frame_rate_hz
     runs = [
-        (foot, start, stop) for foot in range(2) for start, stop in runs_of(stands[:, foot]) if stop - start >= shortest
+        (foot, start, stop)
+        for foot in range(2)
+        for start, stop in find_runs(stands[:, foot])
+        if stop - start >= shortest
     ]
     on_belt = sum(stop - start for _, start, stop in runs)
     at_rest = np.count_nonzero(np.linalg.norm(of_low, axis=-1) < _SPREAD_M_S)
@@ -208,7 +211,7 @@ def _still_m(
     return [
         marks.xyz_m[_middle(start, stop, _STILL_SHARES), mark]
         for mark in range(stands.shape[1])
-        for start, stop in runs_of(stands[:, mark])
+        for start, stop in find_runs(stands[:, mark])
         if stop - start >= shortest
     ]
 

@@ -83,7 +83,7 @@ def start_from(
     return JointPoses(np.array(root_m), local, angle_rad)
 
 
-def landmarks_of(bodies: JointPoses, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
+def landmark_positions(bodies: JointPoses, skeleton: Articulation) -> Float[np.ndarray, "frames landmarks 3"]:
     """World positions of landmarks (metres)."""
     return Posed(bodies, skeleton).landmark_m
 

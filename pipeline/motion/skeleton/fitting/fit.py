@@ -14,7 +14,7 @@ from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.tracks import reproject
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmarks_of, refine, start_from
+from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, refine, start_from
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.motion.skeleton.fitting.lengths import learn_lengths
 from pipeline.motion.skeleton.fitting.liveliness import liveliness
@@ -305,7 +305,7 @@ class SkeletonFit:
         bodies = start_from(self._root_m[rows], self._quat[rows], self._centers)
         landmark = self._centers.landmark
         known = np.isfinite(xyz_m[:, landmark])
-        xyz_m[:, landmark] = np.where(known, landmarks_of(bodies, self._centers), np.nan)
+        xyz_m[:, landmark] = np.where(known, landmark_positions(bodies, self._centers), np.nan)
 
     def marks_m(
         self, rows: slice, motion: SkeletonMotion, xyz_m: Float[np.ndarray, "rows joints 3"]
@@ -364,9 +364,11 @@ class SkeletonFit:
         position_m = np.array(self._track.xyz_m[rows])
         landmark = self._skeleton.landmark
         if self._skeleton is not self._centers:
-            position_m[:, landmark] += landmarks_of(start, self._skeleton) - landmarks_of(start, self._centers)
+            position_m[:, landmark] += landmark_positions(start, self._skeleton) - landmark_positions(
+                start, self._centers
+            )
         xyz_m = position_m[:, landmark]
-        start_m = landmarks_of(start, self._skeleton)
+        start_m = landmark_positions(start, self._skeleton)
         known = np.isfinite(xyz_m)
         if self._rays_of is None:
             # Without rays, only the start of the fit can identify outliers.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.motion.skeleton.fitting.articulated import Evidence, JointPoses, landmarks_of, linearise, move
+from pipeline.motion.skeleton.fitting.articulated import Evidence, JointPoses, landmark_positions, linearise, move
 from pipeline.motion.skeleton.fitting.articulation import Articulation
 from pipeline.motion.skeleton.model import INDEX, TRUNK
 
@@ -115,8 +115,8 @@ def _eliminated(
     reduced normal equations of the lengths.
     """
     system = linearise(bodies, skeleton, evidence, usual_m, frame_rate_hz)
-    here_m = landmarks_of(bodies, skeleton)
-    moved = np.stack([landmarks_of(bodies, other) - here_m for other in beside], axis=-1) / _DIFFERENCE
+    here_m = landmark_positions(bodies, skeleton)
+    moved = np.stack([landmark_positions(bodies, other) - here_m for other in beside], axis=-1) / _DIFFERENCE
     weighted = system.curvature @ moved
     coupling = np.zeros((*system.right.shape, len(beside)))
     for landmark, count in enumerate(skeleton.num_moved_by.tolist()):

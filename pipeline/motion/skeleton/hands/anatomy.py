@@ -72,7 +72,7 @@ class Finger:
 
 
 @cache
-def fingers_of(side: Side) -> Mapping[str, Finger]:
+def hand_fingers(side: Side) -> Mapping[str, Finger]:
     """Fingers of a hand by name."""
     return {name: _finger(side, name) for name in FINGERS}
 
@@ -112,7 +112,7 @@ def articulate_hand(side: Side, bone_length_m: Float[np.ndarray, " joints"]) -> 
     parent, offset_m = [-1, 0], [np.zeros(3), np.zeros(3)]
     freedoms = [Freedom(("wrist",), axis, _WRIST_USUAL_RAD) for axis in _AXES]
     landmarks = [Carried(0, WRIST_JOINT, np.zeros(3), beside=False)]
-    for name, finger in fingers_of(side).items():
+    for name, finger in hand_fingers(side).items():
         bones_m = finger.directions * bone_length_m[list(finger.joints), None]
         hinges = _THUMB if name == "thumb" else _FINGER
         above = WRIST_JOINT
@@ -144,7 +144,7 @@ def local_rotations(
     ``forearm`` is its orientation in the world, ``wrist`` the rotation of the hand to it, ``angle_rad`` the angles of
     all hinges.
     """
-    axes = np.concatenate([[finger.spread_axis, *finger.bend_axes] for finger in fingers_of(side).values()])
+    axes = np.concatenate([[finger.spread_axis, *finger.bend_axes] for finger in hand_fingers(side).values()])
     turned = Rotation.from_rotvec((angle_rad[..., None] * axes).reshape(-1, 3)).as_matrix()
     hinges = turned.reshape(*angle_rad.shape, 3, 3)
     return np.concatenate([forearm[:, None], wrist[:, None], hinges], axis=1)
@@ -156,7 +156,7 @@ def joint_rotations(
     """Rotations of finger joints of ``WHOLE_SKELETON`` to their parents, ends left out, and the joints' numbers."""
     numbers: list[int] = []
     rotations: list[Rotation] = []
-    for number, finger in enumerate(fingers_of(side).values()):
+    for number, finger in enumerate(hand_fingers(side).values()):
         spread_rad, *bends_rad = angle_rad[:, HINGES * number : HINGES * (number + 1)].T
         bends = [
             Rotation.from_rotvec(bend_rad[:, None] * axis)
@@ -173,7 +173,7 @@ def bend_angles_rad(
 ) -> Float[np.ndarray, "frames hinges"]:
     """Angles of all hinges from the positions of a hand's landmarks in the axes of the hand; NaN where unknown."""
     angle_rad = np.empty((len(points_m), NUM_HINGES))
-    for number, finger in enumerate(fingers_of(side).values()):
+    for number, finger in enumerate(hand_fingers(side).values()):
         chain_m = points_m[:, 1 + HINGES * number : 1 + HINGES * (number + 1)]
         bones_m = [after - before for before, after in pairwise(chain_m.swapaxes(0, 1))]
         straight = finger.directions[1]

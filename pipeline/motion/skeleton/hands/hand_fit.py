@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Side, SkeletonMotion
 from pipeline.core.data.cameras import Camera
 from pipeline.core.joints import JointSet
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmarks_of, refine
+from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, refine
 from pipeline.motion.skeleton.fitting.articulation import Articulation
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.uncertainty import uncertainty_m
@@ -20,7 +20,7 @@ from pipeline.motion.skeleton.hands.anatomy import (
     WRIST_JOINT,
     articulate_hand,
     bend_angles_rad,
-    fingers_of,
+    hand_fingers,
     local_rotations,
     natural_rad,
 )
@@ -69,7 +69,7 @@ def seen_well(
     return np.asarray(binary_opening(near, np.ones(shortest)))
 
 
-def start_of(
+def start_pose(
     side: Side,
     world_from_forearm: Rotation,
     points_m: Float[np.ndarray, "frames landmarks 3"],
@@ -87,7 +87,7 @@ def start_of(
     if not is_seen.any():
         rest = Rotation.identity(len(is_seen))
         return HandPose(rest, np.tile(natural_rad(), (len(is_seen), 1)))
-    fingers = [finger for name, finger in fingers_of(side).items() if name != "thumb"]
+    fingers = [finger for name, finger in hand_fingers(side).items() if name != "thumb"]
     palm_m = np.array([bone_length_m[finger.joints[0]] * finger.directions[0] for finger in fingers])
     from_wrist_m = points_m[:, _KNUCKLES] - points_m[:, :1]
     world_from_hand = align(np.broadcast_to(palm_m, from_wrist_m.shape), from_wrist_m)
@@ -197,9 +197,9 @@ def fit_hand(
     joined_quat, joined_rad, joined_m = Blend(quat), Blend(angle_rad), Blend(all_sigma_m)
     usual_m = np.full(len(skeleton.landmark), _USUAL_M_S2 / body.frame_rate_hz**2 if cameras else np.inf)
     for rows in windows(num_frames):
-        wrist_m, forearm = wrist_of(side, body, rows)
+        wrist_m, forearm = wrist_pose(side, body, rows)
         points_m = np.concatenate([wrist_m[:, None], views.fingers_m[rows]], axis=1)
-        start = start_of(side, forearm, points_m, views.is_seen[rows], bone_length_m, body.frame_rate_hz)
+        start = start_pose(side, forearm, points_m, views.is_seen[rows], bone_length_m, body.frame_rate_hz)
         hand = _bodies(side, skeleton, wrist_m, forearm, start)
         found_m = np.full(points_m.shape[:2], np.nan)
         if views.is_seen[rows].any():
@@ -218,7 +218,7 @@ def fit_hand(
     return FittedHand(pose, all_sigma_m[:, 1:] if cameras and views.is_seen.any() else None)
 
 
-def wrist_of(side: Side, body: SkeletonMotion, rows: slice) -> tuple[Float[np.ndarray, "rows 3"], Rotation]:
+def wrist_pose(side: Side, body: SkeletonMotion, rows: slice) -> tuple[Float[np.ndarray, "rows 3"], Rotation]:
     """World positions of a wrist (metres) and orientations of its forearm in a range of frames."""
     shown = replace(body, root_m=body.root_m[rows], parent_from_joint=body.parent_from_joint[rows])
     wrist_m, _ = joint_pose(shown, f"{side.capitalize()}Hand")
@@ -230,10 +230,10 @@ def fingers_m(
     side: Side, body: SkeletonMotion, bone_length_m: Float[np.ndarray, " whole"], pose: HandPose, rows: slice
 ) -> Float[np.ndarray, "rows joints 3"]:
     """World positions of the joints of all fingers (metres), in the order of ``finger_joints``."""
-    wrist_m, forearm = wrist_of(side, body, rows)
+    wrist_m, forearm = wrist_pose(side, body, rows)
     shown = HandPose(pose.forearm_from_hand[rows], pose.angle_rad[rows])
     skeleton = articulate_hand(side, bone_length_m)
-    return landmarks_of(_bodies(side, skeleton, wrist_m, forearm, shown), skeleton)[:, 1:]
+    return landmark_positions(_bodies(side, skeleton, wrist_m, forearm, shown), skeleton)[:, 1:]
 
 
 def _bodies(
@@ -256,7 +256,7 @@ def _evidence(
     cameras: Sequence[Camera] | None,
 ) -> _Evidence:
     """Evidence for the fit of a window."""
-    start_m = landmarks_of(start, skeleton)
+    start_m = landmark_positions(start, skeleton)
     is_seen = views.is_seen[rows, None]
     located = is_seen & np.isfinite(points_m).all(-1)
     strength = np.where(is_seen, 0.0, np.full(start_m.shape[:2], 1.0 / _HELD_M**2))

@@ -13,7 +13,7 @@ from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import FINGER_JOINTS, FINGERS, JointSet, finger_joints
 from pipeline.geometry.tracks import reproject
 from pipeline.motion.skeleton.feet.floor import SIDES
-from pipeline.motion.skeleton.hands.anatomy import fingers_of, joint_rotations
+from pipeline.motion.skeleton.hands.anatomy import hand_fingers, joint_rotations
 from pipeline.motion.skeleton.hands.hand_fit import FittedHand, HandViews, fingers_m, fit_hand, seen_well
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw
@@ -46,7 +46,7 @@ def whole_lengths_m(
     lengths_m[: len(SKELETON)] = body_length_m
     names = [(name, number) for name in FINGERS for number in range(len(FINGERS[name]))]
     measured = [_bone_m(name, number, track, joints, is_seen) for name, number in names]
-    numbers = [fingers_of("left")[name].joints[number] for name, number in names]
+    numbers = [hand_fingers("left")[name].joints[number] for name, number in names]
     ratios = [length_m / lengths_m[k] for (length_m, count), k in zip(measured, numbers, strict=True) if count]
     size = float(np.clip(np.median(ratios), *_HAND_RATIOS)) if ratios else 1.0
     for (name, number), (length_m, count), k in zip(names, measured, numbers, strict=True):
@@ -54,7 +54,7 @@ def whole_lengths_m(
         own_m = np.clip(length_m, _RATIOS[0] * usual_m, _RATIOS[1] * usual_m) if count else usual_m
         for side in SIDES:
             drawn_m = (count * own_m + _PRIOR_FRAMES * usual_m) / (count + _PRIOR_FRAMES)
-            lengths_m[fingers_of(side)[name].joints[number]] = drawn_m
+            lengths_m[hand_fingers(side)[name].joints[number]] = drawn_m
     return lengths_m
 
 

@@ -16,7 +16,7 @@ from pipeline.validation.simulation.acrobatics.anatomy import (
     CLEARANCE_M,
     POINTS,
     AcrobatBody,
-    parts_of,
+    body_parts,
     points_m,
 )
 from pipeline.validation.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
@@ -100,7 +100,7 @@ def acrobat_segments_at(
 ) -> dict[str, Float[np.ndarray, "times 3 3"]]:
     """Exact orientations ``world_from_segment`` of the segments of ``motion.angles``, without hands, by name."""
     state = acrobat.motion(np.clip(time_s, 0.0, acrobat.motion.x[-1]))
-    return {name: part @ WORLD for name, part in parts_of(state[:, 3:]).items() if name in SEGMENTS}
+    return {name: part @ WORLD for name, part in body_parts(state[:, 3:]).items() if name in SEGMENTS}
 
 
 def feet_on_floor(

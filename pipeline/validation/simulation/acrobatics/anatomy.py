@@ -95,7 +95,7 @@ def _pitch_roll_yaw(
     return np.asarray(_about(1, pitch_rad) @ _about(0, roll_rad) @ _about(2, yaw_rad))
 
 
-def parts_of(
+def body_parts(
     angles_rad: Float[np.ndarray, "times angles"],
 ) -> dict[str, Float[np.ndarray, "times 3 3"]]:
     """Orientations of the body's parts in the world for the angles of ``ANGLE_NAMES``, by name.
@@ -129,7 +129,7 @@ def points_m(
     body: AcrobatBody, root_m: Float[np.ndarray, "times 3"], angles_rad: Float[np.ndarray, "times angles"]
 ) -> Float[np.ndarray, "times points 3"]:
     """World positions of ``POINTS`` in metres, for the hips' centre and the angles of ``ANGLE_NAMES``."""
-    size, part = body.proportions, parts_of(angles_rad)
+    size, part = body.proportions, body_parts(angles_rad)
     back_m = root_m + _LUMBAR * size.trunk_m * part["waist"][..., 2]
     neck_m = back_m + (1 - _LUMBAR) * size.trunk_m * part["thorax"][..., 2]
     ears_m = neck_m + size.neck_m * part["head"][..., 2]

@@ -132,7 +132,7 @@ def reach(
     return middle_m, origin_m + distance_m * direction
 
 
-def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
+def pose_joints(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
     """World positions of the joints of ``COCO_17`` in metres."""
     heading_rad = pose.yaw_rad + pose.twist_rad
     pelvis = turned(pose.yaw_rad, np.zeros_like(pose.yaw_rad))
@@ -160,7 +160,7 @@ def joints_of(body: Proportions, pose: Pose) -> Float[np.ndarray, "times 17 3"]:
     return np.concatenate([face_m, *pairs], axis=1)
 
 
-def segments_of(pose: Pose, joints_m: Float[np.ndarray, "times 17 3"]) -> dict[str, Float[np.ndarray, "times 3 3"]]:
+def segment_frames(pose: Pose, joints_m: Float[np.ndarray, "times 17 3"]) -> dict[str, Float[np.ndarray, "times 3 3"]]:
     """Exact orientations ``world_from_segment`` of the body's segments, without feet and hands; see ``angles``.
 
     The trunk is rigid but for its twist, so the pelvis leans with it. ``joints_m`` are the joints of the pose: planes

@@ -12,9 +12,9 @@ from pipeline.validation.simulation.motion.body import (
     STANDING_LEG,
     Pose,
     Proportions,
-    joints_of,
+    pose_joints,
     random_proportions,
-    segments_of,
+    segment_frames,
     turned,
 )
 from pipeline.validation.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
@@ -100,7 +100,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
 def joints_at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
     """World positions in metres of the joints for which the person was performed, NaN while the person is absent."""
     now = _at(person, time_s)
-    joints_m = joints_of(person.body, now.pose)
+    joints_m = pose_joints(person.body, now.pose)
     shoulders_m, elbows_m, wrists_m, ankles_m = (joints_m[:, pair] for pair in _PAIRS)
     if now.feet is not None:
         joints_m = np.concatenate([joints_m, heels_and_toes(now.feet, ankles_m, person.body)], axis=1)
@@ -118,7 +118,7 @@ def segments_at(
     are not.
     """
     now = _at(person, time_s)
-    segments = segments_of(now.pose, joints_of(person.body, now.pose))
+    segments = segment_frames(now.pose, pose_joints(person.body, now.pose))
     if now.feet is not None:
         for foot, side in enumerate(SIDES):
             segments[f"{side}_foot"] = turned(now.feet.yaw_rad[:, foot], now.feet.pitch_rad[:, foot]) @ WORLD

@@ -12,7 +12,7 @@ from pipeline.core.data.people import Leftovers, Observations, People, Source, T
 from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
-from pipeline.validation.simulation.motion.body import Pose, joints_of, random_proportions
+from pipeline.validation.simulation.motion.body import Pose, pose_joints, random_proportions
 
 RATE_HZ = 25.0
 NOISE_M = 0.005
@@ -40,7 +40,7 @@ def walker(start_m: Sequence[float], end_m: Sequence[float], num_frames: int, bu
         ankles_m=np.concatenate([ankles_m, np.full((num_frames, 2, 1), body.ankle_height_m)], axis=-1),
         wrists=np.tile([[0.3, 0.16, -0.7], [0.3, -0.16, -0.7]], (num_frames, 1, 1)),
     )
-    return joints_of(body, pose)
+    return pose_joints(body, pose)
 
 
 def person(

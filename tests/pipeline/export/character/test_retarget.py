@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import Floor, FootContact, SkeletonMotion
-from pipeline.export.character.character_files import angles_deg, figures_of
+from pipeline.export.character.character_files import angles_deg, retargeting_figures
 from pipeline.export.character.figure import CharacterFigure, measure
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
-from pipeline.export.character.retarget import CharacterMotion, place_of, retarget
+from pipeline.export.character.retarget import CharacterMotion, node_place, retarget
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.pipeline.export.character.characters import bones_of, character, ik_bones, odd_bones, twin_bones, vrm
 from tests.pipeline.export.character.takes import take_of
@@ -54,14 +54,14 @@ def twin(motion: SkeletonMotion) -> CharacterFigure:
 
 def places(motion: CharacterMotion, joint: str) -> np.ndarray:
     """Places of a joint of a character in the person's metres."""
-    return place_of(motion.figure, motion.hips, motion.turns, motion.figure.joints[joint]) / motion.scale
+    return node_place(motion.figure, motion.hips, motion.turns, motion.figure.joints[joint]) / motion.scale
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
 @pytest.mark.parametrize("take", [*TAKES, *ON_THE_FLOOR], ids=lambda take: "-".join(take[:2]))
 def test_feet_stand_still_on_the_floor(name: str, take: tuple[str, str, float]) -> None:
     animation = take_of(*take)
-    figures = figures_of(retarget(animation.motions[0], figure(name), animation.floor))
+    figures = retargeting_figures(retarget(animation.motions[0], figure(name), animation.floor))
     assert figures.slide_cm <= 0.1
     assert figures.penetration_cm <= 0.5
     assert figures.contacts_kept >= 0.98
@@ -72,7 +72,7 @@ def test_limbs_of_a_twin_have_the_person_s_directions(take: tuple[str, str, floa
     animation = take_of(*take)
     motion = retarget(animation.motions[0], twin(animation.motions[0]), animation.floor)
     assert motion.scale == pytest.approx(1.0, abs=1e-5)
-    figures = figures_of(motion)
+    figures = retargeting_figures(motion)
     assert figures.direction_deg[0] <= 0.5
     assert figures.direction_deg[1] <= 3.0
 
@@ -90,7 +90,7 @@ def test_hands_and_feet_below_other_bones_follow_limbs() -> None:
 def test_limbs_of_others_have_them_as_nearly_as_feet_allow(name: str) -> None:
     animation = take_of("walk", "feet", 4.0)
     motion = retarget(animation.motions[0], figure(name), animation.floor)
-    assert figures_of(motion).direction_deg[1] <= 3.0
+    assert retargeting_figures(motion).direction_deg[1] <= 3.0
     # Arms are free, so theirs are the person's.
     for side in ("Left", "Right"):
         assert angles_deg(motion, f"{side}Arm", f"{side}ForeArm").max() < 0.01
@@ -113,7 +113,7 @@ def test_feet_on_a_treadmill_go_with_its_belt() -> None:
     )
     motion = retarget(on_belt, figure("default"), animation.floor)
     np.testing.assert_allclose(motion.ground[-1] / motion.scale, back_m[straight.stop - 1], atol=0.05)
-    figures = figures_of(motion)
+    figures = retargeting_figures(motion)
     assert figures.slide_cm <= 0.1
     assert figures.direction_deg[1] <= 5.0
 
@@ -173,14 +173,14 @@ def test_hips_tilt_for_feet_that_were_located_beside_the_floor() -> None:
     for side in ("Left", "Right"):
         own, theirs = (places(motion, f"{side}Foot"), forward_kinematics(source)[:, INDEX[f"{side}Foot"]])
         assert 0.003 < abs(own[0, 2] - theirs[0, 2]) < 0.007
-    figures = figures_of(motion)
+    figures = retargeting_figures(motion)
     assert figures.contacts_kept == 1.0
     assert figures.direction_deg[1] <= 1.5
     assert 2.0 <= figures.hips_deg[0] <= 2.6
     # The trunk stays upright, and nothing tilts without feet that stand.
     trunk = places(motion, "Head") - places(motion, "Hips")
     assert trunk[0, 2] / np.linalg.norm(trunk[0]) > 0.99
-    assert figures_of(retarget(replace(source, contacts=()), twin(source), floor)).hips_deg[1] < 1e-6
+    assert retargeting_figures(retarget(replace(source, contacts=()), twin(source), floor)).hips_deg[1] < 1e-6
 
 
 def test_hips_do_not_rock_while_a_foot_stands() -> None:

@@ -15,7 +15,7 @@ from pipeline.core.data.rigid import Rigid3
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.export.opensim.anatomy import MARKERS
 from pipeline.export.opensim.model_files import OpenSimPerson, write_opensim_files
-from pipeline.export.opensim.setup import columns_of
+from pipeline.export.opensim.setup import read_columns
 from pipeline.export.quality.report import estimate_stature_m
 from pipeline.motion.angles.compute import JointAngles, joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
@@ -38,7 +38,7 @@ COORDINATES = {
 def apart_deg(take: Reconstruction, folder: Path) -> dict[str, float]:
     """RMS of the differences of OpenSim's angles from ours, of each kind, both sides together."""
     angles: JointAngles = joint_angles(take.motions[0], take.tracks[0], take.joints, has_sigmas=False)
-    columns = columns_of((folder / "ik.mot").read_text())
+    columns = read_columns((folder / "ik.mot").read_text())
     frames = np.rint(columns["time"] * take.timebase.frame_rate_hz).astype(int) - take.tracks[0].start_frame
     apart = {}
     for name, coordinate in COORDINATES.items():
@@ -199,7 +199,7 @@ def test_gaps_are_left_out_of_the_motion(tmp_path: Path) -> None:
     assert person.problem is None
     assert person.marker_rms_mm is not None
     assert person.marker_rms_mm < 25.0
-    frames = np.rint(columns_of((folder / "ik.mot").read_text())["time"] * 60.0).astype(int)
+    frames = np.rint(read_columns((folder / "ik.mot").read_text())["time"] * 60.0).astype(int)
     assert person.num_frames == len(frames) < 220
     assert not {*range(95, 185)} & {*frames.tolist()}
     assert {name: far for name, far in apart_deg(take, folder).items() if far > 5.0} == {}

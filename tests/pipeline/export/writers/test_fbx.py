@@ -13,7 +13,7 @@ from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import fbx
 from pipeline.export.writers.fbx_nodes import ArrayProperty, Node, read
-from pipeline.export.writers.fbx_stored import StoredScene, name_of, numbers, property_of
+from pipeline.export.writers.fbx_stored import StoredScene, numbers, object_name, typed_property
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics, skeleton_of
 from tests.e2e.foreign import read_with_three
 from tests.pipeline.export.writers.test_bvh import tumbling, walk, with_fingers
@@ -70,11 +70,11 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     path = written(motion, tmp_path / "person.fbx", preset)
     np.testing.assert_allclose(own_m(path, preset), forward_kinematics(motion), atol=1e-5)
     scene, convention = scene_of(path), PRESETS[preset]
-    names = [name_of(node) for node in scene.of_kind("Model", "LimbNode").values()]
+    names = [object_name(node) for node in scene.of_kind("Model", "LimbNode").values()]
     expected = [convention.name(joint.name) for joint in skeleton_of(len(motion.bone_length_m))]
     assert names == expected
     (top,) = scene.of_kind("Model", "Null").values()
-    assert name_of(top) == {"unreal": "root", "humanik": "Reference"}.get(preset, motion.name)
+    assert object_name(top) == {"unreal": "root", "humanik": "Reference"}.get(preset, motion.name)
     unit_cm = numbers(scene.global_settings, "UnitScaleFactor", 1)
     assert unit_cm == (100.0 if preset == "blender" else 1.0,)
     assert [numbers(scene.global_settings, f"{axis}Axis", 1) for axis in ("Up", "Front", "Coord")] == [(1,), (2,), (0,)]
@@ -82,7 +82,7 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
 
 def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
     scene = scene_of(written(walk(1), tmp_path / "person.fbx", "unreal"))
-    limbs = {name_of(node): limb for limb, node in scene.of_kind("Model", "LimbNode").items()}
+    limbs = {object_name(node): limb for limb, node in scene.of_kind("Model", "LimbNode").items()}
     assert scene.parent(limbs["ball_l"], "Model") == limbs["foot_l"]
     names = {preset: PRESETS[preset].name("RightFootEnd") for preset in PRESETS}
     assert names == {
@@ -94,7 +94,7 @@ def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
 def test_humanik_has_take_of_the_rest_pose(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx", "humanik")
     scene = scene_of(path)
-    assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
+    assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
     motion, rest = scene.of_kind("AnimationLayer", "")
     for model, node in scene.of_kind("Model", "LimbNode").items():
         for name in ("Lcl Translation", "Lcl Rotation"):
@@ -111,7 +111,7 @@ def test_humanik_has_take_of_the_rest_pose(tmp_path: Path) -> None:
 def test_rotation_orders_differ_where_one_interpolates_badly(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx")
     models = scene_of(path).of_kind("Model", "LimbNode").values()
-    orders = {name_of(model): numbers(model, "RotationOrder", 1)[0] for model in models}
+    orders = {object_name(model): numbers(model, "RotationOrder", 1)[0] for model in models}
     assert len(set(orders.values())) > 1
     assert orders["Head"] == 3  # Y, then X, then Z about fixed axes: Z X Y of BVH
     read_by_three = read_with_three([path])[path]
@@ -154,8 +154,8 @@ def test_names_are_kept_but_for_separators(tmp_path: Path) -> None:
         path = written(replace(motion, name=name, start_frame=7), tmp_path / f"{number}.fbx")
         scene = scene_of(path)
         (top,) = scene.of_kind("Model", "Null").values()
-        assert name_of(top) == in_file
-        assert [name_of(node) for node in scene.of_kind("AnimationStack", "").values()] == [in_file]
+        assert object_name(top) == in_file
+        assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == [in_file]
         assert numbers(top, "start_frame", 1) == (7,)
         np.testing.assert_allclose(own_m(path), forward_kinematics(motion), atol=1e-5)
         paths.append(path)
@@ -180,7 +180,7 @@ def test_the_skin_is_bound_in_the_rest_pose(tmp_path: Path) -> None:
     for node in pose.children[3:]:
         model = node.child("Node")
         assert model is not None
-        bound[property_of(model, 0, int)] = values(node, "Matrix").reshape(4, 4).T
+        bound[typed_property(model, 0, int)] = values(node, "Matrix").reshape(4, 4).T
     heights = []
     for limb, stored in scene.of_kind("Model", "LimbNode").items():
         above = scene.parent(limb, "Model")
@@ -203,7 +203,7 @@ def test_the_skin_is_bound_in_the_rest_pose(tmp_path: Path) -> None:
 def values(node: Node, name: str) -> np.ndarray:
     stored = node.child(name)
     assert stored is not None
-    return property_of(stored, 0, ArrayProperty).values()
+    return typed_property(stored, 0, ArrayProperty).values()
 
 
 def test_a_file_with_other_contents_is_an_error(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import Export
 from pipeline.export.results import write_files, write_results
-from pipeline.export.scene import scene_of
+from pipeline.export.scene import take_scene
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.body import installed
@@ -260,7 +260,7 @@ def pinhole_px(camera: Camera, point_m: np.ndarray) -> np.ndarray:
 def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
     stage = Usd.Stage.Open(str(path))
     floor = UsdGeom.Mesh(stage.GetPrimAtPath("/take/floor/Surface"))
-    np.testing.assert_allclose(np.array(floor.GetPointsAttr().Get()), scene_of(named).floor_m, atol=1e-5)
+    np.testing.assert_allclose(np.array(floor.GetPointsAttr().Get()), take_scene(named).floor_m, atol=1e-5)
 
 
 @pytest.mark.blender

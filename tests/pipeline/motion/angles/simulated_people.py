@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.joints import BODY_FEET
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.motion.angles.compute import JointAngles, angles_of, joint_angles
+from pipeline.motion.angles.compute import JointAngles, joint_angles, segment_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.skeleton.animate import animate
 from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, acrobat_segments_at, perform_acrobatics
@@ -33,7 +33,7 @@ def performed(motion: str, seed: int, duration_s: float | None = None) -> tuple[
         time_s = np.arange(0.0, duration_s or keys[-1].time_s, 1 / RATE_HZ)
         acrobat = perform_acrobatics(keys, (0.0, 0.0), 0.5, keys[-1].time_s, rng)
         joints_m, segments = acrobat_joints_at(acrobat, time_s, BODY_FEET), acrobat_segments_at(acrobat, time_s)
-    return joints_m, np.degrees(angles_of(segments))
+    return joints_m, np.degrees(segment_angles(segments))
 
 
 @cache

@@ -14,10 +14,10 @@ from pipeline.motion.angles import compute
 from pipeline.motion.angles.compute import (
     NUM_POINTS,
     JointAngles,
-    angles_of,
     joint_angles,
     normalised_cycles,
     ranges_of_motion,
+    segment_angles,
     segments_from,
 )
 from pipeline.motion.angles.definitions import ANGLE_NAMES, SEGMENTS
@@ -144,7 +144,7 @@ def test_hands_that_nobody_saw_have_no_angles() -> None:
 
 def test_a_missing_segment_leaves_out_its_joints_alone() -> None:
     segments = {name: turns for name, turns in segments_from(posed({})).items() if not name.endswith("foot")}
-    found = dict(zip(ANGLE_NAMES, angles_of(segments)[0], strict=True))
+    found = dict(zip(ANGLE_NAMES, segment_angles(segments)[0], strict=True))
     assert np.isnan(found["left_ankle_dorsiflexion"])
     assert found["left_knee_flexion"] == pytest.approx(0.0)
     assert len(segments) == len(SEGMENTS) - 2

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
-from pipeline.motion.angles.compute import angles_of, segments_from
+from pipeline.motion.angles.compute import segment_angles, segments_from
 from pipeline.motion.angles.definitions import (
     ANGLE_NAMES,
     JOINTS,
@@ -32,7 +32,7 @@ def posed(turns_deg: dict[str, np.ndarray]) -> SkeletonMotion:
 
 
 def angles_deg(turns_deg: dict[str, np.ndarray]) -> dict[str, float]:
-    found = np.degrees(angles_of(segments_from(posed(turns_deg))))[0]
+    found = np.degrees(segment_angles(segments_from(posed(turns_deg))))[0]
     return dict(zip(ANGLE_NAMES, found.tolist(), strict=True))
 
 

@@ -17,7 +17,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
 from pipeline.core.options.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.core.progress import ignore
-from pipeline.export.person_files import people_of
+from pipeline.export.person_files import take_people
 from pipeline.export.quality.views import ViewsOf, views_of
 from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc, vrma
@@ -155,7 +155,7 @@ def test_a_name_changes_no_report_and_no_motion_for_viewers(
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_formats_say_whether_their_files_hold_names(session: KeypointSession, cache: Path, name: Export) -> None:
-    (one, *_) = people_of(edited(session, cache), "take", "capsules")
+    (one, *_) = take_people(edited(session, cache), "take", "capsules")
 
     def content(motion: SkeletonMotion) -> bytes:
         of_person = PersonContent(
@@ -221,7 +221,7 @@ def test_stages_that_write_and_find_files_name_their_pieces_alike(session: Keypo
 
 
 def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
-    one, other = list(people_of(edited(session, cache), "take", "capsules"))[:2]
+    one, other = list(take_people(edited(session, cache), "take", "capsules"))[:2]
     pieces = KeptPieces()
     moved = one.track.xyz_m.copy()
     moved[0, 0, 0] += 1e-12

@@ -11,7 +11,7 @@ from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import BODY_FEET, COCO_17, JointSet
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.feet.support import FootMarks, support_of
+from pipeline.motion.skeleton.feet.support import FootMarks, find_support
 from pipeline.motion.skeleton.model import joint_pose
 from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
@@ -87,6 +87,6 @@ def test_without_toes_feet_of_climbers_are_not_relaxed() -> None:
     shape = xyz_m.shape[:2]
     source = np.full(shape, Source.MEASURED, np.int8)
     track = Track3D(1, 0, xyz_m, np.ones(shape), source, np.ones(shape), np.full(shape, 4))
-    hangs = support_of(track, COCO_17, ankles_m, known, FootMarks.none(num_frames), rate_hz).hangs[10:-10]
+    hangs = find_support(track, COCO_17, ankles_m, known, FootMarks.none(num_frames), rate_hz).hangs[10:-10]
     assert not hangs[:, 0].any()
     assert hangs[:, 1].all()

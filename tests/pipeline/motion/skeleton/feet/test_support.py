@@ -13,7 +13,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, shared_floor
 from pipeline.motion.skeleton.feet.stances import find_contacts
-from pipeline.motion.skeleton.feet.support import FootMarks, Support, support_of
+from pipeline.motion.skeleton.feet.support import FootMarks, Support, find_support
 from pipeline.validation.simulation.acrobatics.acrobat import feet_on_floor
 from pipeline.validation.simulation.scenes import simulate
 from tests.cases import slow_but
@@ -47,7 +47,7 @@ def body(ankles_m: np.ndarray, hips_m: np.ndarray | None = None, heights_m: Mapp
 def found(person: Track3D, rate_hz: float = STEPS_HZ) -> tuple[Support, Floor | None, tuple[FootContact, ...]]:
     ankles_m = person.xyz_m[:, list(ANKLES)]
     known = np.isfinite(ankles_m).all(-1)
-    support = support_of(person, COCO_17, ankles_m, known, FootMarks.none(len(ankles_m)), rate_hz)
+    support = find_support(person, COCO_17, ankles_m, known, FootMarks.none(len(ankles_m)), rate_hz)
     floor = shared_floor([ankles_m], [known], [support.carries], rate_hz)
     on_ground_m = ankles_m - support.ground_m[:, None]
     return support, floor, find_contacts(on_ground_m, known, floor, rate_hz, "auto", support=support)

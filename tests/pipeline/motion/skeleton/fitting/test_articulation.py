@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.joints import BODY_25, COCO_17, JointSet
 from pipeline.motion.skeleton.fitting import articulated
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmarks_of, move, refine, start_from
+from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, move, refine, start_from
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation, articulate, joint_of_landmark
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 
@@ -50,7 +50,7 @@ def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
         step[:, freedom] = STEP
         moved = JointPoses(bodies.root_m.copy(), bodies.local.copy(), bodies.angle_rad.copy())
         move(moved, skeleton, step)
-        difference = (landmarks_of(moved, skeleton) - posed.landmark_m) / STEP
+        difference = (landmark_positions(moved, skeleton) - posed.landmark_m) / STEP
         for landmark in range(len(skeleton.landmark)):
             columns = skeleton.moved_by[landmark, : skeleton.num_moved_by[landmark]].tolist()
             said = jacobian[:, landmark, columns.index(freedom)] if freedom in columns else np.zeros((2, 3))
@@ -81,12 +81,12 @@ class ObservedLandmarks:
 def test_a_pose_is_found_again_from_one_near_by() -> None:
     skeleton = skeleton_of(BODY_25)
     truth = anybody(skeleton, 5)
-    place_m = landmarks_of(truth, skeleton)
+    place_m = landmark_positions(truth, skeleton)
     rng = np.random.default_rng(2)
     move(truth, skeleton, rng.normal(0.0, 0.1, (5, skeleton.num_freedoms)))
-    before_m = np.linalg.norm(landmarks_of(truth, skeleton) - place_m, axis=-1).mean()
+    before_m = np.linalg.norm(landmark_positions(truth, skeleton) - place_m, axis=-1).mean()
     refine(truth, skeleton, ObservedLandmarks(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 8)
-    after_m = np.linalg.norm(landmarks_of(truth, skeleton) - place_m, axis=-1).mean()
+    after_m = np.linalg.norm(landmark_positions(truth, skeleton) - place_m, axis=-1).mean()
     assert before_m > 0.05
     assert after_m < 0.01
 
@@ -99,7 +99,7 @@ def test_a_hinge_that_is_pulled_backwards_stays_nearly_straight(upper: str, lowe
     skeleton = skeleton_of(COCO_17)
     rest = np.tile([0.0, 0.0, 0.0, 1.0], (4, len(SKELETON), 1))
     bodies = start_from(np.zeros((4, 3)), rest, skeleton)
-    place_m = landmarks_of(bodies, skeleton)
+    place_m = landmark_positions(bodies, skeleton)
     by_joint = {SKELETON[joint].name: number for number, joint in enumerate(skeleton.landmark_joint) if number >= 5}
     place_m[:, by_joint[end]] += [0.0, -0.15, 0.0] if end == "LeftFoot" else [0.0, 0.15, 0.0]
     refine(bodies, skeleton, ObservedLandmarks(place_m), np.full(len(skeleton.landmark), np.inf), RATE_HZ, 12)

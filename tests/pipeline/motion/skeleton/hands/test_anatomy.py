@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Side
 from pipeline.core.joints import FINGERS, finger_joints
 from pipeline.motion.skeleton.feet.floor import SIDES
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmarks_of
+from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions
 from pipeline.motion.skeleton.hands.anatomy import (
     HINGES,
     NUM_HINGES,
     articulate_hand,
     bend_angles_rad,
-    fingers_of,
+    hand_fingers,
     joint_rotations,
     local_rotations,
     natural_rad,
@@ -33,7 +33,9 @@ def posed_m(side: Side, angle_rad: np.ndarray) -> np.ndarray:
     rest = np.tile(np.eye(3), (len(angle_rad), 1, 1))
     skeleton = articulate_hand(side, LENGTHS_M)
     local = local_rotations(side, rest, rest, angle_rad)
-    return landmarks_of(JointPoses(np.zeros((len(angle_rad), 3)), local, np.zeros((len(angle_rad), 26))), skeleton)
+    return landmark_positions(
+        JointPoses(np.zeros((len(angle_rad), 3)), local, np.zeros((len(angle_rad), 26))), skeleton
+    )
 
 
 @given(st.sampled_from(SIDES), st.lists(st.floats(0.1, 0.9), min_size=NUM_HINGES, max_size=NUM_HINGES))
@@ -73,11 +75,11 @@ def test_the_whole_skeleton_and_the_articulation_of_hands_agree() -> None:
     true_m = landmarks_of_person(motion)
     skeleton_m = forward_kinematics(motion)
     for side in SIDES:
-        for finger, joints in fingers_of(side).items():
+        for finger, joints in hand_fingers(side).items():
             for joint, name in zip(joints.joints, FINGERS[finger], strict=True):
                 assert WHOLE_SKELETON[joint].landmarks == (f"{side}_{finger}_{name}",)
         wrist_m = skeleton_m[:, INDEX[f"{side.capitalize()}Hand"]]
-        assert np.linalg.norm(skeleton_m[:, fingers_of(side)["index"].joints[0]] - wrist_m, axis=-1).max() < 0.12
+        assert np.linalg.norm(skeleton_m[:, hand_fingers(side)["index"].joints[0]] - wrist_m, axis=-1).max() < 0.12
     assert np.isfinite(true_m).all()
 
 

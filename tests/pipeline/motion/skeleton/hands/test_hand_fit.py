@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.joints import WHOLE_BODY, finger_joints
 from pipeline.motion.skeleton.hands.anatomy import natural_rad
-from pipeline.motion.skeleton.hands.hand_fit import seen_well, start_of
+from pipeline.motion.skeleton.hands.hand_fit import seen_well, start_pose
 from pipeline.motion.skeleton.model import joint_pose
 from tests.pipeline.motion.skeleton.hands.people import RATE_HZ, gesturing, hinge_angles_rad, landmarks_of
 
@@ -57,7 +57,7 @@ def test_start_of_hand_is_known_pose_and_natural_elsewhere() -> None:
     is_seen[30:80] = False
     fingers_m[~is_seen] = np.nan
     points_m = np.concatenate([wrist_m[:, None], fingers_m], axis=1)
-    pose = start_of("left", forearm, points_m, is_seen, motion.bone_length_m, RATE_HZ)
+    pose = start_pose("left", forearm, points_m, is_seen, motion.bone_length_m, RATE_HZ)
     true_rad = hinge_angles_rad(NUM_FRAMES)
     bent = true_rad[is_seen][:, 1::4] > 1.0  # of a finger that is bent far, the spread is unknown
     error_rad = np.abs(pose.angle_rad - true_rad)[is_seen].reshape(-1, 5, 4)
@@ -74,6 +74,6 @@ def test_start_of_hand_is_known_pose_and_natural_elsewhere() -> None:
 def test_a_hand_that_was_never_seen_is_natural() -> None:
     points_m = np.full((5, 21, 3), np.nan)
     never = np.zeros(5, bool)
-    pose = start_of("right", Rotation.identity(5), points_m, never, gesturing(1).bone_length_m, RATE_HZ)
+    pose = start_pose("right", Rotation.identity(5), points_m, never, gesturing(1).bone_length_m, RATE_HZ)
     np.testing.assert_array_equal(pose.angle_rad, np.tile(natural_rad(), (5, 1)))
     assert pose.forearm_from_hand.magnitude().max() == 0.0

@@ -15,7 +15,7 @@ from pipeline.core.options.config import ReconstructionConfig, Smoothing
 from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.feet.floor import SIDES
-from pipeline.motion.skeleton.hands.anatomy import HINGES, articulate_hand, fingers_of, joint_rotations, natural_rad
+from pipeline.motion.skeleton.hands.anatomy import HINGES, articulate_hand, hand_fingers, joint_rotations, natural_rad
 from pipeline.motion.skeleton.hands.whole import whole_lengths_m
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, forward_kinematics
 from tests.pipeline.motion.skeleton.hands.people import RATE_HZ, gesturing, landmarks_of
@@ -65,7 +65,7 @@ def error_m(animation: Animation, side: Side, num_frames: int = NUM_FRAMES, hand
 def hinge_angles_rad(motion: SkeletonMotion, side: Side) -> np.ndarray:
     """Angles of the hinges of fingers beyond their bases, and the rest of their rotations, (frames, 10, 2)."""
     found = []
-    for finger in fingers_of(side).values():
+    for finger in hand_fingers(side).values():
         for joint, axis in zip(finger.joints[1:3], finger.bend_axes[1:], strict=True):
             turned = Rotation.from_quat(motion.parent_from_joint[:, joint]).as_rotvec()
             along = turned @ axis
@@ -198,7 +198,7 @@ def test_hands_follow_smoothed_positions(smoothing: Smoothing) -> None:
     animation = animate_whole(noise_px=0.5, smoothing=smoothing)
     posed_m = forward_kinematics(animation.motions[0])
     for side in SIDES:
-        tips = [finger.joints[3] for finger in fingers_of(side).values()]
+        tips = [finger.joints[3] for finger in hand_fingers(side).values()]
         seen_m = animation.tracks[0].xyz_m[:, FINGERS_OF[side][3::HINGES]]
         assert np.linalg.norm(posed_m[:, tips] - seen_m, axis=-1).mean() < 0.015
 
