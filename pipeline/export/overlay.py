@@ -112,7 +112,7 @@ def given_names(motions: Iterable[SkeletonMotion]) -> dict[int, str]:
 
 
 def _drawable_text(name: str) -> str:
-    """Name in the letters that cv2 draws, those of ASCII, without accents; empty if it has others."""
+    """Name in the letters that cv2 draws (ASCII), without accents; empty if it has others."""
     plain = "".join(char for char in unicodedata.normalize("NFKD", name) if not unicodedata.combining(char))
     return plain[:_MAX_LABEL] if plain.isascii() and plain.isprintable() else ""
 

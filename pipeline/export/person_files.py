@@ -44,7 +44,7 @@ class PersonOfTake:
     joints: JointSet
     timebase: Timebase
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
-    frames: range  # Output frames of the files, those of the track among them
+    frames: range  # Output frames of the files, the track's frames among them
     # Frames of the files in which the person is there; all in files of the person's own frames
     is_present: Bool[np.ndarray, " frames"]
     body: BodyChoice  # Body in files that have one
@@ -206,7 +206,7 @@ def furthest_mm(
 ) -> float | None:
     """Largest distance in mm between a person's positions read from a file, block by block, and the expected positions.
 
-    ``expected_m`` gives the positions in a range of ``frames``, which are those of the file. ``None`` if no joint is
+    ``expected_m`` gives the positions in a range of ``frames``, the file's frames. ``None`` if no joint is
     known in any frame. Raises ``OSError`` if shapes or unknown joints differ.
     """
     far_m = furthest(path, frames, expected_m, read_m, on_share)
@@ -222,7 +222,7 @@ def furthest(
 ) -> float | None:
     """Largest distance between values read from a file, block by block, and the expected values.
 
-    ``expected`` gives the values in a range of ``frames``, which are those of the file. ``None`` if no value is known
+    ``expected`` gives the values in a range of ``frames``, the file's frames. ``None`` if no value is known
     in any frame. Raises ``OSError`` if shapes or unknown values differ.
     """
     num_read, far = 0, []

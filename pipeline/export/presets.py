@@ -84,13 +84,13 @@ class Convention:
     def twist_from_quat(
         self, quat_xyzw: Float[np.ndarray, "frames joints 4"], twist: TwistJoint
     ) -> Float[np.ndarray, "frames 4"]:
-        """Rotations (x, y, z, w) of a twist joint in the file from those of a ``SkeletonMotion``."""
+        """Rotations (x, y, z, w) of a twist joint in the file, from a ``SkeletonMotion``."""
         lowered = self.lowered(quat_xyzw.shape[1])[INDEX[twist.parent]]
         turn = Rotation.from_quat(twist_quat(quat_xyzw, twist))
         return self.file_from_quat((lowered * turn * lowered.inv()).as_quat())
 
     def file_from_quat(self, quat_xyzw: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 4"]:
-        """Convert rotations (x, y, z, w) to the file's axes; the rest pose is that of the skeleton."""
+        """Convert rotations (x, y, z, w) to the file's axes; the rest pose is the skeleton's."""
         return np.concatenate([quat_xyzw[..., :3] @ self.file_from_world.T, quat_xyzw[..., 3:]], axis=-1)
 
     def lowered(self, num_joints: int) -> Rotation:
@@ -104,7 +104,7 @@ def _fingers(pattern: str, fingers: Mapping[str, str], parts: tuple[str, str, st
     """Patterns for ``_sided`` of the names of the fingers' joints, from the palm to the tip.
 
     ``pattern`` has ``{finger}`` and ``{part}``, and a side as in ``_sided``; ``fingers`` are names in the file by name
-    in the skeleton, ``parts`` those of the three joints of a finger.
+    in the skeleton, ``parts`` the names of the three joints of a finger.
     """
     return {
         f"{{Side}}Hand{finger}{number}": pattern.replace("{finger}", name).replace("{part}", part)

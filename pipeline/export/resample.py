@@ -20,7 +20,7 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
 
     Positions are interpolated linearly between two frames in which a joint is known, rotations along the shortest arc
     between two frames (slerp). Located joints and observations stay at the session's rate. People who appear only
-    between two new frames are left out. ``frame_rate_hz`` is that of the new frames.
+    between two new frames are left out. ``frame_rate_hz`` is the rate of the new frames.
     """
     ratio = reconstruction.timebase.frame_rate_hz / frame_rate_hz  # old frames per new frame
     tracks, motions = [], []

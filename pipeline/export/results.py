@@ -98,7 +98,7 @@ def write_results(
 ) -> list[Path]:
     """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
 
-    The parameters are those of ``write_files``. A Rerun recording has neither pictures nor detections that nobody was
+    See ``write_files`` for the parameters. A Rerun recording has neither pictures nor detections that nobody was
     given: a reconstruction does not hold them.
 
     Raises
@@ -152,7 +152,7 @@ def write_files(
     """Write all result files into a folder, which is created if missing.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
-    Beside CSV files are those of events and strides of people who have some. ``calibration.json`` is written if the
+    Beside CSV files are tables of events and strides of people who have some. ``calibration.json`` is written if the
     calibration was refined. ``metrics.json`` is the last file. It contains the largest distance, for each format,
     between joints read back and their true positions, the same half-way between two frames for files with angles, and
     the origin of files of single precision, if it is not the world's.
@@ -166,7 +166,7 @@ def write_files(
         Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
         session's rate.
     timeline
-        Frames of each person's files: all those of the take, or those in which the person is there.
+        Frames of each person's files: all frames of the take, or the frames in which the person is there.
     body
         Body of the people in GLB, FBX and USD files.
     on_share
@@ -269,7 +269,7 @@ def keep_people(
 ) -> None:
     """Write the files of some people into a folder and keep them, for ``write_files`` with the same choices.
 
-    ``rows`` are those of the people among the tracks.
+    ``rows`` are the people's places among the tracks.
     """
     shown = at_rate(reconstruction, frame_rate_hz)
     people = islice(take_people(shown, timeline, body), rows.start, rows.stop, rows.step)

@@ -121,7 +121,7 @@ def _leg(rig: CharacterRig, way: Sequence[int], up: Float[np.ndarray, " 3"]) -> 
 
 
 def _arm(rig: CharacterRig, way: Sequence[int]) -> dict[str, int] | None:
-    """Collar bone, shoulder, elbow and wrist among the bones of an arm, whose first one is that of the trunk."""
+    """Collar bone, shoulder, elbow and wrist among the bones of an arm, whose first one belongs to the trunk."""
     bones = way[1:]
     lengths = np.cumsum([0.0, *(_distance(rig, a, b) for a, b in itertools.pairwise(bones))])
     palms = (place for place, bone in enumerate(bones) if _num_fingers(rig, bone) >= _LEAST_FINGERS)
@@ -177,7 +177,7 @@ def _halfway(rig: CharacterRig, way: Sequence[int], start: int, stop: int) -> in
 def _forward(
     rig: CharacterRig, legs: Sequence[dict[str, int] | None], up: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " 3"]:
-    """Direction in which the feet point; that of glTF, or -Y where Z is up, if they have no toes."""
+    """Direction in which the feet point; glTF's, or -Y where Z is up, if they have no toes."""
     total = np.zeros(3)
     for leg in legs:
         if leg and "ToeBase" in leg:

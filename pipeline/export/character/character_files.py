@@ -37,7 +37,7 @@ _CM_PER_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class RetargetingFigures:
-    """Figures of a character's motion; lengths are those of the person's world, NaN without any contact."""
+    """Figures of a character's motion; lengths are in the person's world, NaN without any contact."""
 
     slide_cm: float  # Largest mean distance of a standing point from its place on the ground
     penetration_cm: float  # Largest depth of a sole below the floor while it stands
@@ -171,7 +171,7 @@ def write_character_files(
     frame_rate_hz
         Rate of the motion in the files; ``None``: the session's rate.
     timeline
-        Frames of each person's files: all those of the take, or those in which the person is there.
+        Frames of each person's files: all frames of the take, or the frames in which the person is there.
 
     Yields
     ------

@@ -29,7 +29,7 @@ _OUTWARDS: Mapping[str, Float[np.ndarray, " 3"]] = {
     "Left": np.array([1.0, 0.0, 0.0]),
     "Right": np.array([-1.0, 0.0, 0.0]),
 }
-# Angle up to which axes are those of the file: a body that leans a little in its rest pose stands on a level floor.
+# Angle up to which the file's axes are kept: a body that leans a little in its rest pose stands on a level floor.
 _SNAP_DEG = 25.0
 _UNEVEN = 0.01
 # Measures of feet without a mesh, as shares of the leg's length: height of the ankle, and way from it to heel and toes.

@@ -1,6 +1,6 @@
 """Reader of characters in GLB and VRM files, for files of strangers: bounded, and every error is an ``InputError``.
 
-The rest pose is the one in which the mesh was bound to the bones, where a skin states it, else that of the nodes: files
+The rest pose is the one in which the mesh was bound to the bones, where a skin states it, else the nodes' pose: files
 are often saved in the middle of a movement.
 """
 
@@ -63,7 +63,7 @@ class CharacterFile:
 
     name: str  # Base name of the file
     format: Format
-    # JSON and bytes of the buffer: those of the file as they are, or those that were made from an FBX file
+    # JSON and bytes of the buffer: the file's own, or made from an FBX file
     document: Mapping[str, Any]
     binary: memoryview
     rig: CharacterRig
@@ -82,7 +82,7 @@ def decode_character(name: str, content: bytes) -> CharacterFile:
 
 
 def build_character(name: str, document: dict[str, Any], binary: memoryview, format_name: Format) -> CharacterFile:
-    """Character of a document and its buffer; errors are those of ``checked``."""
+    """Character of a document and its buffer; see ``checked`` for errors."""
     reader = GltfDocument(document, binary)
     rig, skinned = reader.rig(), []
     for mesh_node in reader.skinned_nodes():
@@ -131,7 +131,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
 
 
 class GltfDocument:
-    """Checked access to the JSON of a file and its buffer; errors are those of ``checked``."""
+    """Checked access to the JSON of a file and its buffer; see ``checked`` for errors."""
 
     def __init__(self, document: dict[str, Any], binary: memoryview) -> None:
         self._document, self._binary = document, binary

@@ -294,7 +294,7 @@ def _above_floor(
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotations of a foot in the air whose ball is not below the floor, as far as its ankle is above it.
 
-    The foot turns about its own axis: toes up, or back if it points down steeply, as that of somebody who kneels. The
+    The foot turns about its own axis: toes up, or back if it points down steeply, like a kneeling person's. The
     ankle stays, so that the leg keeps its direction.
     """
     turn = _Pitch(foot, measures.ball, floor)

@@ -1,6 +1,6 @@
 """Bones of a character by the joints of the skeleton, recognised or stated by a table.
 
-The joints are those of ``pipeline.motion.skeleton.model``, with toes (``LeftToeBase``), and without those of the trunk:
+The joints are those of ``pipeline.motion.skeleton.model``, with toes (``LeftToeBase``), and without the trunk's joints:
 all bones between hips and arms are the spine, those between arms and head the neck.
 
 Names count before the shape of the tree: the shape may complete the named bones, but never contradicts them. In rigs
@@ -87,7 +87,7 @@ def read_bone_table(path: Path) -> dict[str, str | None]:
 
 
 def bone_table(document: Any, name: str | None = None) -> dict[str, str | None]:
-    """Check a table of bones, parsed from JSON; ``name`` is that of its file. Raises ``InputError``."""
+    """Check a table of bones, parsed from JSON; ``name`` is its file's name. Raises ``InputError``."""
     bones = document.get("bones") if isinstance(document, dict) else None
     if not isinstance(bones, dict):
         raise InputError([Problem(BONES_INVALID, "The table has no object `bones`.", file=name, hint=_HINT)])

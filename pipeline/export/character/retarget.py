@@ -153,7 +153,7 @@ class CharacterMotion:
     turns: Mapping[int, Float[np.ndarray, "frames 3 3"]]
     stands: Mapping[str, Bool[np.ndarray, " frames"]]  # Frames in which a foot is held, by side
     floor: ScaledFloor | None
-    ground: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a treadmill's belt
+    ground: Float[np.ndarray, "frames 3"]  # Way of the ground, such as a treadmill's belt, since the first frame
 
 
 def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> CharacterMotion:

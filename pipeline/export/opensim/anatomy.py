@@ -1,7 +1,7 @@
 """Markers of OpenSim's model: names, the bodies that carry them, and the part of a person that each one is.
 
-Names are those of Pose2Sim and OpenCap where they mean the same: ``RHip`` for centres of joints and for what a
-detector marks, ``r.ASIS_study`` for landmarks of bones. Bodies, axes and sizes are those of Pose2Sim's model without
+Names are as in Pose2Sim and OpenCap where they mean the same: ``RHip`` for centres of joints and for what a
+detector marks, ``r.ASIS_study`` for landmarks of bones. Bodies, axes and sizes are as in Pose2Sim's model without
 muscles: X to the front, Y up, Z to the right in the anatomical position, metres.
 """
 
@@ -64,7 +64,7 @@ THIGH_M, SHANK_M, UPPER_ARM_M, FOREARM_M = 0.408, 0.4196, 0.2867, 0.2502
 FOOT_M = 0.2738
 """Distance of the markers of heel and big toe."""
 STATURE_M = 1.77
-"""Stature whose lengths by ``pipeline.motion.skeleton.model`` are those of the generic model."""
+"""Stature whose lengths by ``pipeline.motion.skeleton.model`` are the generic model's lengths."""
 
 FEET: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {side: tuple(f"{body}_{side[0]}" for body in ("talus", "calcn", "toes")) for side in ("left", "right")}

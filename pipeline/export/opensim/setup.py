@@ -71,8 +71,8 @@ class ModelSize:
 def model_size(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> ModelSize:
     """Size of a person's model.
 
-    Limbs have the lengths of the skeleton's bones. The width of the pelvis is that of the hips, and the width and
-    depth of the torso those of the shoulders. Markers of feet and head stand where the person has them: at their median
+    Limbs have the lengths of the skeleton's bones. The pelvis is as wide as the hips, and the width and
+    depth of the torso follow the shoulders. Markers of feet and head stand where the person has them: at their median
     place beside the bone. Masses are by stature, shared among bodies as in the generic model.
     """
     stature_m = _stature_m(motion)

@@ -2,7 +2,7 @@
 
 Both see what the other misses. The head of a tracked person is projected into every camera and frame, also where the
 person is hidden or no detector found a body. A detected body counts whether a track took it or not: bystanders, people
-beyond a largest number of people, people whom edits remove, and everybody where a calibration is wrong.
+beyond a largest number of people, people removed by edits, and everybody where a calibration is wrong.
 """
 
 import itertools
@@ -60,8 +60,8 @@ def head_path(track: Track3D, joints: JointSet, timebase: Timebase) -> HeadPath 
     """Sphere around the head of a person in each frame of a track, also where the joints of the head are unknown.
 
     The less is known, the larger is the sphere: around the ears, the face, above the shoulders, the hips. Frames in
-    which nothing is known have a sphere between those of the frames around them. ``None`` if no frame has any of these
-    joints.
+    which nothing is known have a sphere between the spheres of the frames around them. ``None`` if no frame has any of
+    these joints.
     """
     center_m, radius_m = _spheres(track, joints)
     is_known = np.isfinite(radius_m)
@@ -138,7 +138,7 @@ _LENGTHS_M = {
     ("left_knee", "left_ankle"): 0.42,
     ("right_knee", "right_ankle"): 0.42,
 }
-# Radii by what is known of the head, as of people in the world, and the distance of the head from the shoulders.
+# Radii by what is known of the head, as for people in the world, and the distance of the head from the shoulders.
 _OF_PICTURED_FACE_M, _OF_NOSE_M, _OF_PICTURED_SHOULDERS_M = 0.18, 0.24, 0.36
 # A radius is at most this share of the longer side of the box around the body, and at least the other share: a head is
 # a seventh of an upright body.
@@ -286,7 +286,7 @@ def sphere_ellipse(
 ) -> Float[np.ndarray, " 4"] | None:
     """Ellipse around the picture of a sphere, through the lens; ``None`` if the sphere is behind the camera.
 
-    The axes are those of the picture: the ellipse has the shape of the box around the projected points of the sphere,
+    The axes are the picture's: the ellipse has the shape of the box around the projected points of the sphere,
     and is large enough for each of them. A sphere at the camera covers the whole picture.
     """
     size_px = np.array(camera.size_px, float)

@@ -415,14 +415,14 @@ _UNDECIDED = frozenset({_NOBODY, "nobody_detected", "same_video", "calibration_o
 def people_findings(report: Mapping[str, Any]) -> list[Finding]:
     """Failed checks of a take that tell of its calibration.
 
-    ``report`` is that of ``pipeline.export.quality.report.quality_report``.
+    ``report`` comes from ``pipeline.export.quality.report.quality_report``.
     """
     of_world = {finding["code"] for finding in report["world_checks"]}
     return [finding for finding in all_checks(report) if finding.code in _OF_CAPTURE | of_world]
 
 
 def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> list[Finding]:
-    """Join findings about cameras alone with those of people, who decide what is up and where the floor is.
+    """Join findings about cameras alone with findings about people, who decide what is up and where the floor is.
 
     What is wrong with cameras is seen by the people: errors of the cameras alone become warnings, but for those with
     which nobody could be located.

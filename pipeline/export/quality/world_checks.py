@@ -146,7 +146,7 @@ class LeanFault:
 
 
 def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> LeanFault | None:
-    """Judge the angle of people from Z by that of the cameras; ``None`` if people are upright.
+    """Judge the angle of people from Z by the angle of the cameras; ``None`` if people are upright.
 
     Most cameras stand upright, while people also lie, crawl and stand on their hands. ``when`` says in a sentence at
     which instants people lean.

@@ -119,7 +119,7 @@ def is_unmatched(
     times
         Times of the camera's frames.
     camera
-        Position of the camera among those of the observations.
+        Position of the camera among the cameras of the observations.
     people
         Tracks with the observations behind them.
     """

@@ -1,7 +1,7 @@
 """Rerun recordings: cameras with pictures and detections, people, contacts and angles on two timelines.
 
 ``frame`` counts the output frames, ``time`` is the session's clock. The world has Z up, cameras look along +z with x to
-the right and y down. Pixels are those of the small pictures, and 0 is the outer edge of the first one, as Rerun has
+the right and y down. Pixels are in the small pictures, and 0 is the outer edge of the first one, as Rerun has
 them. Positions have single precision; if the world's origin is far away they are relative to ``origin_m``, a property
 of the recording. Cameras of Rerun are pinholes: the lens's distortion is not there.
 

@@ -48,10 +48,10 @@ class PersonFrames:
     """Content of the records of one person."""
 
     track: Track3D  # Joints with final positions
-    # Positions that the others are stored relative to: those of the skeleton's root
+    # Positions that the others are stored relative to: the skeleton's root
     root_m: Float[np.ndarray, "frames 3"]
     skeleton_m: Float[np.ndarray, "frames bones 3"]  # Positions of the joints of the animation skeleton
-    # Joint angles of those of ``ANGLE_NAMES`` that the detector's joints can show; NaN where they are unknown
+    # Joint angles of ``ANGLE_NAMES`` that the detector's joints can show; NaN where they are unknown
     angle_deg: Float[np.ndarray, "frames angles"]
     # Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person
     camera_error_px: Float[np.ndarray, "frames cameras"]
@@ -118,7 +118,7 @@ def error_byte(error_px: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*sha
 
 
 def _angle_steps(angle_deg: Float[np.ndarray, "frames angles"]) -> np.ndarray:
-    """Quantise angles; those of many turns are brought within the range of the numbers by whole turns."""
+    """Quantise angles; angles of many turns are brought within the range of the numbers by whole turns."""
     is_known = np.isfinite(angle_deg)
     known_deg = np.where(is_known, angle_deg, 0.0)
     most_deg = ANGLE_STEP_DEG * _LARGEST - 360.0
@@ -157,7 +157,7 @@ def frames_a_bucket(num_frames: int) -> int:
 def identity_confidence(
     start_frame: int, num_frames: int, doubts: Sequence[Doubt], timebase: Timebase
 ) -> Float[np.ndarray, " frames"]:
-    """Confidence in a person's identity: that of the worst doubt within half a second of a frame, else 1."""
+    """Confidence in a person's identity: the worst doubt within half a second of a frame, else 1."""
     confidence = np.ones(num_frames)
     reach = round(_DOUBT_S * timebase.frame_rate_hz)
     for doubt in doubts:

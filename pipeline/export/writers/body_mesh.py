@@ -83,7 +83,7 @@ class BodyAtRest:
 
     # Of each joint of the skeleton from its parent, of the root from the origin
     offsets: Float[np.ndarray, "joints 3"]
-    twists: tuple[TwistJoint, ...]  # Joints of the mesh after those of the skeleton
+    twists: tuple[TwistJoint, ...]  # Joints of the mesh after the skeleton's joints
     twist_offsets: Float[np.ndarray, "twists 3"]  # Of each twist joint from its parent
     positions: Float[np.ndarray, "all_joints 3"]  # Positions of the skeleton's joints, then of the twist joints
     mesh: BodyMesh
@@ -112,7 +112,7 @@ class BodyChoice:
     """Body of a person in a file."""
 
     shape: Body = "capsules"
-    floor: Floor | None = None  # Floor on which the soles of a human stand; ``None``: that of the skeleton at rest
+    floor: Floor | None = None  # Floor on which the soles of a human stand; ``None``: the floor of the skeleton at rest
 
 
 CAPSULES = BodyChoice()
@@ -162,7 +162,7 @@ def _human(shaped: ShapedBody, convention: Convention) -> BodyMesh:
 def _normals(
     vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals of vertices: the mean of those of their triangles, by area."""
+    """Unit normals of vertices: the mean of their triangles' normals, by area."""
     corners = vertices[triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
@@ -198,7 +198,7 @@ def _egg() -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices
 def capsules(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "joints 3"]) -> BodyMesh:
     """Build the mesh with an ellipsoid around each bone.
 
-    Offsets from their parents, and positions, are those of all joints in the rest pose. A skeleton with fingers has
+    Offsets from their parents, and positions, have all joints in the rest pose. A skeleton with fingers has
     palms and fingers in place of plain hands.
     """
     egg, egg_normals, triangles = _egg()

@@ -52,7 +52,7 @@ SEGMENT_LABELS: Mapping[str, str] = MappingProxyType(
     | {f"{side}_{name}": f"{side[0]}_{label}_4X4" for side in ("left", "right") for name, label in _LIMBS.items()}
 )
 """Labels of the segments by their names in ``pipeline.motion.angles.definitions``."""
-# Columns of Visual3D's axes among those of ISB's: right, front, up.
+# Columns of Visual3D's axes among ISB's axes: right, front, up.
 _RIGHT_FRONT_UP = [2, 0, 1]
 
 
@@ -71,7 +71,7 @@ def segment_poses(motion: SkeletonMotion, rows: slice) -> Float[np.ndarray, "fra
 
 
 def segment_reliability(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frames segments"]:
-    """1 in frames in which all landmarks of a segment have a position, otherwise 0: the pose is that of the fit."""
+    """1 in frames in which all landmarks of a segment have a position, otherwise 0: the fit has guessed the pose."""
     known = observed(track, joints)
     return np.stack([known[name] for name in SEGMENT_LABELS], axis=1).astype(float)
 
@@ -230,7 +230,7 @@ def encode(
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file; ``None``: those of the track.
+        Output frames of the file; ``None``: the track's frames.
     events
         Events of the person; of more than 2,000 the first ones are written.
     motion

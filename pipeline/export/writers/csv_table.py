@@ -1,7 +1,7 @@
 """CSV files: world positions of a person's joints, a row a frame, for spreadsheets and statistics.
 
 Columns are ``frame`` (output frame of the session), ``time_s`` (on the session's clock), and x, y and z of each joint
-in metres, Z up. Cells of unknown joints are empty; so are those of all joints in frames before and after the track.
+in metres, Z up. Cells of unknown joints are empty; so are all cells in frames before and after the track.
 Numbers are rounded to 0.1 mm and 1 us.
 """
 

@@ -46,7 +46,7 @@ def euler_deg(
 def _nearest(
     triples: Float[np.ndarray, "2 frames joints 3"], before: Float[np.ndarray, "joints 3"]
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """Triple of each frame that is closest to that of the frame before, up to full turns; all frames at once."""
+    """Triple of each frame that is closest to the triple of the frame before, up to full turns; all frames at once."""
     num_frames = triples.shape[1]
     if num_frames == 0:
         return triples[0]
@@ -56,7 +56,7 @@ def _nearest(
     after_first, after_second = (
         _is_second_nearer(by_axis[:, :, 1:], earlier) for earlier in (by_axis[:, 0, :-1], by_axis[:, 1, :-1])
     )
-    # A frame whose choice does not depend on the one before begins anew; others keep it or exchange it.
+    # A frame whose choice does not depend on the one before starts again; others keep it or exchange it.
     begins = np.concatenate([np.ones_like(first_second[0]), after_first == after_second])
     chosen = np.concatenate([*first_second, after_first])
     exchanged = np.cumsum(chosen & ~begins, axis=0, dtype=np.int32)

@@ -2,7 +2,7 @@
 
 A file holds a person, or the scene of a take: everybody, the cameras and the floor.
 
-A preset defines the names and the rest pose. Axes are those of Maya: Y up, facing +Z, right-handed; the unit is a
+A preset defines the names and the rest pose. Axes are Maya's: Y up, facing +Z, right-handed; the unit is a
 centimetre, and a metre for Blender. The rest pose, which is the bind pose of the skin too, stands on the floor at the
 origin. Models are the joints, ends of bones included, and the twist joints of a human body, below a node with the
 person's name; joints are aligned with the file's axes at rest.
@@ -150,7 +150,7 @@ class _People:
         self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
 
     def person_name(self, motion: SkeletonMotion) -> str:
-        """Name of a person in the file, never that of a joint: some programs find models by their names."""
+        """Name of a person in the file, never a joint's name: some programs find models by their names."""
         name = safe_name(motion.name) or f"person-{motion.track_id}"
         is_of_joint = name in {self.convention.name(joint.name) for joint in WHOLE_SKELETON}
         return f"{name} ({motion.track_id})" if is_of_joint else name
@@ -215,7 +215,7 @@ def _add_joint(scene: FbxScene, name: str, parent: Int64, offset: Float[np.ndarr
 def _add_skin(
     scene: FbxScene, name: str, track_id: int, body: BodyAtRest, models: Mapping[Int64, Float[np.ndarray, " 3"]]
 ) -> Int64:
-    """Add the body of a person; ``models`` are the node at the top and those of the joints, with their places.
+    """Add the body of a person; ``models`` are the node at the top and the joints' nodes, with their places.
 
     Returns the model of the body.
     """
@@ -252,7 +252,7 @@ def _animate(
 ) -> None:
     """Add the curves of a motion: of the place of the root, and of the rotation of each joint with children.
 
-    ``models`` are the joints of the skeleton, then those of its twist joints that the file has.
+    ``models`` are the joints of the skeleton, then the twist joints that the file has.
     """
     if not len(motion.root_m):
         return
@@ -342,7 +342,7 @@ class _Angles:
 def read_xyz_m(path: Path, preset: Preset, person: int = 0) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of a skeleton's joints from a file, block by block.
 
-    ``person`` is the person's place among those of a take; a file of one person has one.
+    ``person`` is the person's place among the people of a take; a file of one person has one.
 
     Raises
     ------

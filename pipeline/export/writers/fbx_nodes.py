@@ -1,6 +1,6 @@
 """Binary FBX: a tree of nodes with properties, written piece by piece, and read within bounds.
 
-The layout is that of versions 7.4 and 7.5, which differ in the width of their offsets: 32 and 64 bits. Each node states
+The layout is as in versions 7.4 and 7.5, which differ in the width of their offsets: 32 and 64 bits. Each node states
 where it ends, so all sizes are known before the first byte is written. Numbers are little-endian.
 """
 
@@ -119,7 +119,7 @@ def late_array(code: str, length: int, make: Callable[[], Shaped[np.ndarray, " l
 
 
 def write(nodes_of: Callable[[int], Iterable[Node]]) -> Iterator[bytes]:
-    """Write the nodes of a file, piece by piece; ``nodes_of`` gives those of a version.
+    """Write the nodes of a file, piece by piece; ``nodes_of`` gives the nodes of a version.
 
     The version is 7.4, or 7.5 for files of 2 GiB and more, whose offsets need 64 bits.
     """

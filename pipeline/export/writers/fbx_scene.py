@@ -50,7 +50,7 @@ _CREATOR = "Multicap"
 _FIRST_ID = 1_000_000
 _AXES = "XYZ"
 _UNSAFE = frozenset({"Cc", "Cs"})
-# Numbers of ``TimeMode`` by rate; every other rate is that of ``CustomFrameRate``.
+# Numbers of ``TimeMode`` by rate; every other rate is in ``CustomFrameRate``.
 _TIME_MODES: Mapping[float, int] = MappingProxyType(
     {
         **{120.0: 1, 100.0: 2, 60.0: 3, 50.0: 4, 48.0: 5, 30.0: 6, 30000 / 1001: 9, 25.0: 10, 24.0: 11, 1000.0: 12},

@@ -2,7 +2,7 @@
 
 A file holds a person, or the scene of a take: everybody, the cameras and the floor.
 
-Axes and unit are those of glTF: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
+Axes and unit are glTF's: Y up, facing +Z, metres. The rest pose is a T-pose that stands on the floor at the
 origin. Joints have the skeleton's names, ends of bones included; a human body has twist joints beside them. The
 animation begins at 0 s with the first frame of the file; its ``extras`` contain the number of that output frame. Before
 and after the motion's own frames the nearest pose holds. Where the person is not there, a morph target, ``absent``,
@@ -240,7 +240,7 @@ class GlbDocument:
         file.materials.append(_material(FLOOR, _FLOOR_RGB))
 
     def encode(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of the file, piece by piece; ``name`` is that of the animation."""
+        """Yield the bytes of the file, piece by piece; ``name`` is the animation's name."""
         file, buffer = self._file, self._buffer
         if self._channels:
             file.animations = [self._animation(name)]
@@ -289,7 +289,7 @@ def encode(
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file; ``None``: those of the motion.
+        Output frames of the file; ``None``: the motion's frames.
     is_present
         Frames of the file in which the person is there; ``None``: all.
     """
@@ -395,7 +395,7 @@ class GlbReader:
 def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of a skeleton's joints from a file, block by block.
 
-    ``person`` is the person's place among those of a scene; a file of one person has one.
+    ``person`` is the person's place among the people of a scene; a file of one person has one.
     """
     with path.open("rb") as file:
         reader = GlbReader(file)

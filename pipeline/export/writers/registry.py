@@ -35,7 +35,7 @@ class PersonContent:
     joints: JointSet
     timebase: Timebase
     file_name: str  # Name of the file
-    frames: range  # Output frames of the file, those of the person among them
+    frames: range  # Output frames of the file, the person's frames among them
     is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
     preset: Preset  # Convention of BVH and FBX files

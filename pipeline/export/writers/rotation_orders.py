@@ -65,7 +65,7 @@ _USUAL = "ZXY"
 _USUAL_UP_TO_MM, _JOINT_UP_TO_MM = 2.0, 0.25
 
 Program = Literal["Blender", "ufbx"]
-"""Program that interpolates angles: Blender those of its bones, ufbx the angles of the file."""
+"""Program that interpolates angles: Blender the angles of its bones, ufbx the angles of the file."""
 
 # Gives rotations (x, y, z, w) half-way between consecutive frames, from the axes of each joint
 _Halfway = Callable[[Float[np.ndarray, "frames joints 4"], Sequence[str]], Float[np.ndarray, "_ joints 4"]]

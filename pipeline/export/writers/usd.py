@@ -70,7 +70,7 @@ def encode(
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file; ``None``: those of the motion.
+        Output frames of the file; ``None``: the motion's frames.
     is_present
         Frames of the file in which the person is there; ``None``: all.
 
@@ -317,7 +317,7 @@ def _show(root: Any, is_present: Bool[np.ndarray, " frames"]) -> None:
 def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of a skeleton's joints from a file, block by block.
 
-    ``person`` is the person's place among those of a take; a file of one person has one.
+    ``person`` is the person's place among the people of a take; a file of one person has one.
 
     Raises
     ------

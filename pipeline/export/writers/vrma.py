@@ -1,6 +1,6 @@
 """VRMA files (glTF 2.0, binary, with the extension VRMC_vrm_animation 1.0): a motion for characters in VRM.
 
-The skeleton is that of GLB files: its T-pose, which faces +Z and stands on the floor, is the rest pose that VRM
+The skeleton is the same as in GLB files: its T-pose, which faces +Z and stands on the floor, is the rest pose that VRM
 prescribes. The extension says which joints are the bones of a humanoid. Software turns the bones of a character as
 these joints turn, and moves its hips as the root moves, in proportion to the height of the hips at rest.
 
@@ -53,7 +53,7 @@ def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], frames: ra
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file; ``None``: those of the motion.
+        Output frames of the file; ``None``: the motion's frames.
     """
     document = GlbDocument(origin_m, motion.frames if frames is None else frames, motion.frame_rate_hz)
     first_joint = document.add_skeleton(motion, body_at_rest(motion, GLTF, CAPSULES))

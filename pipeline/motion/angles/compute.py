@@ -178,7 +178,7 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
 def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " frames"]:
     """Frames in which landmarks show the rotation of a segment about its long axis.
 
-    That of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
+    The twist of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
     """
     segment = SEGMENTS[name]
     if not _has_landmarks(segment, joints):
@@ -190,7 +190,7 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
 def _proximal_from_distal(
     world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
-    """Rotation of a joint; that of the left side is mirrored."""
+    """Rotation of a joint; the left side is mirrored."""
     proximal, distal = joint_segments(joint, side)
     world_from_proximal = WORLD if proximal is None else world_from_segment[proximal]
     rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]

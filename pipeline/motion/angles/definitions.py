@@ -1,6 +1,6 @@
 """Definitions of joint angles: frames of segments, joints between them, sequences of rotations, names and signs.
 
-Definitions are those of the International Society of Biomechanics: Wu et al. 2002 (ankle, hip, spine), Grood and Suntay
+Definitions follow the International Society of Biomechanics: Wu et al. 2002 (ankle, hip, spine), Grood and Suntay
 1983 (knee), Wu et al. 2005 (shoulder, elbow, wrist), and Baker 2001 for the pelvis in the world. The axes of every
 segment are X to the front, Y up along the segment, and Z to the right, in the anatomical position: upright, arms
 hanging, palms to the front. All angles are then zero. Where a body without markers can't follow the definitions,
@@ -55,7 +55,7 @@ class BodySegment:
 
     @property
     def rest_from_segment(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation from the segment's axes to those of the rest pose."""
+        """Rotation from the segment's axes to the axes of the rest pose."""
         return np.array(self.axes).T
 
 
@@ -223,7 +223,7 @@ SEGMENTS: Mapping[str, BodySegment] = MappingProxyType(
         **_limbs("right"),
     }
 )
-"""Segments by name; those of limbs begin with the side."""
+"""Segments by name; names of limbs begin with the side."""
 
 
 def joint_sides(joint: AngleJoint) -> tuple[str | None, ...]:

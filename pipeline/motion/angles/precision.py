@@ -1,6 +1,6 @@
 """Uncertainty of joint angles, propagated from the standard deviations of the joints' positions.
 
-The fit states how precise positions are, not rotations. The orientation of a segment is therefore taken as that of two
+The fit states how precise positions are, not rotations. The orientation of a segment is therefore derived from two
 vectors between landmarks (``BodySegment``): a small displacement of a landmark turns the segment by a small rotation
 that is linear in it, and an angle changes by its derivative along the difference of the rotations of both segments.
 Displacements of landmarks count as independent, and as equal along all axes; a landmark of both segments, such as the

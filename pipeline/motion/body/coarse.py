@@ -15,7 +15,7 @@ from math import sqrt
 import numpy as np
 from jaxtyping import Int
 
-# Weight of the planes that keep a border in place, relative to those of triangles.
+# Weight of the planes that keep a border in place, relative to the triangles' planes.
 _BORDER_WEIGHT = 10.0
 # Least cosine between the normals of a triangle before and after a collapse.
 _MIN_COSINE = 0.2

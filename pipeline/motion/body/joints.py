@@ -1,4 +1,4 @@
-"""Joints that move a body: those of the skeleton with fingers, then the twist joints of the forearms.
+"""Joints that move a body: the skeleton's, with fingers, then the twist joints of the forearms.
 
 Between the elbow and the wrist the skin turns with the bones below it, the more the nearer to the wrist. A twist joint
 lies on a forearm, is turned about it by a share of the hand's twist, and moves the skin around it. So the forearm keeps
@@ -53,7 +53,7 @@ BODY_INDEX: Mapping[str, int] = MappingProxyType({name: number for number, name 
 def twist_quat(
     parent_from_joint: Float[np.ndarray, "frames joints 4"], twist: TwistJoint
 ) -> Float[np.ndarray, "frames 4"]:
-    """Rotations (x, y, z, w) of a twist joint from those of the skeleton's joints, each frame by itself."""
+    """Rotations (x, y, z, w) of a twist joint from the skeleton's rotations, each frame by itself."""
     hand = parent_from_joint[:, INDEX[twist.hand]]
     angle_rad = 2.0 * np.arctan2(hand[:, 0], hand[:, 3])
     angle_rad = (angle_rad - MIDDLE_TWIST_RAD + np.pi) % (2.0 * np.pi) - np.pi + MIDDLE_TWIST_RAD

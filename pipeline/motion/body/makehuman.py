@@ -204,7 +204,7 @@ def _range_vertices(ranges: Sequence[tuple[int, int]]) -> Int[np.ndarray, " vert
 
 
 def _sides(name: str, *patterns: str) -> Iterator[tuple[str, ...]]:
-    """Expand names with a side to those of both sides."""
+    """Expand names with a side to the names of both sides."""
     for side in ("Left", "Right") if "{Side}" in name else ("",):
         yield tuple(pattern.format(Side=side, s=side[:1].lower()) for pattern in (name, *patterns))
 

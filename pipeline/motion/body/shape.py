@@ -1,6 +1,6 @@
 """A body shaped by a person's bones.
 
-The age of the shape is that of the person's stature: children have children's proportions. In the rest pose the bones
+The age of the shape follows from the person's stature: children have children's proportions. In the rest pose the bones
 lie along the axes of the world, so that each joint stretches what it moves along these axes: along the bone by the
 ratio of the person's length to the shape's, across by the ratio of the statures. Between joints the stretching passes
 smoothly, by the weights of the skin.
@@ -80,7 +80,7 @@ def shape_body(
     """Shape a body by the lengths of a skeleton's bones, with or without fingers.
 
     Without fingers, the hand's have the proportions of the average and are a little bent. ``ankle_m`` is the height of
-    the ankles above the floor while the person stands, ``None``: that of the skeleton at rest. The soles stand on the
+    the ankles above the floor while the person stands, ``None``: the skeleton's at rest. The soles stand on the
     floor.
     """
     num_joints = len(bone_length_m)
@@ -149,7 +149,7 @@ def _with_fingers(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarr
 def _aged(
     shapes: BodyShapes, stature_m: float
 ) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "joints 3"]]:
-    """Vertices and joints (metres) of the shape whose age is that of a stature."""
+    """Vertices and joints (metres) of the shape of the age of a stature."""
     statures_m = shapes.joints_m[:, BODY_INDEX["HeadEnd"], 2].copy()
     statures_m[-1] = _ADULT_STATURE_M
     age = float(np.interp(stature_m, statures_m, np.arange(len(statures_m))))

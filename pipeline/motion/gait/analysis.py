@@ -15,7 +15,7 @@ from pipeline.motion.gait.strides import GaitFigures, Spread, Stride, find_strid
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonGait:
-    """Gait and movements of a person. Rows are those of the person's track."""
+    """Gait and movements of a person. Rows are the track's rows."""
 
     start_frame: int  # Output frame of the first row
     events: tuple[FootEvent, ...] = ()  # Foot strikes and foot offs of gait, in order of time
@@ -23,7 +23,7 @@ class PersonGait:
     figures: GaitFigures | None = None  # ``None`` without gait
     movements: tuple[BodyMovement, ...] = ()
     belt_m_s: float = 0.0  # Speed of the treadmill's belt; 0 without one
-    has_marks: bool = False  # Whether events are those of heels and toes, not of ankles
+    has_marks: bool = False  # Whether events are of heels and toes, not of ankles
 
 
 def analyse_gait(track: Track3D, joints: JointSet, frame_rate_hz: float) -> PersonGait:
@@ -48,7 +48,7 @@ Context = Literal["Left", "Right", "General"]
 
 
 class MarkedEvent(NamedTuple):
-    """Event in the words of C3D files: those of Vicon and Visual3D for feet."""
+    """Event in the words of C3D files: for feet, the words of Vicon and Visual3D."""
 
     label: str  # ``Foot Strike`` and ``Foot Off`` of gait; ``Take Off`` and ``Landing`` of jumps
     context: Context  # Side of a foot; ``General`` for both feet

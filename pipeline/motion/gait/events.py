@@ -40,7 +40,7 @@ def rest_ends(path_m: Float[np.ndarray, " frames"], frame_rate_hz: float, *, has
 
     A point that may leave with a speed has ``b (t - t0)`` in place of the cubic term. Least squares over the whole
     path, with t0 tried in steps of a twentieth of a frame: the instant lies between
-    frames where the data allow. The standard deviation is that of t0 in the linearised problem, from the residuals.
+    frames where the data allow. The standard deviation is of t0 in the linearised problem, from the residuals.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ _SWING_M_S, _SWING_M = 0.35, 0.15
 _FAST = 0.5
 # Time at rest, and share of the swing's way, that the fit of a corner covers.
 _REST_S, _WAY = 0.15, 0.5
-# Standard deviation that the model of a corner leaves, and that of an ankle in place of heel and toe.
+# Standard deviation that the model of a corner leaves, and of an ankle in place of heel and toe.
 _MODEL_S, _ANKLE_S = 0.006, 0.02
 # Tolerance of an event within which its confidence is the probability that it lies.
 _TOLERANCE_S = 1.0 / 30.0

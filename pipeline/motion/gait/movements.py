@@ -127,7 +127,7 @@ def _jumps(points: BodyPoints, standing_z_m: float) -> list[BodyMovement]:
 
 
 def _falls(height_m: Float[np.ndarray, " frames"], rate_hz: float) -> bool:
-    """Free fall of the hips: the curvature of the parabola through their heights is that of gravity."""
+    """Free fall of the hips: the curvature of the parabola through their heights is gravity's."""
     if len(height_m) < 4:
         return False
     time_s = np.arange(len(height_m)) / rate_hz

@@ -1,8 +1,8 @@
 """Strides: bouts of alternating steps that carry the body, and the figures of each stride.
 
-Lengths and widths are those of footprints (Huxham et al. 2006, Gait and Posture 23): a stride leads from
+Lengths and widths are of footprints (Huxham et al. 2006, Gait and Posture 23): a stride leads from
 a footprint to the next one of the same foot; the footprint of the other foot between them divides its length into two
-steps, and its distance from the line is the width. Times are those of the events: stance from foot strike to foot off,
+steps, and its distance from the line is the width. Times are from the events: stance from foot strike to foot off,
 swing from foot off to the next foot strike, double support while both feet stand.
 """
 

@@ -32,7 +32,7 @@ _FITTING, _FINISHING = (6, 6), (3, 1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPerson:
-    """Person whose skeleton is fitted, before feet are held: the floor is that of several people."""
+    """Person whose skeleton is fitted, before feet are held: several people share the floor."""
 
     state: FitState
     points: FootPoints  # Points of the feet in the fitted motion
@@ -68,7 +68,7 @@ def animate(
         Observations of the tracks, in the same order. Each is asked for twice, and only those of one person are kept at
         a time: they may be read from a file.
     config
-        Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are those of the skeleton.
+        Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are the skeleton's.
         Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
     offsets
         Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.

@@ -125,7 +125,7 @@ def limb_lengths_m(landmarks: Landmarks) -> dict[str, float]:
 
     Bodies are symmetric within a few percent, so that both sides have one length: the median of all frames, in which
     positions from more views count for more. If the sides differ by more than bodies do, one side was measured wrong,
-    such as a hand that is hidden by a table, and the length is that of the side which views, frames, spread and the
+    such as a hand that is hidden by a table, and the length is taken of the side which views, frames, spread and the
     proportions of the other bones support. A length that no body has beside these bones is replaced by the one that
     they tell. NaN for a limb that was never measured.
     """

@@ -2,7 +2,7 @@
 
 A network that learnt from people's annotations marks what the annotators clicked: the top of a shoulder, the front of
 an ear. The offset of such a mark from the joint's centre is constant in the axes of the part of the body that carries
-it: for shoulders the collar bone, whose axes are those of the chest at rest; for hips the pelvis; for the face the
+it: for shoulders the collar bone, whose axes are the chest's at rest; for hips the pelvis; for the face the
 head. In these axes a person faces -Y, with the left side to +X (``skeleton.model``).
 """
 

@@ -42,7 +42,7 @@ def _girdle_center_m(
 def solve_torso(landmarks: Landmarks, bone_length_m: Float[np.ndarray, " joints"]) -> Torso:
     """Compute hips, shoulders, pelvis and chest of each frame.
 
-    The X axis of the pelvis is along the hips, and that of the chest along the shoulders; both Z axes point up along
+    The X axis of the pelvis is along the hips, and the chest's along the shoulders; both Z axes point up along
     the trunk. Where the hips are unknown, they move with the shoulders, and vice versa. A person without known hips and
     shoulders stands upright above the world's origin.
     """

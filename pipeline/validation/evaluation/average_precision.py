@@ -5,7 +5,7 @@ taken by falling score. A pose is right at a threshold if its distance is below 
 
 - *AP*: area under the curve of precision over recall, precision being the best at this recall or a higher one. At
   thresholds of 25 to 150 mm, with their mean.
-- *Recall*: share of true people to whom a pose within 500 mm is nearest.
+- *Recall*: share of true people with a pose within 500 mm that is nearest to them.
 - *MPJPE*: mean distance of the poses that are right at 500 mm.
 
 Joints are compared that the truth and the pose have. Networks give all joints; a pose that lacks more than half of a

@@ -166,7 +166,7 @@ def heading_error_deg(
 def score_feet(
     tracks: Sequence[Track3D], motions: Sequence[SkeletonMotion], simulation: Simulation, joints: JointSet
 ) -> dict[str, float | None]:
-    """Compare the feet of motions with those of the truth.
+    """Compare the feet of motions with the true feet.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Offsets of a detector's marks from the centres of joints, learnt from captures with exact truth.
 
-The offsets are those of ``pipeline.motion.skeleton.marks``: in the axes of the part of the body that carries a mark,
+See ``pipeline.motion.skeleton.marks`` for the offsets: in the axes of the part of the body that carries a mark,
 for each metre of the trunk. They are cross-validated over people: each person is corrected by what the other ones tell.
 """
 

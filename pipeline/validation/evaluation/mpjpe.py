@@ -26,7 +26,7 @@ from pipeline.core.joints import COCO_17, JointSet
 
 _NUM_FACE_JOINTS = 5
 BODY_JOINTS = COCO_17.names[_NUM_FACE_JOINTS:]
-"""Twelve joints of COCO-17 that are scored, without those of the face: shoulders, arms, hips and legs."""
+"""Twelve joints of COCO-17 that are scored, without the face's joints: shoulders, arms, hips and legs."""
 GATE_M = 0.5
 """Largest mean joint distance of a matched pair."""
 UNMATCHED = -1

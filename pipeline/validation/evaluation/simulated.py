@@ -90,7 +90,7 @@ def _errors_m(
     truth_m: Float[np.ndarray, "people frames joints 3"],
     matched: Int[np.ndarray, "people frames"],
 ) -> Float[np.ndarray, "people frames joints"]:
-    """Distance of each true joint to that of the matched track, NaN without a match."""
+    """Distance of each true joint to the matched track's joint, NaN without a match."""
     nobody = np.full((1, *predicted_m.shape[1:]), np.nan)
     of_match_m = np.concatenate([predicted_m, nobody])[matched, np.arange(truth_m.shape[1])]
     return np.linalg.norm(of_match_m - truth_m, axis=-1)
@@ -188,7 +188,7 @@ def cluster_fields(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Reconstruct tracks of ``COCO_18`` joints, and the observations behind them.
 
-    ``files`` have the fields of the simulation, see ``drawn_fields``; ``changes`` are those of the default parameters,
+    ``files`` have the fields of the simulation, see ``drawn_fields``; ``changes`` differ from the default parameters,
     by name.
     """
     parameters: ClusteringParameters = replace(derive_parameters(simulation.cameras, GRID.tau2), **changes)

@@ -27,7 +27,7 @@ def dress(simulation: Simulation, measure_clothes: Callable[[int, float], int]) 
 
     Returns
     -------
-        The simulation with colours of its detections, as of ``detect.appearance``, zeros for false positives.
+        The simulation with colours of its detections, see ``detection.appearance``, zeros for false positives.
     """
     rng, detections = np.random.default_rng(0), {}
     for name, of_camera in simulation.detections.items():

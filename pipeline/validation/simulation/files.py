@@ -27,7 +27,7 @@ from pipeline.validation.simulation.scenes import Simulation
 def simulation_files(simulation: Simulation) -> Iterator[tuple[str, bytes]]:
     """Yield the name and the contents of each file; equal simulations give equal bytes.
 
-    Keypoints are those of COCO-17 for the body alone, otherwise BODY_25 with hands of 21 points, wrist first.
+    Keypoints are COCO-17 for the body alone, otherwise BODY_25 with hands of 21 points, wrist first.
     """
     yield "calibration.json", encode(simulation.cameras)
     yield "timestamps.csv", _timestamps(simulation)

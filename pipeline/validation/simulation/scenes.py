@@ -36,7 +36,7 @@ _JointsAt = Callable[[Float[np.ndarray, " times"]], Float[np.ndarray, "times joi
 _SegmentsAt = Callable[[Float[np.ndarray, " times"]], Mapping[str, Float[np.ndarray, "times 3 3"]]]
 
 Joints = Literal["body", "feet", "whole"]
-"""Joints that are simulated: those of the body, with heels and big toes, or with fingers too."""
+"""Joints that are simulated: the body's, with heels and big toes, or with fingers too."""
 JOINT_SETS: Mapping[Joints, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
 """Joints of the detections and of the truth by choice."""
 

@@ -39,7 +39,7 @@ class FbxContent:
         self._num_bytes = 0
 
     def vector(self, node: Node, name: str, usual: tuple[float, float, float]) -> Float[np.ndarray, " 3"]:
-        """Setting of an object with three numbers: its own, that of its kind, or the usual one."""
+        """Setting of an object with three numbers: its own, its kind's, or the usual one."""
         owner = self._owner(node, name)
         xyz = np.array(usual if owner is None else numbers(owner, name, 3))
         if np.abs(xyz).max() > MAX_COORDINATE:
@@ -47,7 +47,7 @@ class FbxContent:
         return xyz
 
     def number(self, node: Node, name: str, usual: float) -> float:
-        """Setting of an object with a number: its own, that of its kind, or the usual one."""
+        """Setting of an object with a number: its own, its kind's, or the usual one."""
         owner = self._owner(node, name)
         return usual if owner is None else numbers(owner, name, 1)[0]
 

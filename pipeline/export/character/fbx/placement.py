@@ -1,6 +1,6 @@
 """Models of an FBX file: their tree, and where each one is when the mesh is bound to the bones.
 
-The place of a model in its parent is that of the FBX SDK's documentation, "Computing transformation matrices":
+The place of a model in its parent follows the FBX SDK's documentation, "Computing transformation matrices":
 ``T Roff Rp Rpre R Rpost^-1 Rp^-1 Soff Sp S Sp^-1``. Files are often saved in the middle of a movement. So a bone rests
 where a cluster of a skin states that it was bound (``TransformLink``), else where the pose ``BindPose`` has it, and
 only else where its settings put it.
@@ -192,7 +192,7 @@ def euler_matrix(angles_deg: Float[np.ndarray, " 3"], order: int = 0) -> Float[n
 
 
 def file_axes(content: FbxContent) -> tuple[float, Float[np.ndarray, "3 3"]]:
-    """Unit of a file in metres, and the rotation from its axes to those of GLB, with Y up.
+    """Unit of a file in metres, and the rotation from its axes to GLB's axes, with Y up.
 
     Raises ``CharacterFileError`` if the axes are not right-handed, or the unit is none.
     """
@@ -224,7 +224,7 @@ class BoundPoints:
     # Models and their weights, whose sum is 1; unused places have the weight 0
     bones: Int[np.ndarray, "points influences"]
     weights: Float[np.ndarray, "points influences"]
-    # Matrix from the surface to the scene, the mean of those of the bones by their weights
+    # Matrix from the surface to the scene, the mean of the bones' matrices by their weights
     matrices: Float[np.ndarray, "points 3 4"]
 
 

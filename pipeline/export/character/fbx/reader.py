@@ -147,12 +147,12 @@ MAX_POINTS, MAX_CORNERS = 4_000_000, 12_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Surface in the axes of its geometry. Corners are those of polygons, in the file's order."""
+    """Surface in the axes of its geometry. Corners of polygons are in the file's order."""
 
     points: Float[np.ndarray, "points 3"]
     corners: Int[np.ndarray, " corners"]  # Point of each corner
     triangles: Int[np.ndarray, "triangles 3"]  # Corners
-    materials: Int[np.ndarray, " triangles"]  # Place of each triangle's material among those of the model
+    materials: Int[np.ndarray, " triangles"]  # Place of each triangle's material among the model's materials
     normals: Float[np.ndarray, "corners 3"] | None
     uv: Float[np.ndarray, "corners 2"] | None  # From the lower left corner of the picture
 

@@ -1,6 +1,6 @@
 """FBX (binary) of a character in motion: its bones as they rest, its mesh bound to them, and curves of their rotations.
 
-Axes are those of Maya: Y up, right-handed; the unit is a centimetre, a hundredth of the character's. Models of the
+Axes are Maya's: Y up, right-handed; the unit is a centimetre, a hundredth of the character's. Models of the
 bones have the names, places, rotations and scales of the character's file, below a node with the person's name. The
 mesh has normals, places in pictures, and the colour of its materials; pictures are left out. The animation has a key in
 each frame, and the mesh is visible while the person is there.
@@ -55,7 +55,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
 
 
 def _person_name(posed: PosedCharacter) -> str:
-    """Name of the person in the file, never that of a bone."""
+    """Name of the person in the file, never a bone's name."""
     name = safe_name(posed.name) or "person"
     return f"{name} ({posed.motion.source.track_id})" if name in posed.motion.figure.rig.names else name
 

@@ -30,7 +30,7 @@ def chained_places(
     offsets, turns
         Place of each bone in its parent, and its rotation and scale, ``None`` for the identity.
     moving_offsets, moving_turns
-        Those of bones that move, by place in the list.
+        Places and rotations of bones that move, by place in the list.
     """
     places: list[Float[np.ndarray, "_ 3"]] = []
     worlds: list[Float[np.ndarray, "_ 3 3"]] = []
@@ -63,7 +63,7 @@ class PosedCharacter:
 
     motion: CharacterMotion
     name: str  # Name of the person
-    frames: range  # Output frames of the file, those of the motion among them
+    frames: range  # Output frames of the file, the motion's frames among them
     is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
     origin_m: Float[np.ndarray, " 3"]  # World position in the person's metres that is the origin of the file
 

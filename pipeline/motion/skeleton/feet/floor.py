@@ -62,7 +62,7 @@ def shared_floor(
     carries: Sequence[Bool[np.ndarray, "_ 2"]],
     frame_rate_hz: float,
 ) -> Floor | None:
-    """Floor under the feet that carry upright people, as of ``estimate_floor``.
+    """Floor under the feet that carry upright people, see ``estimate_floor``.
 
     If nobody stands, it is the world's level at z = 0, unless feet were below it. A plane with feet below it is a bar
     or a box on which somebody stood; then only the lowest feet count. ``carries`` are the frames in which a foot

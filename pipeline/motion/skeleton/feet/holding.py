@@ -40,7 +40,7 @@ def held_parts_m(
 
     The places of heel and toe, if both are held, keep the distance that they have in the frame. Otherwise a place that
     is too near or too far by millimetres would tilt the foot. Positions are by foot (left, right) and part (heel, toe).
-    Those of the result are in metres, NaN in frames and along axes in which a part is free.
+    Positions of the result are in metres, NaN in frames and along axes in which a part is free.
     """
     places_m = np.empty_like(parts_m)
     for foot, side in enumerate(SIDES):

@@ -274,7 +274,7 @@ def hold_feet(
 ) -> SkeletonMotion:
     """Hold standing feet in place; turn them by ``feet.unseen`` if neither toes nor heels are known.
 
-    The fit's motion is changed in place. ``points`` are those of the feet before they are held; the result has the
+    The fit's motion is changed in place. ``points`` are of the feet before they are held; the result has the
     contacts with their slide afterwards.
     """
     places_m = _places_m(points, contacts, motion.frame_rate_hz)

@@ -52,7 +52,7 @@ class FootMarks:
 class Support:
     """Frames of a person in which feet (left, right) may stand, and what they stand on."""
 
-    # Velocity of a foot along that of the hips, times the hips' speed, and the square of the hips' speed: on the ground
+    # Velocity of a foot along the hips' velocity, times the hips' speed, and its square: on the ground
     along_m2_s2: Float[np.ndarray, "frames 2"]
     squared_m2_s2: Float[np.ndarray, "frames 1"]
     shin_stands: Bool[
@@ -63,7 +63,7 @@ class Support:
     # Feet that bear nothing: legs are stretched below hands overhead, and the foot does not stay where it is while the
     # hips move
     hangs: Bool[np.ndarray, "frames 2"]
-    ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: that of a belt, zeros elsewhere
+    ground_m: Float[np.ndarray, "frames 3"]  # Way of the ground since the first frame: of a belt, else zeros
 
     def rides(self, rows: slice, foot: int) -> bool:
         """Tell if a foot moves along with the hips in the middle of some frames, and so does not stand."""
@@ -133,12 +133,12 @@ def _shared_motion(
 
 
 def _is_riding(along: Any, squared: Any) -> Any:
-    """Feet that move as the hips do: those of people who hang, swing or are carried."""
+    """Feet that move as the hips do: of people who hang, swing or are carried."""
     return (squared > _MOVING_M_S**2) & (along > _RIDING * squared)
 
 
 def _is_staying(along: Any, squared: Any) -> Any:
-    """Feet that stay where they are while the hips move: those of people who stand or climb."""
+    """Feet that stay where they are while the hips move: of people who stand or climb."""
     return (squared > _MOVING_M_S**2) & (along < _STAYING * squared)
 
 
@@ -152,8 +152,8 @@ def belt_m(
     """Way of a treadmill's belt since the first frame, zeros if there is none.
 
     Feet that stand on a belt have its velocity, while the body stays where it is. The ankles tell that there is a belt;
-    its velocity is that of heels and toes while each of them stands, which is longer than the foot is flat. Without
-    ``marks`` it is that of the ankles of flat feet.
+    its velocity is the velocity of heels and toes while each of them stands, which is longer than the foot is flat.
+    Without ``marks`` it is the velocity of the ankles of flat feet.
     """
     unmoved_m = np.zeros((len(ankles_m), 3))
     place_m = hips_m[np.isfinite(hips_m).all(-1)]
@@ -219,7 +219,7 @@ def _still_m(
 def _shared_velocity_m_s(paths_m: Sequence[Float[np.ndarray, "_ 3"]], frame_rate_hz: float) -> Float[np.ndarray, " 3"]:
     """Level velocity that all paths share, by least squares with a place of its own for each.
 
-    Single velocities would be those of feet that still land or already rise, which are slower than the belt.
+    Single velocities would be of feet that still land or already rise, which are slower than the belt.
     """
     products, squares = np.zeros(3), 0.0
     for path_m in paths_m:

@@ -155,7 +155,7 @@ class SkeletonFit:
     ) -> "SkeletonFit":
         """Go on with the fit of a person from its state, which stays as it is.
 
-        ``follows_rays`` tells whether it follows the rays of ``seen``, as of ``fit_to_rays``; ``offsets`` are as there.
+        ``follows_rays`` tells whether it follows the rays of ``seen``, see ``fit_to_rays``; ``offsets`` are as there.
         """
         motion = state.motion
         fitted = cls(
@@ -175,7 +175,7 @@ class SkeletonFit:
 
     @property
     def state(self) -> FitState:
-        """State after ``motion``; the motion's arrays are those of the fit."""
+        """State after ``motion``; the motion's arrays are the fit's."""
         return FitState(
             self._track, self.current, self._is_predicted, self._lively, bool(self._offsets), self._uncertainty_m
         )
@@ -301,7 +301,7 @@ class SkeletonFit:
         self._quat[:, INDEX[name]] = continuous_quat_xyzw(rotation)
 
     def place(self, rows: slice, xyz_m: Float[np.ndarray, "frames joints 3"]) -> None:
-        """Replace joint positions by those of the motion, in place; unknown joints stay NaN."""
+        """Replace joint positions by the motion's, in place; unknown joints stay NaN."""
         bodies = start_from(self._root_m[rows], self._quat[rows], self._centers)
         landmark = self._centers.landmark
         known = np.isfinite(xyz_m[:, landmark])

@@ -34,7 +34,7 @@ _DIFFERENCE = 1e-3
 _LONGEST_STEP = 0.05
 
 Window = tuple[JointPoses, Evidence, Float[np.ndarray, "... landmarks"]]
-"""Start of the fit in a window of frames, its evidence, and usual second differences as of ``articulated.refine``."""
+"""Start of the fit in a window of frames, its evidence, and usual second differences, see ``articulated.refine``."""
 
 
 def learn_lengths(
@@ -54,7 +54,7 @@ def learn_lengths(
     windows
         Windows of frames that represent the track; their poses are changed.
     frame_rate_hz
-        As of ``articulated.refine``.
+        See ``articulated.refine``.
     """
     members = np.zeros((len(_PARTS), len(bone_length_m)), dtype=bool)
     for number, names in enumerate(_PARTS):

@@ -4,8 +4,8 @@ Joints located in each frame by itself tremble by the noise of the detector, and
 The views tell how large it is: the residuals of the rays around the located joint give its covariance (as in the a
 posteriori variance of a least squares adjustment). What the second differences have beyond that is motion. With
 independent accelerations of variance ``u^2`` in each frame, which the fit's prior assumes, the difference over a lag of
-L frames on both sides has the variance ``u^2 L (2 L^2 + 1) / 3``; that of the noise does not grow with the lag. Errors
-in which the views differ, but which last in time, seem to be noise, and make nobody lively.
+L frames on both sides has the variance ``u^2 L (2 L^2 + 1) / 3``; the noise's variance does not grow with the lag.
+Errors in which the views differ, but which last in time, seem to be noise, and make nobody lively.
 """
 
 from collections.abc import Callable
@@ -110,7 +110,7 @@ def _noise(
 ) -> Float[np.ndarray, "frames joints"]:
     """Variance of the noise in relation to what the scores promise, of each joint around each frame.
 
-    For joints with few observations it is closer to that of all joints, and for people with few to the promise.
+    For joints with few observations it is closer to the noise of all joints, and for people with few to the promise.
     """
     reach = 2 * round(_NOISE_S * frame_rate_hz / 2) + 1
     residual, freedom = (

@@ -81,7 +81,7 @@ def fit_positions(
     """Fit the positions of a person's joints.
 
     ``lively`` is the ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. World positions
-    (metres) are those of all frames, gaps included; NaN in all for joints that were never located.
+    (metres) are of all frames, gaps included; NaN in all for joints that were never located.
     """
     limbs = hanging_limbs(Landmarks(track.xyz_m, track.source, joints, track.views))
     usual_m = lively[:, None] * usual_step_m(joints, timebase)

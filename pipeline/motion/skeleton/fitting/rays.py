@@ -65,7 +65,7 @@ class Rays:
     ) -> Float[np.ndarray, "frames 3 3"]:
         """Inverse covariance of a joint by the rays of each frame, in 1 / m2.
 
-        The noise of the detector is that of the joint's own residuals in frames that two views see, in relation to
+        The noise of the detector follows from the joint's own residuals in frames that two views see, in relation to
         what the scores promise. For joints with few observations, it is closer to the promise.
         """
         weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)

@@ -1,7 +1,7 @@
 """Anatomy of a hand for the fit: joints, hinges with limits, and the natural pose.
 
 The wrist turns about three axes. The base of each finger has two hinges, spread and bend, and its other two joints have
-one hinge each, which never bends backwards. The hand's axes are those of the skeleton at rest: palms down, thumbs to
+one hinge each, which never bends backwards. The hand's axes are the skeleton's at rest: palms down, thumbs to
 -Y. Ranges are rounded from the American Academy of Orthopaedic Surgeons ("Joint Motion", 1965).
 """
 

@@ -22,7 +22,7 @@ from pipeline.motion.skeleton.time_series import windows
 # Fewest frames that say anything about a bone, frames that adult proportions count for, and plausible ratios to them.
 _FEWEST, _PRIOR_FRAMES = 5, 20
 _RATIOS = (0.6, 1.6)
-# Ratio of a person's hand to that of an adult with the same forearm.
+# Ratio of a person's hand to the hand of an adult with the same forearm.
 _HAND_RATIOS = (0.75, 1.3)
 # Median of the squared length of a vector of three standard normal values.
 _MEDIAN_CHI2 = 2.366

@@ -54,7 +54,7 @@ def score_mvor(
 ) -> dict[str, Any]:
     """Score poses of ``SCORED_JOINTS``, one entry an instant, at the instants at which people are annotated in 3D.
 
-    ``detections`` are those of COCO's joints from which the poses were made, with the instants' numbers as frames.
+    ``detections`` have COCO's joints, from which the poses were made, with the instants' numbers as frames.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def score_joints_2d(
 ) -> dict[str, float | None]:
     """PCK of detections of COCO's joints in 2D, by kind of joint and their mean, fractions of 1.
 
-    ``body_scores`` are those of the detections, which are compared with each other only.
+    ``body_scores`` are the detections' scores, which are compared with each other only.
     """
     right: list[Bool[np.ndarray, " joints"]] = []
     for number, instant in enumerate(benchmark.instants):

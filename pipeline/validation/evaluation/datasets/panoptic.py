@@ -1,7 +1,7 @@
 """CMU Panoptic (Joo et al., PAMI 2019): reader of a sequence's folder as the toolbox makes it, and scores.
 
 The folder has ``calibration_NAME.json``, ``hdVideos/hd_00_03.mp4`` or ``hdImgs/00_03/00_03_00000000.jpg`` of each
-camera, and the poses ``hdPose3d_stage1_coco19/body3DScene_00000000.json``, whose numbers are those of the HD frames.
+camera, and the poses ``hdPose3d_stage1_coco19/body3DScene_00000000.json``, whose numbers are the HD frames' numbers.
 Poses have 19 joints in centimetres, y down, each with a confidence.
 
 VoxelPose's protocol, which papers use: five cameras, every twelfth pose file, 15 joints without eyes and ears. Joints
@@ -170,7 +170,7 @@ def score_panoptic(
 
 
 def _scored(body_m: Float[np.ndarray, "*batch 13 3"]) -> Float[np.ndarray, "*batch 15 3"]:
-    """The 15 joints of the data set, from those of COCO."""
+    """The 15 joints of the data set, from COCO's joints."""
     neck_m, centre_m = (body_m[..., pair, :].mean(-2, keepdims=True) for pair in (_SHOULDERS, _HIPS))
     return np.concatenate([neck_m, body_m[..., :1, :], centre_m, body_m[..., 1:, :]], axis=-2)
 
@@ -215,7 +215,7 @@ def _footage(folder: Path, camera: str, problems: list[Problem]) -> Path | None:
 
 
 def _first_image(footage: Sequence[Path], problems: list[Problem]) -> int:
-    """Number of the HD frame with which the footage begins: that of all folders of images, or that of videos, 0."""
+    """Number of the HD frame with which the footage begins: of all folders of images, or 0 for videos."""
     first = {path: _image_numbers(path)[0] if path.is_dir() else 0 for path in footage}
     if len(set(first.values())) > 1:
         begins = ", ".join(f"{path.name} with {number}" for path, number in first.items())

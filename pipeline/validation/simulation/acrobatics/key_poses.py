@@ -25,7 +25,7 @@ from pipeline.validation.simulation.acrobatics.anatomy import (
 # Random variation of angles in degrees, of angles of the pelvis, and of the time between two key poses.
 _VARY_DEG, _VARY_PELVIS_DEG, _VARY_TIME = 5.0, 2.0, 0.15
 _PELVIS = ("yaw", "pitch", "roll")
-# Angles whose sign is that of a side of the body.
+# Angles whose sign depends on the side of the body.
 _SIDED = frozenset(("yaw", "roll", "spine_side", "spine_twist", "head_twist"))
 
 
@@ -85,7 +85,7 @@ def vary(keys: Sequence[KeyPose], rng: np.random.Generator) -> tuple[KeyPose, ..
 
 
 def _by_side(angles_deg: Mapping[str, float]) -> Mapping[str, float]:
-    """All angles by full name; angles of limbs without a side are those of both sides."""
+    """All angles by full name; angles of limbs without a side are of both sides."""
     return {
         name: angles_deg.get(name, angles_deg.get(name.partition("_")[2], 0.0))
         if name.startswith(("left_", "right_"))

@@ -1,6 +1,6 @@
 """Acrobatic motions as key poses.
 
-The angles are those of ``anatomy.ANGLE_NAMES`` in degrees; those of limbs hold for both sides unless a side is named.
+The angles are ``anatomy.ANGLE_NAMES`` in degrees; angles of limbs hold for both sides unless a side is named.
 """
 
 from collections.abc import Mapping

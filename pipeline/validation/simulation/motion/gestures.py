@@ -15,7 +15,7 @@ from pipeline.validation.simulation.motion.script import Gesture
 
 _GRAVITY_M_S2 = 9.81
 # Dip before a jump and after its landing, in lengths of the leg; a leg of this length turns the take-off's velocity
-# into that of the drop.
+# into the velocity of the drop.
 _DIP, _ABSORB, _USUAL_LEG_M = 0.28, 0.22, 0.85
 # Times of a jump: standing, down, up to the take-off; after the landing down, up and standing.
 _STANDING_S, _DOWN_S, _PUSH_S, _ABSORB_S, _RISE_S = 0.5, 0.45, 0.22, 0.22, 0.5
@@ -30,7 +30,7 @@ class Exercise:
 
     drop: Float[np.ndarray, " times"]  # Drop of the hips, in lengths of the leg
     hop_m: Float[np.ndarray, " times"]  # Height of the feet above the floor
-    back_m: Float[np.ndarray, " times"]  # Displacement of the hips to the back, beside that of the lean
+    back_m: Float[np.ndarray, " times"]  # Displacement of the hips to the back, beside the lean's
     lean_rad: Float[np.ndarray, " times"]  # Lean of the trunk forward
     raised: Float[np.ndarray, " times"]  # Arms from hanging (0) to stretched ahead (1)
 
@@ -106,7 +106,7 @@ class GestureMotion:
     # Lean of the trunk forward, and its rotation to the left
     lean_rad: Float[np.ndarray, " times"]
     twist_rad: Float[np.ndarray, " times"]
-    back_m: Float[np.ndarray, " times"] | float = 0.0  # Displacement of the hips to the back, beside that of the lean
+    back_m: Float[np.ndarray, " times"] | float = 0.0  # Displacement of the hips to the back, beside the lean's
 
 
 def overlay(

@@ -67,7 +67,7 @@ class Hands:
 
 
 def random_scale(body: Proportions, rng: np.random.Generator) -> float:
-    """Draw the size of a person's hands: that of the stature within a few percent."""
+    """Draw the size of a person's hands: the stature's within a few percent."""
     return float(body.stature_m / _MEAN_STATURE_M * np.clip(rng.normal(1.0, 0.03), 0.92, 1.08))
 
 
@@ -77,7 +77,7 @@ def fingers(
     elbows_m: Float[np.ndarray, "times 2 3"],
     wrists_m: Float[np.ndarray, "times 2 3"],
 ) -> Float[np.ndarray, "times 40 3"]:
-    """World positions of the fingers' joints: those of ``finger_joints("left")``, then those of the right hand."""
+    """World positions of the fingers' joints: ``finger_joints("left")``, then the right hand's."""
     axes = _palms(shoulders_m, elbows_m, wrists_m, hands.angles_rad[..., :3])
     chains = [_thumb(hands.angles_rad[..., 15:])]
     chains += [_finger(number, hands.angles_rad[..., 3 * number + 3 : 3 * number + 6]) for number in range(4)]
@@ -157,7 +157,7 @@ def _posture(
     thumb_deg: tuple[float, float, float, float],
     wrist_deg: tuple[float, float, float] = (15.0, -10.0, 0.0),
 ) -> Float[np.ndarray, " 19"]:
-    """Angles of a posture, as in ``ANGLES``; bends are those of the knuckle and of the hinge after it."""
+    """Angles of a posture, as in ``ANGLES``; bends are of the knuckle and of the hinge after it."""
     angles = dict(zip(("pronation", "wrist_flexion", "wrist_deviation"), wrist_deg, strict=True))
     for finger, (mcp, pip), spread in zip(_FINGERS, bends_deg, spread_deg, strict=True):
         angles |= {f"{finger}_mcp": mcp, f"{finger}_spread": spread, f"{finger}_pip": pip}

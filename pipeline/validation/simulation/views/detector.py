@@ -201,7 +201,7 @@ def noisy(
 ) -> tuple[Float[np.ndarray, "people frames joints 2"], Float[np.ndarray, "people frames joints"]]:
     """Draw the errors of found joints in pixels, and their scores.
 
-    ``sigma_px`` is that of visible joints; ``noise_frames`` is the correlation time of the lasting half of the noise,
+    ``sigma_px`` is for visible joints; ``noise_frames`` is the correlation time of the lasting half of the noise,
     in frames.
     """
     sigma_px = sigma_px * np.where(hidden, detector.hidden_noise, 1.0)

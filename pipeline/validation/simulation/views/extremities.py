@@ -42,8 +42,8 @@ def detect_extremities(
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
     """Detect people with feet, or with feet and hands, in all frames of one camera.
 
-    Feet and hands are drawn from a stream of their own. Rows and body joints are those of ``detector.detect``.
-    ``joints`` are those of ``people_m``, ``BODY_FEET`` or ``WHOLE_BODY``; all else is as of ``detector.detect``.
+    Feet and hands are drawn from a stream of their own. Rows and body joints are as in ``detector.detect``.
+    ``joints`` are the joints of ``people_m``, ``BODY_FEET`` or ``WHOLE_BODY``; all else is as in ``detector.detect``.
     """
     (own,) = rng.spawn(1)
     found = find_bodies(camera, period_s, people_m[:, :, :_NUM_BODY], boxes, detector, rng)
@@ -90,7 +90,7 @@ def _palm_px(
 
 
 def _hand_columns(side: str, joints: JointSet, parts: Sequence[str] | None = None) -> list[int]:
-    """Columns of a hand's joints after those of the body; with ``parts``, only of these joints."""
+    """Columns of a hand's joints after the body's; with ``parts``, only of these joints."""
     names = finger_joints(side) if parts is None else [f"{side}_{part}" for part in parts]
     return [k for k, name in enumerate(joints.names[_NUM_BODY:]) if name in names]
 

@@ -1,6 +1,6 @@
 """Simulated network with part affinity fields: heatmaps and fields, drawn from the truth with a network's faults.
 
-Peaks are found in the maps as in those of a network; the method gets no other information of the truth. Joints close
+Peaks are found in the maps as in a network's maps; the method gets no other information of the truth. Joints close
 to each other merge to one peak, hidden joints are weak, displaced or missing, left joints also appear as right joints,
 objects look like joints, and the maps are noisy.
 """
