@@ -178,13 +178,7 @@ class Settings(StorageSettings):
     chunk_frames: int = Field(
         default=DEFAULT_CHUNK_FRAMES,
         gt=0,
-        description="Output frames of a chunk of a camera, before any network was run.",
-    )
-    chunk_s: float = Field(
-        default=10.0,
-        ge=0,
-        description="Time that networks shall take for a chunk: by the measured speed a new session gets a quarter, a "
-        "half, twice to sixteen times CHUNK_FRAMES, and every camera at least four chunks. 0: always CHUNK_FRAMES.",
+        description="Output frames of a camera in a chunk of new sessions; results do not depend on it.",
     )
 
     preflight_command: tuple[str, ...] = Field(

@@ -18,9 +18,6 @@ from worker.store.model.sessions import InputFile
 from worker.store.model.work import ChunkPlan, Claim, StagePlan
 from worker.store.spec import JobSpec
 
-# Lengths of chunks as multiples of the default one, and the fewest ranges of a camera that are left by longer ones.
-_LENGTHS, _FEWEST_RANGES = (0.25, 0.5, 1, 2, 4, 8, 16), 4
-
 
 @runtime_checkable
 class PlannableSession(Protocol):
@@ -67,27 +64,6 @@ def plan_job(
         )
         for stage in stages
     )
-
-
-def chunk_length(preflight: Preflight, frame_s: float, chunk_s: float, default: int) -> int:
-    """Length of the chunks of a new session for the measured speed of networks, in output frames.
-
-    Parameters
-    ----------
-    frame_s
-        Time that networks take for a frame of a camera.
-    chunk_s
-        Time that they shall take for a chunk of the fastest camera.
-    default
-        Length of which a quarter, a half, or twice to sixteen times is chosen. Long chunks leave every camera four of
-        them, so that several workers have some.
-    """
-    rate_hz = max(camera.frame_rate_hz for camera in preflight.cameras)
-    wanted = chunk_s * preflight.timebase.frame_rate_hz / (frame_s * rate_hz)
-    lengths = [max(1, int(default * factor)) for factor in _LENGTHS]
-    most = max(default, preflight.timebase.num_frames // _FEWEST_RANGES)
-    fitting = [length for length in lengths if length <= min(wanted, most)]
-    return max(fitting, default=lengths[0])
 
 
 def plan_visuals(session: PlannableSession, job: JobRecord) -> tuple[StagePlan, ...]:

@@ -24,7 +24,6 @@ from worker.store.repositories.work.leases import MAX_ATTEMPTS, Leases
 from worker.store.repositories.work.outputs import Outputs
 from worker.store.repositories.work.plans import Plans
 from worker.store.repositories.work.removals import Removals
-from worker.store.repositories.work.speeds import Speeds
 from worker.store.repositories.work.waits import Waits
 from worker.store.repositories.work.workers import Workers
 from worker.store.tenant_records import Records, TenantRecords
@@ -49,7 +48,6 @@ class JobStore(Records):
         self.waits = Waits(self._database)
         self.outputs = Outputs(self._database)
         self.workers = Workers(self._database)
-        self.speeds = Speeds(self._database)
         # Of the reaper.
         self.plans = Plans(self._database)
         self.removals = Removals(self._database)

@@ -23,8 +23,6 @@ _LONG_S = 60.0
 # Label and help text of each sum.
 _TOTALS = {
     Total.LEASES_LOST: ("stage", "Chunks whose worker stopped responding."),
-    Total.CHUNKS_COPIED: ("stage", "Chunks that a second worker began because they took long."),
-    Total.COPIES_FIRST: ("stage", "Chunks whose second worker finished first."),
     Total.CHUNKS_DONE: ("stage", "Chunks that a worker finished."),
     Total.CHUNKS_REUSED: ("stage", "Chunks whose output existed already."),
     Total.CHUNKS_RETRIED: ("stage", "Chunks that were tried again."),

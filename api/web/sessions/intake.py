@@ -43,7 +43,6 @@ from pipeline.core.problems.requests import (
     WRONG_FORMAT,
 )
 from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
-from worker.run.planning import chunk_length
 from worker.store.errors import NotFound
 from worker.store.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
 from worker.store.model.jobs import JobRecord
@@ -227,7 +226,7 @@ def new_session(services: Services, checked: CheckedSession) -> NewSession:
         upload_ids=checked.upload_ids,
         metadata=checked.manifest.metadata,
         record_sha256=record_sha256,
-        chunk_frames=_chunk_frames(services, checked),
+        chunk_frames=services.settings.chunk_frames,
     )
 
 
@@ -272,13 +271,6 @@ def session_and_job(
     files = stored(services, checked, new)
     with queued_job(services, records, new, checked.spec, files, new.add_to) as (work, job):
         yield work, job
-
-
-def _chunk_frames(services: Services, checked: CheckedSession) -> int:
-    """Frames of a camera in a chunk of a new session; of keypoints, which no network looks at, as in the settings."""
-    default, chunk_s = services.settings.chunk_frames, services.settings.chunk_s
-    frame_s = None if checked.form.keypoints or not chunk_s else services.store.speeds.frame_s()
-    return default if frame_s is None else chunk_length(checked.preflight, frame_s, chunk_s, default)
 
 
 def _parsed(sent: Sent) -> Arrival:

@@ -105,12 +105,12 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data")
 
 
-def start(data_dir: Path, lease_s: float = 3.0) -> subprocess.Popen[bytes]:
+def start(data_dir: Path) -> subprocess.Popen[bytes]:
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
         "LIGHT_FRAME_S": "0.15",
-        "MULTICAP_LEASE_S": str(lease_s),
+        "MULTICAP_LEASE_S": "3",
         "MULTICAP_HEARTBEAT_S": "0.3",
         "MULTICAP_REAP_INTERVAL_S": "1",
     }
@@ -122,10 +122,10 @@ def start(data_dir: Path, lease_s: float = 3.0) -> subprocess.Popen[bytes]:
 
 
 @contextlib.contextmanager
-def running_service(data_dir: Path, lease_s: float = 3.0) -> Iterator[SmallStageService]:
+def running_service(data_dir: Path) -> Iterator[SmallStageService]:
     """Run a service during the block; its leases are short, so that lost chunks are begun again soon."""
     bench = open_bench(data_dir)
-    with start(data_dir, lease_s) as process:
+    with start(data_dir) as process:
         try:
             running = SmallStageService(process, data_dir, bench)
             wait_for(running.is_whole)
@@ -207,25 +207,18 @@ def sockets(process: psutil.Process) -> set[str]:
     return {name for name in opened if name.startswith("socket:")}
 
 
-def test_idle_worker_does_the_work_of_a_paused_worker_early(data_dir: Path) -> None:
-    with running_service(data_dir, lease_s=3600.0) as service:
-        job = service.start_job()
-        # The other worker does the third of four chunks, so that there are three to compare the paused one with.
-        wait_for(lambda: service.detecting(job)[0] >= 2 and len(service.detecting(job)[1]) > 0)
-        paused = service.pause_worker_of(job)
-        try:
-            assert service.wait_for_end(job).state is JobState.SUCCEEDED
-        finally:
-            paused.resume()
-        assert service.bench.result(job.id) == RESULT
-        totals = service.bench.store.figures().totals
-        copied = {name: number for (total, name), number in totals.items() if total == Total.CHUNKS_COPIED}
-        assert copied == {"detect": 1.0}
-        assert totals[Total.COPIES_FIRST, "detect"] == 1.0
-        assert not any(total in {Total.LEASES_LOST, Total.CHUNKS_RETRIED} for total, _ in totals)
-        # The late worker has changed nothing, and works on.
-        assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
-        assert service.bench.result(job.id) == RESULT
+def test_paused_worker_loses_its_lease_and_changes_nothing_later(service: SmallStageService) -> None:
+    job = service.start_job()
+    wait_for(lambda: len(service.detecting(job)[1]) > 0)
+    paused = service.pause_worker_of(job)
+    try:
+        assert service.wait_for_end(job).state is JobState.SUCCEEDED
+    finally:
+        paused.resume()
+    assert service.bench.result(job.id) == RESULT
+    assert service.bench.store.figures().totals[Total.LEASES_LOST, "detect"] >= 1.0
+    assert service.wait_for_end(service.start_job()).state is JobState.SUCCEEDED
+    assert service.bench.result(job.id) == RESULT
 
 
 def test_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallStageService) -> None:

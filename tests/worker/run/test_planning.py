@@ -39,7 +39,7 @@ from pipeline.run.engine.stage import (
     FrameCut,
 )
 from pipeline.run.steps.detect import LOOKED_AT_FRAMES
-from worker.run.planning import chunk_length, plan_job, session_facts
+from worker.run.planning import plan_job, session_facts
 from worker.store.model.sessions import InputFile, Session
 from worker.store.model.work import StagePlan
 from worker.store.spec import JobSpec
@@ -433,26 +433,6 @@ def test_stages_with_networks_alone_depend_on_execution_provider() -> None:
         # All stages read what the networks found.
         assert [chunk.output_key for chunk in before.chunks] != [chunk.output_key for chunk in after.chunks]
     assert {stage.code_sha256 for stage in on_gpu} <= set(stage_codes("cuda 1.31.1").values())
-
-
-@given(
-    frame_s=st.floats(1e-4, 30.0),
-    chunk_s=st.floats(0.1, 100.0),
-    default=st.integers(1, 300),
-    num_frames=st.integers(1, 200_000),
-    slower=st.sampled_from([1.0, 2.0]),
-)
-def test_chunks_take_the_wanted_time_and_leave_every_camera_some(
-    frame_s: float, chunk_s: float, default: int, num_frames: int, slower: float
-) -> None:
-    preflight = make_session(num_frames, rates_hz=(50.0, 50.0 / slower)).preflight
-    length = chunk_length(preflight, frame_s, chunk_s, default)
-    assert length in {max(1, int(default * 2.0**doublings)) for doublings in range(-2, 5)}
-    assert length * frame_s <= chunk_s or length == max(1, default // 4)
-    assert length <= default or num_frames // length >= 4
-    # It is the longest one of these.
-    assert length == 16 * default or 2 * length * frame_s > chunk_s * 0.5 or num_frames < 8 * max(length, default)
-    assert chunk_length(preflight, 2 * frame_s, chunk_s, default) <= length
 
 
 def test_jobs_of_a_session_are_cut_alike() -> None:

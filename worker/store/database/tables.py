@@ -181,10 +181,6 @@ chunks = Table(
     Column("worker", String),
     Column("lease_token", String(36)),
     Column("lease_until", UtcTimestamp),
-    # Worker that runs it too, because it takes long, with a lease of its own; null: there is none
-    Column("copy_worker", String),
-    Column("copy_token", String(36)),
-    Column("copy_until", UtcTimestamp),
     Column("started_at", UtcTimestamp),  # of the first try
     Column("claimed_at", UtcTimestamp),  # of the last try
     Column("moved_at", UtcTimestamp),  # last progress, or begin of the last try

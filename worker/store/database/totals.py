@@ -17,8 +17,6 @@ class Total(StrEnum):
     """A total; its label is named behind it."""
 
     LEASES_LOST = "leases_lost"  # by stage
-    CHUNKS_COPIED = "chunks_copied"  # by stage, those that were begun a second time because they took long
-    COPIES_FIRST = "copies_first"  # by stage, those of them whose second worker was the first to finish
     CHUNKS_DONE = "chunks_done"  # by stage, without those that were reused
     CHUNKS_REUSED = "chunks_reused"  # by stage
     CHUNKS_RETRIED = "chunks_retried"  # by stage

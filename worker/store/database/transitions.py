@@ -24,9 +24,7 @@ from worker.store.repositories.webhooks import queue_delivery
 
 EventKind = Literal["state", "stage", "waiting"]
 
-NO_COPY = {"copy_worker": None, "copy_token": None, "copy_until": None}
-"""Columns of a chunk that only one worker runs."""
-_NO_LEASE = {"lease_token": None, "lease_until": None, **NO_COPY}
+_NO_LEASE = {"lease_token": None, "lease_until": None}
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 

@@ -48,22 +48,14 @@ def require_machine(connection: Connection, chunk: Row[Any], worker: str, machin
     """
     if machine_bytes is None:
         return
-    host = f"{host_of(worker)}:"
+    host = f"{worker.rpartition(':')[0]}:"
     lock(connection, f"memory of {host}")
     running = select(func.count(), func.coalesce(func.sum(chunks.c.memory_bytes), 0)).where(
-        chunks.c.state == ChunkState.RUNNING
+        chunks.c.state == ChunkState.RUNNING, chunks.c.worker.startswith(host, autoescape=True)
     )
-    num_running, used_bytes = 0, 0
-    for column in (chunks.c.worker, chunks.c.copy_worker):
-        number, num_bytes = connection.execute(running.where(column.startswith(host, autoescape=True))).one()
-        num_running, used_bytes = num_running + number, used_bytes + int(num_bytes)
-    if num_running and used_bytes + chunk.memory_bytes > machine_bytes:
+    num_running, used_bytes = connection.execute(running).one()
+    if num_running and int(used_bytes) + chunk.memory_bytes > machine_bytes:
         raise MachineFull
-
-
-def host_of(worker: str) -> str:
-    """Name of a worker's machine."""
-    return worker.rpartition(":")[0]
 
 
 def _of_memory(connection: Connection, ability: Ability) -> ColumnElement[bool]:

@@ -67,12 +67,9 @@ def has_share(connection: Connection, tenant: str) -> bool:
 
 
 def _num_running(connection: Connection) -> Counter[str]:
-    """Workers at work by tenant: one for each running chunk, and one more for its copy."""
-    running = select(jobs.c.tenant, chunks.c.copy_token.is_not(None)).join(chunks)
-    counts: Counter[str] = Counter()
-    for tenant, is_copied in connection.execute(running.where(chunks.c.state == ChunkState.RUNNING)):
-        counts[tenant] += 2 if is_copied else 1
-    return counts
+    """Number of running chunks by tenant."""
+    running = select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)
+    return Counter(connection.scalars(running))
 
 
 def _largest_share(connection: Connection) -> float:

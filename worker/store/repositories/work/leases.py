@@ -1,12 +1,11 @@
 """Chunks and the workers that hold them: claim, heartbeat, finish, fail, release, give back, reap."""
 
 import contextlib
-from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, select, update
 from uuid_utils import uuid7
 
 from pipeline.core.findings import Finding
@@ -19,7 +18,6 @@ from worker.store.database.tables import artifacts, chunks, jobs
 from worker.store.database.totals import Total, count
 from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import (
-    NO_COPY,
     advance,
     fail_job,
     lock_job,
@@ -35,10 +33,8 @@ from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
 from worker.store.repositories.attempts import note_failure
 from worker.store.repositories.calibrations import complete
 from worker.store.repositories.work.abilities import MachineFull, has_others, require_machine, turns
-from worker.store.repositories.work.affinity import first_chunk
 from worker.store.repositories.work.fair_share import has_share, next_job, take_turn
 from worker.store.repositories.work.lost_tries import MAX_RUNNING, lost_again, num_running
-from worker.store.repositories.work.stragglers import find_straggler
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
@@ -57,7 +53,7 @@ class Leases:
         self._transactions = transactions
 
     def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
-        """Take the next ready chunk; without one, begin a straggler a second time; ``None`` if there is neither.
+        """Take the next ready chunk; ``None`` if there is none.
 
         Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
         ``worker.store.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their
@@ -68,27 +64,20 @@ class Leases:
         with self._transactions.reading() as connection:
             conditions = turns(connection, ability)
         with contextlib.suppress(MachineFull):
-            if (claim := self._next(worker, lease_s, conditions, ability.machine_bytes)) is not None:
-                return claim
-            return self._copy(worker, lease_s, conditions[-1], ability.machine_bytes)
+            while True:
+                with self._transactions.reading() as connection:
+                    work = next_job(connection, conditions)
+                if work is None:
+                    return None
+                job_id, takes = work
+                if (claim := self._claim_of(job_id, worker, lease_s, takes, ability.machine_bytes)) is not None:
+                    return claim
         return None
 
     def waits_for_others(self, ability: Ability) -> bool:
         """Return whether a chunk is ready, after a worker found none, and some ready worker has another ability."""
         with self._transactions.reading() as connection:
             return has_others(connection, ability) and next_job(connection) is not None
-
-    def _next(
-        self, worker: str, lease_s: float, conditions: Sequence[ColumnElement[bool]], machine_bytes: int | None
-    ) -> Claim | None:
-        while True:
-            with self._transactions.reading() as connection:
-                work = next_job(connection, conditions)
-            if work is None:
-                return None
-            job_id, takes = work
-            if (claim := self._claim_of(job_id, worker, lease_s, takes, machine_bytes)) is not None:
-                return claim
 
     def _claim_of(
         self, job_id: str, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None
@@ -98,7 +87,9 @@ class Leases:
             job = lock_job(connection, job_id)
             if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
                 return None
-            chunk = first_chunk(connection, job_id, takes, worker)
+            ready = select(chunks).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, takes)
+            ready = ready.order_by(chunks.c.stage_index, chunks.c.chunk_index).limit(1)
+            chunk = connection.execute(ready).one_or_none()
             if chunk is None or (chunk.lost_tries and num_running(connection, job.tenant) >= MAX_RUNNING):
                 return None
             require_machine(connection, chunk, worker, machine_bytes)
@@ -117,27 +108,6 @@ class Leases:
             take_turn(connection, job.tenant)
         return _claim(job, chunk, token)
 
-    def _copy(self, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None) -> Claim | None:
-        """Begin a chunk a second time that takes much longer than others of its stage, unless it has ended."""
-        with self._transactions.reading() as connection:
-            found = find_straggler(connection, worker, takes)
-        if found is None:
-            return None
-        with self._transactions.writing() as connection:
-            job = lock_job(connection, found.job_id)
-            held = select(chunks).where(
-                chunks.c.id == found.id, _is_held(found.lease_token), chunks.c.copy_token.is_(None)
-            )
-            chunk = connection.execute(held.with_for_update()).one_or_none()
-            if job is None or chunk is None or job.state != JobState.RUNNING or not has_share(connection, job.tenant):
-                return None
-            require_machine(connection, chunk, worker, machine_bytes)
-            token = str(uuid7())
-            values = {"copy_worker": worker, "copy_token": token, "copy_until": now() + lease_s}
-            connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
-            count(connection, Total.CHUNKS_COPIED, chunk.stage)
-        return _claim(job, chunk, token)
-
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
         """Renew a lease and record the progress of its chunk. ``False``: the work is no longer wanted, stop now.
 
@@ -146,12 +116,6 @@ class Leases:
         at_work = select(jobs.c.id).where(jobs.c.id == chunks.c.job_id, jobs.c.state == JobState.RUNNING).exists()
         further = case((chunks.c.unit_count < done_units, chunks.c.unit_count), else_=done_units)
         moved = case((chunks.c.done_units < further, now()), else_=chunks.c.moved_at)
-        until = {
-            f"{lease}_until": case(
-                (chunks.c[f"{lease}_token"] == lease_token, now() + lease_s), else_=chunks.c[f"{lease}_until"]
-            )
-            for lease in ("lease", "copy")
-        }
         with self._transactions.writing() as connection:
             renewed = connection.execute(
                 update(chunks)
@@ -159,7 +123,7 @@ class Leases:
                 .values(
                     done_units=case((chunks.c.done_units < further, further), else_=chunks.c.done_units),
                     moved_at=moved,
-                    **until,
+                    lease_until=now() + lease_s,
                 )
             )
         return renewed.rowcount == 1
@@ -193,11 +157,8 @@ class Leases:
             _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
-            finished: dict[str, Any] = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
-            if chunk.copy_token == lease_token:
-                finished["worker"] = chunk.copy_worker
-                count(connection, Total.COPIES_FIRST, chunk.stage)
-            move_chunk(connection, chunk_id, ChunkState.DONE, **finished)
+            done = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
+            move_chunk(connection, chunk_id, ChunkState.DONE, **done)
             _count_done(connection, chunk, reused)
             set_waiting(connection, job, None)
             if job.state == JobState.CANCELING:
@@ -209,9 +170,7 @@ class Leases:
         """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
-            if held is None or _pass_on(connection, held[1], lease_token):
-                return False
-            return _try_again(connection, *held, problem)
+            return held is not None and _try_again(connection, *held, problem)
 
     def release(self, chunk_id: int, lease_token: str) -> bool:
         """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
@@ -232,8 +191,6 @@ class Leases:
             job, chunk = held
             if job.state == JobState.CANCELING:
                 _cancel(connection, job, chunk)
-                return False
-            if _pass_on(connection, chunk, lease_token):
                 return False
             move_chunk(connection, chunk.id, ChunkState.READY)
             if outage is not None:
@@ -268,23 +225,19 @@ class Leases:
             )
 
     def reap(self, lease_s: float, takes: bool = True) -> bool:
-        """Take chunks back whose leases have ended; return whether any chunk is ready now, or a straggler.
+        """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
         A chunk that is taken back is ready for another try, which may have to wait, see ``lost_tries``; after
         ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled ends when its last running chunk is taken
-        back. A chunk that a second worker runs too stays with that worker. Leases longer than ``lease_s`` are
-        shortened: they were made before the clock was put back. Unless ``takes``, chunks are not taken back: their
-        workers may still renew the leases.
+        back. Leases longer than ``lease_s`` are shortened: they were made before the clock was put back. Unless
+        ``takes``, chunks are not taken back: their workers may still renew the leases.
         """
         with self._transactions.writing() as connection:
-            for until in (chunks.c.lease_until, chunks.c.copy_until):
-                connection.execute(
-                    update(chunks)
-                    .where(chunks.c.state == ChunkState.RUNNING, until > now() + lease_s)
-                    .values({until: now() + lease_s})
-                )
-            if takes:
-                _drop_lost_copies(connection)
+            connection.execute(
+                update(chunks)
+                .where(chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until > now() + lease_s)
+                .values(lease_until=now() + lease_s)
+            )
         expired = select(chunks.c.id, chunks.c.lease_token).where(
             chunks.c.state == ChunkState.RUNNING, chunks.c.lease_until < now()
         )
@@ -295,10 +248,9 @@ class Leases:
                 held = _lock_held(connection, chunk_id, lease_token, expired=True)
                 if held is not None:
                     count(connection, Total.LEASES_LOST, held[1].stage)
-                    if not _pass_on(connection, held[1], lease_token):
-                        _try_again(connection, *held, _worker_lost(held[1].stage))
+                    _try_again(connection, *held, _worker_lost(held[1].stage))
         with self._transactions.reading() as connection:
-            return next_job(connection) is not None or find_straggler(connection) is not None
+            return next_job(connection) is not None
 
 
 def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
@@ -326,28 +278,7 @@ def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
 
 
 def _is_held(lease_token: str) -> ColumnElement[bool]:
-    has_token = or_(chunks.c.lease_token == lease_token, chunks.c.copy_token == lease_token)
-    return and_(has_token, chunks.c.state == ChunkState.RUNNING)
-
-
-def _pass_on(connection: Connection, chunk: Row[Any], lease_token: str) -> bool:
-    """Leave a chunk to its other worker; return whether there is one. Its job is locked."""
-    if chunk.copy_token is None:
-        return False
-    values: dict[str, Any] = dict(NO_COPY)
-    if chunk.copy_token != lease_token:
-        copied = {"worker": "copy_worker", "lease_token": "copy_token", "lease_until": "copy_until"}
-        values |= {name: chunks.c[copy] for name, copy in copied.items()}
-    connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(values))
-    return True
-
-
-def _drop_lost_copies(connection: Connection) -> None:
-    """Forget the second workers whose leases have ended."""
-    lost = update(chunks).where(chunks.c.state == ChunkState.RUNNING, chunks.c.copy_until < now()).values(NO_COPY)
-    stages = Counter(connection.scalars(lost.returning(chunks.c.stage)))
-    for stage, number in sorted(stages.items()):
-        count(connection, Total.LEASES_LOST, stage, number)
+    return and_(chunks.c.lease_token == lease_token, chunks.c.state == ChunkState.RUNNING)
 
 
 def _lock_held(
