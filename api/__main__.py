@@ -18,7 +18,7 @@ from api.web.startup import ExposedError, require_keys_if_exposed, unusable_data
 from worker.run import tracing
 from worker.run.logs import configure_logs
 from worker.run.settings import read_settings
-from worker.store.errors import NewerDatabase
+from worker.store.errors import UnknownSchema
 from worker.store.files.disk import DiskSpace, keep_files_private, make_private
 from worker.store.store import JobStore
 
@@ -92,7 +92,7 @@ def _check_database(settings: Settings) -> None:
         with contextlib.closing(JobStore(settings.resolved_database_url)) as store:
             DiskSpace(settings.data_dir).using_reserve(store.migrate)
             require_keys_if_exposed(settings, store)
-    except (ExposedError, NewerDatabase) as error:
+    except (ExposedError, UnknownSchema) as error:
         sys.exit(f"error: {error}")
     except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
         sys.exit(f"error: {unusable_database(settings, error)}")

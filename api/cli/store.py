@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from api.cli.console import refusal
 from api.web.settings import Settings
 from api.web.startup import unusable_database
-from worker.store.errors import NewerDatabase
+from worker.store.errors import UnknownSchema
 from worker.store.files.disk import DiskSpace, keep_files_private, make_private
 from worker.store.store import JobStore
 
@@ -25,7 +25,7 @@ def opened_store(settings: Settings) -> Iterator[JobStore]:
         DiskSpace(settings.data_dir).using_reserve(store.migrate)  # opening a database writes, too
     except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
         raise refusal(unusable_database(settings, error)) from error
-    except NewerDatabase as error:
+    except UnknownSchema as error:
         raise refusal(str(error)) from error
     try:
         yield store

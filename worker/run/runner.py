@@ -17,7 +17,7 @@ from worker.run import tracing
 from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, time_limit_s
 from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
-from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NewerDatabase, NotFound
+from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, UnknownSchema, NotFound
 from worker.store.files.artifacts import (
     ArtifactStore,
     read_artifact,
@@ -156,7 +156,7 @@ class Runner:
         """Whether no newer version has upgraded the database while this one ran: its work is not ours."""
         try:
             self._store.require_known_schema()
-        except NewerDatabase as error:
+        except UnknownSchema as error:
             log.error("newer_database", detail=str(error))  # noqa: TRY400 - there is no mistake to trace
             return False
         return True

@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from pipeline.core.options.providers import ProviderChoice
 from pipeline.core.options.requirements import Schema, requirement
 from worker.run.logs import LogLevel
-from worker.store.errors import DamagedDatabase, NewerDatabase
+from worker.store.errors import DamagedDatabase, UnknownSchema
 from worker.store.files.artifacts import (
     ARTIFACTS_URL,
     DEFAULT_CACHE_BYTES,
@@ -132,7 +132,7 @@ def require_usable_database(store: JobStore) -> None:
         store.require_known_schema()
     except DamagedDatabase as error:
         sys.exit(f"error: {error}\n{error.instructions()}")
-    except NewerDatabase as error:
+    except UnknownSchema as error:
         sys.exit(f"error: {error}")
     except SQLAlchemyError:  # the database may start later
         return

@@ -12,7 +12,7 @@
     │   └── KeyBusy          the request of an idempotency key is at work
     ├── KeyReused            an idempotency key came with another request
     ├── QuotaExceeded        the tenant would exceed a quota
-    ├── NewerDatabase        the database was written by a newer version of Multicap
+    ├── UnknownSchema        the database was written by a newer version of Multicap, or before the first release
     ├── DamagedDatabase      the database's file can't be read (a SQLAlchemyError too)
     └── DamagedArtifact      a stored file does not have its SHA-256
     OSError
@@ -76,14 +76,17 @@ class KeyReused(JobStoreError):  # noqa: N818
     """An idempotency key came with another request."""
 
 
-class NewerDatabase(JobStoreError):  # noqa: N818
-    """A newer version of Multicap wrote the database; this version does not know its schema."""
+class UnknownSchema(JobStoreError):  # noqa: N818
+    """The database has an unknown schema: of a newer version, or of one before the first release."""
 
-    def __init__(self, schema: str) -> None:
+    def __init__(self, schema: str, is_newer: bool) -> None:
         self.schema = schema
         super().__init__(
             f"This database was written by a newer version of Multicap (schema {schema}). "
             "Upgrade Multicap, or restore a backup made with this version."
+            if is_newer
+            else f"This database was written by Multicap before its first release (schema {schema}), "
+            "and can't be upgraded. Start with an empty data folder or database."
         )
 
 

@@ -99,7 +99,7 @@ class JobStore(Records):
         return self._database.is_damaged
 
     def require_known_schema(self) -> None:
-        """Raise ``NewerDatabase`` if a newer version of Multicap made the database."""
+        """Raise ``UnknownSchema`` if this version does not know the database's schema."""
         self._database.require_known_schema()
 
     def ping(self) -> bool:

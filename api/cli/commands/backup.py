@@ -17,7 +17,7 @@ from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.backup.contents import BackupReport
 from worker.store.backup.create import create_backup
 from worker.store.backup.restore import restore_backup, verify_backup
-from worker.store.errors import DamagedDatabase, NewerDatabase
+from worker.store.errors import DamagedDatabase, UnknownSchema
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
 Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
@@ -69,7 +69,7 @@ def _reported(as_json: bool) -> Iterator[None]:
     """Report errors as sentences or JSON, with the documented exit codes."""
     try:
         yield
-    except (BackupError, DamagedDatabase, NewerDatabase) as error:
+    except (BackupError, DamagedDatabase, UnknownSchema) as error:
         code, faults = _code_and_faults(error)
         is_usage = isinstance(error, BackupUsageError)
         if as_json:
@@ -79,7 +79,7 @@ def _reported(as_json: bool) -> Iterator[None]:
         raise typer.Exit(EXIT_BAD_INPUT if is_usage else EXIT_FAILED) from error
 
 
-def _code_and_faults(error: BackupError | DamagedDatabase | NewerDatabase) -> tuple[str, tuple[str, ...]]:
+def _code_and_faults(error: BackupError | DamagedDatabase | UnknownSchema) -> tuple[str, tuple[str, ...]]:
     match error:
         case BackupUsageError():
             return BAD_USAGE, error.faults

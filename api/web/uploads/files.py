@@ -54,7 +54,7 @@ class FolderUploads(Writers):
 
         A file that is here is served, whatever the upload's row says: folders are shared, moved and restored.
         """
-        if upload.spool not in {None, self.name} and not self._path(upload.id).exists():
+        if upload.spool != self.name and not self._path(upload.id).exists():
             raise elsewhere(upload)
 
     def offset(self, upload: Upload) -> int:

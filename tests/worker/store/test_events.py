@@ -1,12 +1,10 @@
 """What is noted of jobs, and how far they have come."""
 
 import sqlalchemy as sa
-from alembic import command
-from alembic.config import Config
 
 from pipeline.core.problems.model import Code
 from tests.worker.store.conftest import LEASE_S, StoreBench, stages
-from worker.store.database.tables import events, metadata
+from worker.store.database.tables import events
 from worker.store.model.jobs import JobProblem
 
 
@@ -68,22 +66,3 @@ def test_numbers_are_not_used_again(jobs: StoreBench) -> None:
     assert jobs.store.jobs.changes([job.id]) == {}
     again = jobs.queue()
     assert jobs.store.jobs.changes([again.id])[again.id].event > last
-
-
-def test_jobs_from_before_there_were_events_have_one(jobs: StoreBench) -> None:
-    job = jobs.queue()
-    jobs.finish_all()
-    engine = sa.create_engine(jobs.url)
-    config = Config()
-    config.set_main_option("script_location", "worker.store.database:migrations")
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.downgrade(config, "0001")
-        assert "events" not in sa.inspect(connection).get_table_names()
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
-    assert set(sa.inspect(engine).get_table_names()) >= set(metadata.tables)
-    engine.dispose()
-    assert noted(jobs, job.id) == [("state", "succeeded")]
-    assert jobs.store.jobs.get(job.id).state == "succeeded"

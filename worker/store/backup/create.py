@@ -82,7 +82,7 @@ def create_backup(
     ------
     BackupError
     DamagedDatabase
-    NewerDatabase
+    UnknownSchema
     """
     if not data_dir.is_dir():
         raise BackupUsageError(f"There is no folder {data_dir}. Give the service's folder with --data.")

@@ -35,7 +35,7 @@ from worker.store.backup.snapshot import (
     require_empty,
 )
 from worker.store.database.connection import sqlite_path
-from worker.store.errors import DamagedDatabase, NewerDatabase
+from worker.store.errors import DamagedDatabase, UnknownSchema
 from worker.store.files.artifacts import is_key
 from worker.store.files.disk import sync
 
@@ -102,7 +102,7 @@ class _BackupReader:
             self._refuse(*error.faults)
         except DamagedDatabase as error:
             self._refuse(f"The database is damaged: {error.reason}.")
-        except NewerDatabase as error:
+        except UnknownSchema as error:
             self._refuse(str(error))
         except Exception as error:  # a damaged or hostile database may raise anything
             self._refuse(f"The database can't be read: {str(error) or type(error).__name__}.")
@@ -181,7 +181,7 @@ def restore_backup(
     ------
     BackupError
         Nothing was restored.
-    NewerDatabase
+    UnknownSchema
         A newer version of Multicap wrote the database at ``database_url``.
     """
     data_dir = data_dir.absolute()

@@ -41,7 +41,7 @@ _BUSY_S = 30.0
 def take_snapshot(database_url: str, target: Path) -> str:
     """Copy a database in use, as it is at one moment, into a new SQLite file; returns the revision of its schema.
 
-    Raises ``BackupUsageError`` if the database has no tables of Multicap, ``NewerDatabase`` or ``DamagedDatabase``.
+    Raises ``BackupUsageError`` if the database has no tables of Multicap, ``UnknownSchema`` or ``DamagedDatabase``.
     """
     new_private_file(target)
     source = sqlite_path(database_url)
@@ -116,7 +116,7 @@ def remove_database(path: Path) -> None:
 def prepare(path: Path) -> None:
     """Check the database of a backup and bring its schema up to date.
 
-    Raises ``DamagedDatabase``, ``NewerDatabase``, or ``BackupError`` if a row refers to a missing one, or the database
+    Raises ``DamagedDatabase``, ``UnknownSchema``, or ``BackupError`` if a row refers to a missing one, or the database
     has triggers or views.
     """
     with contextlib.closing(_connect(path)) as database:

@@ -19,7 +19,7 @@ from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 
 from worker.store import keepalive
-from worker.store.errors import DamagedDatabase, NewerDatabase
+from worker.store.errors import DamagedDatabase, UnknownSchema
 
 # Time that a transaction waits for the lock of another one.
 _LOCK_TIMEOUT_S = 30.0
@@ -98,9 +98,9 @@ def schema_revisions() -> tuple[str, ...]:
 
 
 def require_known_schema(revision: str) -> None:
-    """Raise ``NewerDatabase`` for a revision of the schema that this version does not know."""
-    if revision not in schema_revisions():
-        raise NewerDatabase(revision)
+    """Raise ``UnknownSchema`` for a revision of the schema that this version does not know."""
+    if revision not in (known := schema_revisions()):
+        raise UnknownSchema(revision, is_newer=revision > known[-1])
 
 
 def sqlite_path(database_url: str) -> Path | None:
@@ -182,7 +182,7 @@ class Database:
             return _revision(connection)
 
     def require_known_schema(self) -> None:
-        """Raise ``NewerDatabase`` if this version does not know the schema."""
+        """Raise ``UnknownSchema`` if this version does not know the schema."""
         if (revision := self.revision()) is not None:
             require_known_schema(revision)
 
@@ -202,7 +202,7 @@ class Database:
     def migrate(self) -> None:
         """Bring the schema up to date; several processes may try at once.
 
-        Raises ``DamagedDatabase``, or ``NewerDatabase`` if this version does not know the schema; the database stays as
+        Raises ``DamagedDatabase``, or ``UnknownSchema`` if this version does not know the schema; the database stays as
         it is.
         """
         self.require_whole()

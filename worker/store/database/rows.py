@@ -56,7 +56,7 @@ def result_of(row: Row[Any]) -> Result:
         num_bytes=row.num_bytes,
         sha256=row.sha256,
         revision=row.revision,
-        person_name=row.person_name if row.person_name is not None else row.person,
+        person_name=row.person_name,
     )
 
 

@@ -59,7 +59,7 @@ sessions = Table(
     Column("client_metadata", JSON, nullable=False, server_default="{}"),
     Column("num_bytes", BigInteger, nullable=False, server_default="0"),  # of all files that are there
     Column("tenant", String(64), nullable=False, server_default=DEFAULT_TENANT),
-    Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: session of an older version
+    Column("record_sha256", String(64)),  # of the preflight's file for the workers; null: it is not compared
     Column("purpose", String(16), nullable=False, server_default="capture"),  # or "calibration": not listed
     Column("search_name", String, nullable=False, server_default=""),  # name as ``searchable`` makes it
     Column("videos_deleted_at", UtcTimestamp),  # null: the videos are there
@@ -77,7 +77,7 @@ uploads = Table(
     Column("num_bytes", BigInteger, nullable=False),  # of the complete file
     Column("metadata", String, nullable=False),
     Column("expires_at", UtcTimestamp, nullable=False),
-    Column("spool", String),  # host and folder that hold its bytes; null: upload of an older version
+    Column("spool", String, nullable=False),  # host and folder that hold its bytes
     Column("recording_id", String(36), index=True),  # whose phone sends it; null: a key sends it
     Column("phone", Integer),  # number of the phone
     Index(None, "tenant", "id"),
@@ -168,7 +168,7 @@ chunks = Table(
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
     Column("stage_index", Integer, nullable=False),
     Column("stage", String(32), nullable=False),
-    Column("code", String(64)),  # digest of the code that can run it; null: of an older version
+    Column("code", String(64), nullable=False),  # digest of the code that can run it
     Column("chunk_index", Integer, nullable=False),
     Column("payload", JSON, nullable=False),
     Column("output_key", String(128), nullable=False),
@@ -220,7 +220,7 @@ results = Table(
     Column("num_bytes", BigInteger, nullable=False),
     Column("sha256", String(64), nullable=False),
     Column("revision", Integer, nullable=False, server_default="0"),  # of the edits that the file shows
-    Column("person_name", String),  # null: not of a single person, or of an older version
+    Column("person_name", String),  # null: not of a single person
 )
 
 # Outputs of finished chunks. They stay when their job is deleted, until their session is.

@@ -26,7 +26,7 @@ class Upload:
     """A file that arrives in pieces.
 
     ``num_bytes`` is its complete size, ``metadata`` a text of the client, ``spool`` the host and folder that hold the
-    bytes that have arrived; ``None``: upload of an older version.
+    bytes that have arrived.
     """
 
     id: str
@@ -34,7 +34,7 @@ class Upload:
     num_bytes: int
     metadata: str
     expires_at: datetime
-    spool: str | None
+    spool: str
 
 
 Purpose = Literal["capture", "calibration"]
@@ -50,7 +50,7 @@ class Session:
     files: tuple[InputFile, ...]
     preflight: Preflight
     metadata: Mapping[str, Any] = field(default_factory=dict)  # JSON object of the client
-    # Digest of the file that the preflight wrote for the workers; ``None`` for sessions of older versions
+    # Digest of the file that the preflight wrote for the workers; ``None``: it is read without a comparison
     record_sha256: str | None = None
     # Videos of a ``calibration`` that is made of them have guessed cameras; they are not listed among the captures
     purpose: Purpose = "capture"

@@ -13,10 +13,7 @@ from worker.store.spec import JobSpec
 
 
 class Precedence(IntEnum):
-    """Order of a tenant's work: edits of people, and then jobs by the priorities of their specs.
-
-    Edits that were made by earlier versions have 0.
-    """
+    """Order of a tenant's work: edits of people, and then jobs by the priorities of their specs."""
 
     EDITS = -1
     PREVIEW = 0

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from worker.store.backup.archive import ArchiveWriter, BackupError
-from worker.store.errors import NewerDatabase
+from worker.store.errors import UnknownSchema
 
 
 def attempt(action: Callable[[], object]) -> tuple[str, ...]:
     """Sentences of a refusal; empty if there was none."""
     try:
         action()
-    except (BackupError, NewerDatabase) as error:
+    except (BackupError, UnknownSchema) as error:
         return error.faults if isinstance(error, BackupError) else (str(error),)
     return ()
 

@@ -8,16 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from alembic import command
 
 from tests.worker.store.backup.archives import attempt, forged, members
 from tests.worker.store.backups import Data, ignore, opened_data, restored
-from tests.worker.store.database.test_migrations import CONFIG
 from worker.store.backup.archive import BackupUsageError
 from worker.store.backup.contents import DATABASE
 from worker.store.backup.create import create_backup
 from worker.store.backup.linked import held_files
-from worker.store.database.connection import Database, schema_revisions
 
 
 def test_nothing_is_overwritten(busy: Data, archive: Path, tmp_path: Path) -> None:
@@ -36,23 +33,6 @@ def test_nothing_is_overwritten(busy: Data, archive: Path, tmp_path: Path) -> No
     restored(archive, empty)
     with opened_data(empty) as there:
         assert there.rows() == busy.rows()
-
-
-def test_older_schema_is_kept_and_restored_up_to_date(data: Data, tmp_path: Path) -> None:
-    data.add_job(data.add_session())
-    data.run_all()
-    before = data.store.sessions.page()
-    older = schema_revisions()[-2]
-    database = Database(data.url)
-    with database.writing() as connection:
-        CONFIG.attributes["connection"] = connection
-        command.downgrade(CONFIG, older)
-    database.close()
-    report = data.back_up(tmp_path / "backup.tar")
-    assert (report.manifest.schema_revision, report.problems) == (older, ())
-    restored(tmp_path / "backup.tar", tmp_path / "there")
-    with opened_data(tmp_path / "there") as there:
-        assert there.store.sessions.page() == before
 
 
 def test_newer_schema_is_refused(busy: Data, archive: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import islice, takewhile
 from typing import Any
 
-from sqlalchemy import Connection, delete, insert, literal, or_, select, true, update
+from sqlalchemy import Connection, delete, insert, literal, select, true, update
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.plan import STAGE_BY_NAME, followers
@@ -28,7 +28,7 @@ class Plans:
     def unclaimable(self) -> list[str]:
         """Ids of unfinished jobs without running chunks whose ready chunks no worker can run."""
         with self._transactions.reading() as connection:
-            foreign = or_(chunks.c.code.is_(None), chunks.c.code.not_in(codes_at_work(connection)))
+            foreign = chunks.c.code.not_in(codes_at_work(connection))
             of_job = chunks.c.job_id == jobs.c.id
             is_waiting = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.READY, foreign).exists()
             is_running = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.RUNNING).exists()
