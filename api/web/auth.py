@@ -33,7 +33,7 @@ from worker.store.database.tables import DEFAULT_TENANT
 from worker.store.errors import NotFound
 from worker.store.model.recordings import JoinLink, UploadingPhone
 from worker.store.model.rights import Actor, Key, Link, LinkScope, Scope
-from worker.store.repositories.rights.links import LINK_PREFIX
+from worker.store.repositories.links import LINK_PREFIX
 from worker.store.tenant_records import TenantRecords
 
 LINK = "link"

@@ -38,10 +38,10 @@ from worker.store.files.artifacts import LocalArtifacts, record_key
 from worker.store.model.rights import Scope
 from worker.store.model.sessions import InputFile
 from worker.store.model.states import FINISHED, JobState
+from worker.store.model.work import WorkerState
 from worker.store.queue import WorkQueue
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
-from worker.store.worker_status import WorkerState
 
 pytestmark = pytest.mark.load
 

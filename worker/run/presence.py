@@ -27,9 +27,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.kernel_cache import cache_folder, is_complete
 from pipeline.core.runtime.parent_watch import tied_to_parent
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.repositories.work.workers import Workers
 from worker.store.store import JobStore
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 _NAME = re.compile(r"multicap-(\d+)-\w+", re.ASCII)
 

@@ -17,7 +17,7 @@ from worker.run import tracing
 from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, time_limit_s
 from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
-from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, UnknownSchema, NotFound
+from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NotFound, UnknownSchema
 from worker.store.files.artifacts import (
     ArtifactStore,
     read_artifact,
@@ -26,8 +26,8 @@ from worker.store.files.artifacts import (
     stage_key,
     write_interim,
 )
-from worker.store.model.calibrations import MadeCalibration
 from worker.store.model.jobs import Result
+from worker.store.model.sessions import MadeCalibration
 from worker.store.model.work import Ability, Claim, KeptPiece
 from worker.store.outages import Outage, outage_of
 from worker.store.store import JobStore

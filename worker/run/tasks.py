@@ -28,10 +28,9 @@ from worker.run.settings import WorkerSettings
 from worker.store.errors import DamagedDatabase
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.disk import DiskSpace
-from worker.store.model.work import Ability
+from worker.store.model.work import Ability, WorkerState, WorkerStatus
 from worker.store.queue import Queue, WorkQueue
 from worker.store.store import JobStore
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 log = structlog.get_logger()
 

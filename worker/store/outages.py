@@ -1,6 +1,12 @@
-"""Outages: parts of the service that do not respond. They are nobody's fault, so the work waits until they end."""
+"""Outages: parts of the service that do not respond. Work waits until they end.
+
+A firewall that forgets a connection drops its packets silently. Without ``SOCKET_OPTIONS`` the kernel sends them again
+for a quarter of an hour, and an idle connection looks whole for ever.
+"""
 
 import errno
+import socket
+from collections.abc import Mapping
 from enum import StrEnum
 
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
@@ -8,6 +14,24 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from worker.store.errors import ArtifactsUnavailable
 from worker.store.files.disk import is_disk_full
+
+IDLE_S, INTERVAL_S, NUM_PROBES = 5, 3, 3
+"""Idle time before the first probe, time between probes, number of probes without an answer."""
+UNACKNOWLEDGED_S = 15
+"""Time that sent data may stay unacknowledged."""
+
+SOCKET_OPTIONS: Mapping[int, int] = {
+    getattr(socket, name): value
+    for name, value in (
+        ("TCP_KEEPIDLE", IDLE_S),
+        ("TCP_KEEPINTVL", INTERVAL_S),
+        ("TCP_KEEPCNT", NUM_PROBES),
+        ("TCP_USER_TIMEOUT", 1000 * UNACKNOWLEDGED_S),  # not on every system
+    )
+    if hasattr(socket, name)
+}
+"""Options of a TCP socket by their numbers."""
+
 
 # Errors of a folder on another machine that does not respond.
 _FOLDER_AWAY = frozenset({errno.ESTALE, errno.ETIMEDOUT, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENOTCONN})

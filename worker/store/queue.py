@@ -10,7 +10,7 @@ from opentelemetry.propagate import inject
 from opentelemetry.trace import SpanKind
 from redis.exceptions import RedisError
 
-from worker.store import keepalive
+from worker.store import outages
 
 TASK_NAME = "multicap.work"
 
@@ -40,7 +40,7 @@ def transport_options(timeout_s: float) -> dict[str, Any]:
         "socket_timeout": timeout_s,
         "socket_connect_timeout": min(timeout_s, _CONNECT_TIMEOUT_S),
         "socket_keepalive": True,
-        "socket_keepalive_options": dict(keepalive.SOCKET_OPTIONS),
+        "socket_keepalive_options": dict(outages.SOCKET_OPTIONS),
         "health_check_interval": _HEALTH_CHECK_S,
     }
 

@@ -14,16 +14,12 @@ from worker.store.model.recordings import UploadingPhone
 from worker.store.model.rights import Actor
 from worker.store.model.work import Figures
 from worker.store.repositories.audit import Audit
-from worker.store.repositories.rights.browser_sessions import BrowserSessions
-from worker.store.repositories.rights.join_secrets import JoinSecrets
-from worker.store.repositories.rights.keys import Keys
-from worker.store.repositories.rights.links import LinkSecrets
-from worker.store.repositories.webhook_secrets import WebhookSecrets
-from worker.store.repositories.webhooks import Webhooks
+from worker.store.repositories.keys import BrowserSessions, Keys
+from worker.store.repositories.links import JoinSecrets, LinkSecrets
+from worker.store.repositories.webhooks import Webhooks, WebhookSecrets
+from worker.store.repositories.work.expiry import Removals
 from worker.store.repositories.work.leases import MAX_ATTEMPTS, Leases
-from worker.store.repositories.work.outputs import Outputs
-from worker.store.repositories.work.plans import Plans
-from worker.store.repositories.work.removals import Removals
+from worker.store.repositories.work.plans import Outputs, Plans
 from worker.store.repositories.work.waits import Waits
 from worker.store.repositories.work.workers import Workers
 from worker.store.tenant_records import Records, TenantRecords

@@ -4,21 +4,20 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 
-from worker.store.database.access import Access
+from worker.store.database.access import Access, OpenTransaction
 from worker.store.database.quotas import NO_QUOTAS, read_usage, require_room
-from worker.store.database.transactions import OpenTransaction
 from worker.store.model.rights import Usage
 from worker.store.repositories.calibrations import Calibrations
 from worker.store.repositories.characters import Characters
 from worker.store.repositories.idempotency_keys import IdempotencyKeys
 from worker.store.repositories.jobs import Jobs
+from worker.store.repositories.links import Links
 from worker.store.repositories.recordings import Recordings
 from worker.store.repositories.results import Results
-from worker.store.repositories.rights.links import Links
 from worker.store.repositories.sessions import Sessions
 from worker.store.repositories.uploads import Uploads
 from worker.store.repositories.visuals import Visuals
-from worker.store.repositories.webhook_secrets import read_secrets
+from worker.store.repositories.webhooks import read_secrets
 
 
 class Records:

@@ -25,7 +25,7 @@ from worker.run import embedded
 from worker.run.presence import remove_killed
 from worker.run.supervisor import Program, Supervisor
 from worker.store.files.disk import keep_files_private
-from worker.store.repositories.rights.keys import Keys
+from worker.store.repositories.keys import Keys
 from worker.store.spec import JobSpec
 
 _POLL_S = 0.2
@@ -156,7 +156,7 @@ def command(
 
 
 def _default_workers(keys: Keys) -> int:
-    # One worker stays free for the other tenants, see `worker.store.repositories.work.fair_share`.
+    # One worker stays free for the other tenants, see `worker.store.repositories.work.next_chunk`.
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 

@@ -29,10 +29,10 @@ from pipeline.core.problems.requests import (
     WORKER_UNAVAILABLE,
 )
 from worker.store.files.disk import DiskSpace
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.repositories.work.workers import installed_detectors
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 router = APIRouter(tags=["health"])
 

@@ -17,7 +17,7 @@ import redis.asyncio
 import structlog
 from redis.exceptions import RedisError
 
-from worker.store import keepalive
+from worker.store import outages
 
 _log = structlog.get_logger(__name__)
 
@@ -143,7 +143,7 @@ def _client_of(broker_url: str) -> redis.asyncio.Redis:
     address = broker_url.partition(";")[0]
     if address.startswith(_SOCKET_SCHEME):
         address = f"unix://{unquote(address.removeprefix(_SOCKET_SCHEME))}"
-    tcp: dict[str, Any] = {"socket_keepalive": True, "socket_keepalive_options": dict(keepalive.SOCKET_OPTIONS)}
+    tcp: dict[str, Any] = {"socket_keepalive": True, "socket_keepalive_options": dict(outages.SOCKET_OPTIONS)}
     options = {} if address.startswith("unix:") else tcp
     return redis.asyncio.Redis.from_url(
         address, socket_connect_timeout=_TIMEOUT_S, socket_timeout=_TIMEOUT_S, **options

@@ -26,9 +26,9 @@ from worker.run.planning import plan_job
 from worker.store.database.totals import Total
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import FINISHED, JobState
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.queue import Queue, WorkQueue
 from worker.store.spec import JobSpec
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ties children to parents, and looks into /proc")
 

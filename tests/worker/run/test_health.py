@@ -9,8 +9,8 @@ import pytest
 from tests.waiting import wait_for
 from worker.run import health
 from worker.run.presence import Presence, process_name
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.store import JobStore
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from sqlalchemy.exc import OperationalError
 from tests.waiting import wait_for
 from tests.worker.conftest import RunnerBench
 from worker.run.presence import Presence, process_name, remove_abandoned, remove_killed, scratch_folder
-from worker.store.worker_status import WorkerState, WorkerStatus
+from worker.store.model.work import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 

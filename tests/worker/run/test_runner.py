@@ -36,8 +36,8 @@ from worker.run.chunk import Work
 from worker.run.planning import plan_job
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import ChunkState, JobState
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.spec import JobSpec
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 
 class Endless:

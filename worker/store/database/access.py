@@ -1,16 +1,49 @@
-"""Access of a repository to the database: transactions, the tenant, its quotas, and the actor for the audit."""
+"""Access of repositories to the database: transactions, the tenant, its quotas, and the actor for the audit.
 
+Each call of a repository begins its own transaction, or all calls join one that is open.
+"""
+
+import contextlib
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Protocol
 
 from sqlalchemy import ColumnElement, Connection, Table, true
 
 from worker.store.database.connection import lock
 from worker.store.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
 from worker.store.database.tables import DEFAULT_TENANT
-from worker.store.database.transactions import Transactions
 from worker.store.model.recordings import UploadingPhone
 from worker.store.model.rights import Actor
+
+
+class Transactions(Protocol):
+    """Source of transactions: ``Database`` begins one for each block, ``OpenTransaction`` lends the one it has."""
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Transaction that reads."""
+
+    def writing(self) -> AbstractContextManager[Connection]:
+        """Transaction that writes."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTransaction:
+    """A transaction that writes and is open already; the block that began it commits it or rolls it back."""
+
+    connection: Connection
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """Lend the connection."""
+        yield self.connection
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[Connection]:
+        """Lend the connection."""
+        yield self.connection
+
 
 _COMMAND_LINE = Actor()
 

@@ -18,7 +18,7 @@ from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import FunctionElement
 
-from worker.store import keepalive
+from worker.store import outages
 from worker.store.errors import DamagedDatabase, UnknownSchema
 
 # Time that a transaction waits for the lock of another one.
@@ -35,10 +35,10 @@ _IDLE_TRANSACTION_S = 30.0
 _POSTGRES_OPTIONS: Mapping[str, int] = {
     "connect_timeout": _CONNECT_TIMEOUT_S,
     "keepalives": 1,
-    "keepalives_idle": keepalive.IDLE_S,
-    "keepalives_interval": keepalive.INTERVAL_S,
-    "keepalives_count": keepalive.NUM_PROBES,
-    "tcp_user_timeout": 1000 * keepalive.UNACKNOWLEDGED_S,
+    "keepalives_idle": outages.IDLE_S,
+    "keepalives_interval": outages.INTERVAL_S,
+    "keepalives_count": outages.NUM_PROBES,
+    "tcp_user_timeout": 1000 * outages.UNACKNOWLEDGED_S,
 }
 
 _DAMAGE = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})

@@ -18,10 +18,9 @@ from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, jobs, sessions
-from worker.store.model.calibrations import Calibration
 from worker.store.model.characters import Character, CharacterSummary, JobCharacter, StoredCharacterFile
 from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress, config_of
-from worker.store.model.sessions import InputFile, Session
+from worker.store.model.sessions import Calibration, InputFile, Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
 

@@ -13,8 +13,7 @@ from sqlalchemy import Connection, Row, delete, insert, select, update
 
 from pipeline.core.options.job_choices import BLURRED_KIND, VISUAL_KINDS
 from worker.store.database.connection import now
-from worker.store.database.listed_results import drop_results
-from worker.store.database.removal_notes import remove_later
+from worker.store.database.stored_files import drop_results, remove_later
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.totals import Total, count
 from worker.store.files.artifacts import interim_prefix, job_prefix

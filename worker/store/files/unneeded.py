@@ -11,11 +11,11 @@ import structlog
 
 from worker.store.files.artifacts import ArtifactStore, character_prefix, job_prefix, session_prefix
 from worker.store.outages import outage_of
-from worker.store.repositories.work.removals import Removals
+from worker.store.repositories.work.expiry import Removals
 
 log = structlog.get_logger()
 
-# Files of a session take less than this to get their row; see ``worker.store.database.removal_notes``.
+# Files of a session take less than this to get their row; see ``worker.store.database.stored_files``.
 _ARRIVAL_MS = 24 * 3600 * 1000
 
 

@@ -1,7 +1,7 @@
-"""Jobs: what they make, their course, their problems and their result files."""
+"""Jobs: choices, course, problems, result files, and the webhook messages of their ends."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal
 
@@ -205,3 +205,27 @@ class Result:
     sha256: str
     revision: int = 0
     person_name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """Webhook message of a job's end. ``tries`` includes the present try; ``problem`` is that of the last one."""
+
+    id: int
+    message_id: str
+    job_id: str
+    tenant: str
+    url: str
+    body: str
+    due_at: datetime
+    tries: int
+    problem: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class WebhookSecret:
+    """Secret that signs webhook messages, until ``expires_at`` if there is a newer one."""
+
+    secret: str = field(repr=False)
+    created_at: datetime
+    expires_at: datetime | None

@@ -1,4 +1,4 @@
-"""Capture sessions and their files, and uploads, which become files of sessions."""
+"""Capture sessions and their files, uploads, which become files of sessions, and calibrations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
-from worker.store.model.jobs import NewestJob
+from worker.store.model.jobs import JobProblem, NewestJob
+from worker.store.model.states import JobState
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,3 +81,29 @@ class Capture:
     is_blurred: bool = False
     # Names of the blurred videos that are made; see ``pipeline.core.options.job_choices.blurred_name``
     blurred: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A calibration: sent as a file, or made by the job of the same id."""
+
+    id: str
+    name: str
+    method: str  # ``file``, ``board`` or ``people``
+    created_at: datetime
+    # Of a file its name, format, units, axes and notes; else the choices with which it is made
+    source: Mapping[str, Any]
+    files: Mapping[str, str] | None  # Text by format; ``None`` until it is made
+    report: Mapping[str, Any] | None  # See ``pipeline.calibration.report.report_document``; ``None`` of a file
+    session_id: str | None = None  # Session from which it is made; it may be deleted since
+    # State and problem of the job that makes it; ``None`` of a file, or once the job is deleted
+    job_state: JobState | None = None
+    problem: JobProblem | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadeCalibration:
+    """Calibration that a job has made; fields as of ``Calibration``."""
+
+    files: Mapping[str, str]
+    report: Mapping[str, Any]

@@ -1,12 +1,13 @@
-"""Work of the workers: plans, claims of chunks, their outputs, files to remove, and figures of all of it."""
+"""Work of the workers: processes, plans, claims of chunks, their outputs, files to remove, and figures of all of it."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit
+from pipeline.core.options.providers import CPU, Provider
 from worker.store.model.characters import JobCharacter
 from worker.store.model.jobs import Making, config_of
 from worker.store.spec import JobSpec
@@ -154,3 +155,28 @@ class Figures:
     chunks: Mapping[str, int]
     longest_queued_s: float  # Time that the first job in the queue has waited; 0 without one
     running: Sequence[RunningChunk]  # As many as there are workers at work
+
+
+class WorkerState(StrEnum):
+    """Whether a worker process could start a chunk now."""
+
+    STARTING = "starting"
+    READY = "ready"
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerStatus:
+    """Status of a worker process, as the process reports it."""
+
+    id: str  # Host and process id
+    state: WorkerState
+    activity: str  # Sentence about its work, without the full stop
+    # Steps of the activity; both 0 where there are none to count
+    done: int = 0
+    total: int = 0
+    detectors: tuple[str, ...] = ()  # Names of the installed detectors
+    bodies: tuple[str, ...] = ()  # Names of the installed bodies of people
+    formats: tuple[str, ...] = ()  # Formats of people's files that it can write
+    codes: tuple[str, ...] = ()  # Digests of the stages' code that it runs
+    provider: Provider = CPU  # Execution provider of its networks
+    memory_bytes: int = 0  # Limit of its memory; 0: not stated

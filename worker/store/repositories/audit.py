@@ -7,9 +7,9 @@ from enum import StrEnum
 
 from sqlalchemy import Connection, insert, select
 
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now
 from worker.store.database.tables import audit
-from worker.store.database.transactions import Transactions
 from worker.store.model.rights import Actor, AuditEvent
 
 

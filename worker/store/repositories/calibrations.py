@@ -11,13 +11,13 @@ from uuid_utils import uuid7
 from pipeline.core.options.job_choices import CalibrationChoices
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.removal_notes import forget_answers, remove_later
 from worker.store.database.rows import calibration_of
+from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import job_prefix, session_prefix
-from worker.store.model.calibrations import Calibration, MadeCalibration
 from worker.store.model.jobs import JobRecord
+from worker.store.model.sessions import Calibration, MadeCalibration
 from worker.store.model.states import FINISHED
 from worker.store.repositories.audit import AuditAction, record_event
 
@@ -31,7 +31,7 @@ class Calibrations:
     def add(self, name: str, source: Mapping[str, Any], files: Mapping[str, str]) -> Calibration:
         """Add a calibration that was sent as a file.
 
-        ``source`` and ``files`` are as of ``worker.store.model.calibrations.Calibration``. Raises ``QuotaExceeded``.
+        ``source`` and ``files`` are as of ``worker.store.model.sessions.Calibration``. Raises ``QuotaExceeded``.
         """
         return self._insert(str(uuid7()), name, "file", source, files)
 

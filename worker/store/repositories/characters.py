@@ -10,8 +10,8 @@ from uuid_utils import uuid7
 
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.rows import character_of, character_summary_of
+from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import characters
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import character_prefix

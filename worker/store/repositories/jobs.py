@@ -11,9 +11,15 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, document_of
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.listed_results import has_visuals, remove_unlisted
-from worker.store.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.rows import edits_of, job_character_of, jobs_of, making_of, select_jobs
+from worker.store.database.stored_files import (
+    forget_answers,
+    has_visuals,
+    keep,
+    remove_later,
+    remove_unless_kept,
+    remove_unlisted,
+)
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.store.errors import Conflict, NotFound

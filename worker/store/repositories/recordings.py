@@ -15,7 +15,7 @@ from uuid_utils import uuid7
 
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.removal_notes import forget_answers
+from worker.store.database.stored_files import forget_answers
 from worker.store.database.tables import clips, phones, recordings, takes, uploads
 from worker.store.errors import Conflict, NotFound, PhoneRemoved
 from worker.store.model.recordings import (
@@ -29,8 +29,8 @@ from worker.store.model.recordings import (
     TakeState,
 )
 from worker.store.repositories.audit import AuditAction, record_event
-from worker.store.repositories.rights.keys import digest
-from worker.store.repositories.rights.links import LINK_PREFIX, LINK_SECRET_BYTES
+from worker.store.repositories.keys import digest
+from worker.store.repositories.links import LINK_PREFIX, LINK_SECRET_BYTES
 
 MAX_RECORDINGS = 100
 """Largest number of a tenant's recordings that have not ended."""

@@ -15,8 +15,8 @@ from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.options.job_choices import BLURRED_KIND
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.removal_notes import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.rows import session_of
+from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import job_prefix, session_prefix, thumbnails_prefix

@@ -1,23 +1,26 @@
-"""Webhooks: messages of jobs' ends that are to be delivered.
+"""Webhooks: messages of jobs' ends that are to be delivered, and the secrets that sign them.
 
 A message is queued in the transaction that ends its job, and stays until it is delivered or a day has passed. It may
 arrive twice, under one id: the sender may be killed before it has recorded the delivery.
 """
 
+import base64
 import json
 import secrets
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, Row, case, delete, func, insert, literal, select, type_coerce, update
+from sqlalchemy import Connection, Row, case, delete, func, insert, literal, or_, select, type_coerce, update
 from uuid_utils import uuid7
 
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now
 from worker.store.database.rows import jobs_of, select_jobs
-from worker.store.database.tables import UtcTimestamp, deliveries, jobs
-from worker.store.database.transactions import Transactions
+from worker.store.database.tables import UtcTimestamp, deliveries, jobs, webhook_secrets
+from worker.store.model.jobs import Delivery, WebhookSecret
+from worker.store.model.rights import Actor
 from worker.store.model.states import JobState
-from worker.store.model.webhooks import Delivery
+from worker.store.repositories.audit import AuditAction, record_event
 
 # Time from each failed try to the next one: about a day in all.
 _WAITS_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 2 * 3600.0, 4 * 3600.0, 6 * 3600.0, 8 * 3600.0)
@@ -129,3 +132,42 @@ def _delivery_of(row: Row[Any], tries: int) -> Delivery:
         tries=tries,
         problem=row.problem,
     )
+
+
+_SECRET_BYTES = 32
+
+
+class WebhookSecrets:
+    """Webhook secrets of all tenants."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def rotate(self, tenant: str, keep_old_s: float) -> str:
+        """Make the secret that signs a tenant's messages; an earlier one signs too, for ``keep_old_s``."""
+        secret = "whsec_" + base64.b64encode(secrets.token_bytes(_SECRET_BYTES)).decode()
+        newest = (webhook_secrets.c.tenant == tenant) & webhook_secrets.c.expires_at.is_(None)
+        with self._transactions.writing() as connection:
+            connection.execute(update(webhook_secrets).where(newest).values(expires_at=now() + keep_old_s))
+            connection.execute(delete(webhook_secrets).where(webhook_secrets.c.expires_at <= now()))
+            made = connection.execute(
+                insert(webhook_secrets)
+                .values(tenant=tenant, secret=secret, created_at=now())
+                .returning(webhook_secrets.c.id)
+            )
+            subject = str(made.scalar_one())
+            record_event(connection, Actor(), tenant, AuditAction.WEBHOOK_SECRET_MADE, subject)
+        return secret
+
+    def valid(self, tenant: str) -> list[WebhookSecret]:
+        """Secrets that sign a tenant's messages now, the newest first."""
+        with self._transactions.reading() as connection:
+            return read_secrets(connection, tenant)
+
+
+def read_secrets(connection: Connection, tenant: str) -> list[WebhookSecret]:
+    """Secrets that sign a tenant's messages now, the newest first."""
+    is_valid = or_(webhook_secrets.c.expires_at.is_(None), webhook_secrets.c.expires_at > now())
+    query = select(webhook_secrets).where(webhook_secrets.c.tenant == tenant, is_valid)
+    rows = connection.execute(query.order_by(webhook_secrets.c.id.desc()))
+    return [WebhookSecret(row.secret, row.created_at, row.expires_at) for row in rows]

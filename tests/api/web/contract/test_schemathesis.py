@@ -28,7 +28,7 @@ from pipeline.core.options.config import FILE_FORMATS, NETWORKS, NETWORKS_OF_PRO
 from tests.api.conftest import Live, running
 from worker.run.presence import Presence, process_name
 from worker.store.model.rights import Scope
-from worker.store.worker_status import WorkerState, WorkerStatus
+from worker.store.model.work import WorkerState, WorkerStatus
 
 schemathesis.serializer.alias(PIECE_TYPE, "application/octet-stream")
 schema = schemathesis.openapi.from_path(COMMITTED)

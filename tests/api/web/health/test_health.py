@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.options.config import FILE_FORMATS, NETWORKS, JobChoices
 from pipeline.core.options.providers import Provider
 from tests.api.conftest import Live, keypoint_form, problem_of
-from worker.store.worker_status import WorkerState, WorkerStatus
+from worker.store.model.work import WorkerState, WorkerStatus
 
 READY = WorkerStatus("host:1", WorkerState.READY, "A worker works", detectors=JobChoices().networks.names)
 COMPILING = WorkerStatus("host:2", WorkerState.STARTING, "A worker compiles the numeric kernels", 5, 14)

@@ -16,8 +16,7 @@ from worker.run.planning import plan_job
 from worker.run.webhooks.sender import Courier, Sender
 from worker.store.database.connection import now
 from worker.store.database.tables import deliveries
-from worker.store.model.jobs import JobRecord
-from worker.store.model.webhooks import Delivery, WebhookSecret
+from worker.store.model.jobs import Delivery, JobRecord, WebhookSecret
 from worker.store.spec import JobSpec
 
 HOUR_S = 3600.0

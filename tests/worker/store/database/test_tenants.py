@@ -11,8 +11,8 @@ from worker.store.errors import NotFound
 from worker.store.model.jobs import JobProblem
 from worker.store.model.rights import Actor, LinkScope
 from worker.store.repositories.jobs import Jobs
+from worker.store.repositories.links import Links
 from worker.store.repositories.results import Results
-from worker.store.repositories.rights.links import Links
 from worker.store.repositories.sessions import Sessions
 from worker.store.repositories.visuals import Visuals
 from worker.store.spec import JobSpec
@@ -87,7 +87,7 @@ def test_every_act_is_tried() -> None:
         *("visuals.due", "sessions.with_superfluous_videos"),  # the reaper asks for those of all tenants
         "results.proxy",  # None of another's: tests/worker/store/repositories/test_captures.py
         "results.blurred",  # None of another's: tests/worker/store/test_deleting_videos.py
-        "links.revoke",  # tests/worker/store/repositories/rights/test_links.py tries it
+        "links.revoke",  # tests/worker/store/repositories/test_links.py tries it
     }
 
 

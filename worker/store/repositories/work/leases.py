@@ -11,12 +11,12 @@ from uuid_utils import uuid7
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.findings import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
-from worker.store.database.listed_results import list_results
 from worker.store.database.rows import edits_of, job_character_of, making_of, spec_of
+from worker.store.database.stored_files import list_results
 from worker.store.database.tables import artifacts, chunks, jobs
 from worker.store.database.totals import Total, count
-from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import (
     advance,
     fail_job,
@@ -26,15 +26,23 @@ from worker.store.database.transitions import (
     set_waiting,
     settle_canceling,
 )
-from worker.store.model.calibrations import MadeCalibration
 from worker.store.model.jobs import JobProblem, Result
+from worker.store.model.sessions import MadeCalibration
 from worker.store.model.states import AT_WORK, ChunkState, JobState
 from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
 from worker.store.repositories.attempts import note_failure
 from worker.store.repositories.calibrations import complete
-from worker.store.repositories.work.abilities import MachineFull, has_others, require_machine, turns
-from worker.store.repositories.work.fair_share import has_share, next_job, take_turn
-from worker.store.repositories.work.lost_tries import MAX_RUNNING, lost_again, num_running
+from worker.store.repositories.work.next_chunk import (
+    MachineFull,
+    ability_conditions,
+    has_others,
+    has_share,
+    lost_try_columns,
+    may_retry,
+    next_job,
+    require_machine,
+    take_turn,
+)
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
@@ -55,14 +63,13 @@ class Leases:
     def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
         """Take the next ready chunk; ``None`` if there is none.
 
-        Tenants have equal shares of the workers, and one worker stays free if there are several tenants, see
-        ``worker.store.repositories.work.fair_share``. The jobs of a tenant are worked on in the order of their
-        creation, but those of a higher ``Precedence`` first. The chunks of ``ability`` are taken, see ``abilities``; if
-        the next one does not fit into the memory of the worker's machine beside those that run there, none is taken:
-        otherwise small chunks could delay a large one without end.
+        Tenants have equal shares of the workers, and one worker stays free if there are several tenants. The jobs of a
+        tenant are worked on in the order of their creation, but by ``Precedence`` first. Chunks are chosen by
+        ``ability``. If the next one does not fit into the memory of the worker's machine beside the running ones, none
+        is taken: otherwise small chunks could delay a large one without end. See ``next_chunk``.
         """
         with self._transactions.reading() as connection:
-            conditions = turns(connection, ability)
+            conditions = ability_conditions(connection, ability)
         with contextlib.suppress(MachineFull):
             while True:
                 with self._transactions.reading() as connection:
@@ -90,7 +97,7 @@ class Leases:
             ready = select(chunks).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, takes)
             ready = ready.order_by(chunks.c.stage_index, chunks.c.chunk_index).limit(1)
             chunk = connection.execute(ready).one_or_none()
-            if chunk is None or (chunk.lost_tries and num_running(connection, job.tenant) >= MAX_RUNNING):
+            if chunk is None or (chunk.lost_tries and not may_retry(connection, job.tenant)):
                 return None
             require_machine(connection, chunk, worker, machine_bytes)
             token = str(uuid7())
@@ -227,7 +234,7 @@ class Leases:
     def reap(self, lease_s: float, takes: bool = True) -> bool:
         """Take chunks back whose leases have ended; return whether any chunk is ready now.
 
-        A chunk that is taken back is ready for another try, which may have to wait, see ``lost_tries``; after
+        A chunk that is taken back is ready for another try, which may have to wait, see ``next_chunk``; after
         ``MAX_ATTEMPTS`` tries its job fails. A job that is being canceled ends when its last running chunk is taken
         back. Leases longer than ``lease_s`` are shortened: they were made before the clock was put back. Unless
         ``takes``, chunks are not taken back: their workers may still renew the leases.
@@ -309,7 +316,7 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
     max_tries = _MAX_LONG_TRIES if problem.code == TIME_LIMIT else MAX_ATTEMPTS
     if problem.retryable and chunk.attempt < max_tries:
         if problem.code in {WORKER_LOST, TIME_LIMIT}:
-            values |= lost_again(chunk.lost_tries)
+            values |= lost_try_columns(chunk.lost_tries)
         move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
         count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True

@@ -1,4 +1,8 @@
-"""Plans of jobs: rows of chunks, added with a job, and replaced if no worker runs the code that they were made for."""
+"""Plans of jobs and outputs of their chunks.
+
+Rows of chunks are added with a job, and replaced if no worker runs the code that they were made for. Outputs stay with
+the session, so that its other jobs can reuse them.
+"""
 
 from collections.abc import Iterable, Sequence
 from itertools import islice, takewhile
@@ -8,12 +12,12 @@ from sqlalchemy import Connection, delete, insert, literal, select, true, update
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.plan import STAGE_BY_NAME, followers
+from worker.store.database.access import Transactions
 from worker.store.database.tables import artifacts, chunks, jobs, sessions
-from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import lock_job
 from worker.store.errors import VideosDeleted
 from worker.store.model.states import AT_WORK, ChunkState
-from worker.store.model.work import ChunkPlan, StagePlan
+from worker.store.model.work import ChunkOutput, ChunkPlan, StagePlan
 from worker.store.repositories.work.workers import codes_at_work
 
 _ROWS_AT_ONCE = 1000
@@ -151,3 +155,31 @@ def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan
         "memory_bytes": chunk.memory_bytes,
         "state": ChunkState.READY if is_first else ChunkState.WAITING,
     }
+
+
+class Outputs:
+    """Outputs of all sessions."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def find(self, session_id: str, output_key: str) -> tuple[str, int] | None:
+        """SHA-256 and size in bytes of a chunk's output if any job of the session has finished the chunk."""
+        query = select(artifacts.c.sha256, artifacts.c.num_bytes).where(
+            artifacts.c.session_id == session_id, artifacts.c.output_key == output_key
+        )
+        with self._transactions.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else (row.sha256, row.num_bytes)
+
+    def of_stage(self, job_id: str, stage: str) -> list[ChunkOutput]:
+        """Outputs of a job's stage, in the order of its chunks."""
+        stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
+        query = (
+            select(chunks.c.chunk_index, chunks.c.output_key, artifacts.c.sha256)
+            .select_from(chunks.join(jobs).outerjoin(artifacts, stored))
+            .where(chunks.c.job_id == job_id, chunks.c.stage == stage)
+            .order_by(chunks.c.chunk_index)
+        )
+        with self._transactions.reading() as connection:
+            return [ChunkOutput(*row) for row in connection.execute(query)]

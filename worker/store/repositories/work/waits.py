@@ -5,8 +5,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, case, delete, select, update
 
 from pipeline.core.problems.findings import WORKER_LOST
+from worker.store.database.access import Transactions
 from worker.store.database.tables import chunks, failures, jobs
-from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import lock_job, set_waiting
 from worker.store.model.jobs import JobProblem
 from worker.store.model.states import AT_WORK, ChunkState

@@ -9,10 +9,10 @@ from dataclasses import asdict
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, or_, select
 
 from pipeline.core.options.providers import CPU, Provider
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
 from worker.store.database.tables import workers
-from worker.store.database.transactions import Transactions
-from worker.store.worker_status import WorkerState, WorkerStatus
+from worker.store.model.work import WorkerState, WorkerStatus
 
 # Renewed every four seconds: two in a row were missed.
 SILENT_AFTER_S = 10.0

@@ -14,10 +14,9 @@ from worker.store.database.tables import chunks
 from worker.store.model.jobs import JobProblem
 from worker.store.model.rights import Actor, Scope
 from worker.store.model.states import ChunkState, JobState
-from worker.store.model.work import ChunkOutput, Claim
+from worker.store.model.work import ChunkOutput, Claim, WorkerState, WorkerStatus
 from worker.store.spec import JobSpec, Priority
 from worker.store.store import MAX_ATTEMPTS, JobStore
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 PROBLEM = JobProblem(INTERNAL_ERROR, "The stage detect failed inside the service.", stage="detect", retryable=True)
 FINAL = replace(PROBLEM, code=INPUT_ERROR, retryable=False)
@@ -336,7 +335,7 @@ def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: StoreBench) ->
         assert jobs.store.jobs.get(job_id).state in {JobState.QUEUED, JobState.RUNNING}
         assert jobs.claim(EXPIRED_S).attempt == attempt
         jobs.store.leases.reap(LEASE_S)
-        jobs.execute(sa.update(chunks).values(due_at=None))  # retries wait, see test_lost_tries
+        jobs.execute(sa.update(chunks).values(due_at=None))  # retries wait, see test_next_chunk
     job = jobs.store.jobs.get(job_id)
     assert job.state == JobState.FAILED
     assert job.problem is not None

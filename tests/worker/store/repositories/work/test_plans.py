@@ -6,8 +6,7 @@ import pytest
 
 from tests.worker.store.conftest import CODE, LEASE_S, StoreBench, stages
 from worker.store.model.states import ChunkState, JobState
-from worker.store.model.work import Ability, StagePlan
-from worker.store.worker_status import WorkerState, WorkerStatus
+from worker.store.model.work import Ability, StagePlan, WorkerState, WorkerStatus
 
 OTHER = "d" * 64
 

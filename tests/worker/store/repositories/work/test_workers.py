@@ -5,13 +5,13 @@ from pipeline.core.options.providers import CPU, Provider
 from tests.worker.store.conftest import StoreBench
 from worker.store.database.tables import workers
 from worker.store.errors import UnknownSchema
+from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.repositories.work.workers import (
     installed_bodies,
     installed_detectors,
     provider_at_work,
     writable_formats,
 )
-from worker.store.worker_status import WorkerState, WorkerStatus
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
 READY = WorkerStatus(

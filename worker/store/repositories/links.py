@@ -1,7 +1,8 @@
-"""Links that open something of a job without a key, such as one result file, or the job to look at.
+"""Links that open something without a key: of a job, such as one result file, or a recording, which phones join.
 
-A link ends by itself, with its job, and with the key that made it. Secrets are not stored, only their SHA-256: a search
-for the digest tells nothing about how much of a guessed secret was right.
+A link ends by itself, with its job or recording, and with the key that made it. The link of a recording also ends when
+another one is made. Secrets are not stored, only their SHA-256: a search for the digest tells nothing about how much of
+a guessed secret was right.
 """
 
 import secrets
@@ -11,15 +12,15 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, insert, or_, select
 from uuid_utils import uuid7
 
-from worker.store.database.access import Access
+from worker.store.database.access import Access, Transactions
 from worker.store.database.connection import now
-from worker.store.database.tables import jobs, keys, links
-from worker.store.database.transactions import Transactions
+from worker.store.database.tables import jobs, keys, links, recordings
 from worker.store.errors import Conflict, NotFound
+from worker.store.model.recordings import JoinLink
 from worker.store.model.rights import Link, LinkScope
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.jobs import job_row
-from worker.store.repositories.rights.keys import digest, is_valid
+from worker.store.repositories.keys import digest, is_valid
 
 MAX_LINKS = 1000
 """Largest number of valid links of a job."""
@@ -129,3 +130,33 @@ def _link_of(row: Row[Any]) -> Link:
         created_at=row.created_at,
         expires_at=row.expires_at,
     )
+
+
+class JoinSecrets:
+    """Secrets of the links of all recordings, for requests and WebSockets that bring one."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def find(self, secret: str) -> JoinLink | None:
+        """Link with a secret; ``None`` if it is unknown or has ended."""
+        if not secret.startswith(LINK_PREFIX):
+            return None
+        query = _select_valid(recordings.c.join_id, recordings.c.id, recordings.c.tenant)
+        with self._transactions.reading() as connection:
+            row = connection.execute(query.where(recordings.c.join_sha256 == digest(secret))).one_or_none()
+        return None if row is None else JoinLink(row.join_id, row.id, row.tenant)
+
+    def valid(self, link_ids: Collection[str]) -> set[str]:
+        """Ids among some whose links are valid now."""
+        query = _select_valid(recordings.c.join_id).where(recordings.c.join_id.in_(link_ids))
+        with self._transactions.reading() as connection:
+            return set(connection.scalars(query))
+
+
+def _select_valid(*columns: ColumnElement[Any]) -> Select[Any]:
+    """Columns of recordings whose links are valid; a link that no key made ends with the first key."""
+    has_no_keys = ~select(keys.c.id).correlate(None).exists()
+    by_key = or_(keys.c.id.is_not(None) & is_valid(), recordings.c.join_key_id.is_(None) & has_no_keys)
+    joined = recordings.outerjoin(keys, keys.c.id == recordings.c.join_key_id)
+    return select(*columns).select_from(joined).where(recordings.c.expires_at > now(), by_key)

@@ -1,4 +1,4 @@
-"""Removals: files of the artifact store that are not needed any more, by a prefix of their keys or one key.
+"""Expiry of jobs, and removals: files of the artifact store that are not needed any more, by a key or a prefix of keys.
 
 A removal is noted in the transaction that makes the files superfluous, and carried out after it. A process that is
 killed in between loses nothing: the reaper looks for removals that are due.
@@ -8,10 +8,10 @@ from collections.abc import Collection, Sequence
 
 from sqlalchemy import delete, select, union_all
 
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now
-from worker.store.database.removal_notes import remove_later
+from worker.store.database.stored_files import remove_later
 from worker.store.database.tables import characters, jobs, removals, sessions
-from worker.store.database.transactions import Transactions
 from worker.store.database.transitions import delete_visuals_job, lock_job, move_job
 from worker.store.files.artifacts import job_prefix
 from worker.store.model.states import JobState

@@ -8,7 +8,7 @@ from worker.store.database import tables
 from worker.store.database.quotas import Quotas
 from worker.store.errors import Conflict, NotFound
 from worker.store.model.rights import Actor, Link, LinkScope, Scope
-from worker.store.repositories.rights import links
+from worker.store.repositories import links
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 

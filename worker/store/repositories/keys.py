@@ -1,4 +1,4 @@
-"""Keys of the service: each belongs to a tenant, and has scopes."""
+"""Keys of the service: each belongs to a tenant, and has scopes. A browser that has shown a key gets a cookie."""
 
 import hashlib
 import secrets
@@ -8,16 +8,16 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 from uuid_utils import uuid7
 
+from worker.store.database.access import Transactions
 from worker.store.database.connection import now
 from worker.store.database.tables import browser_sessions, keys
-from worker.store.database.transactions import Transactions
 from worker.store.errors import NotFound
 from worker.store.model.rights import Actor, Key, Scope
 from worker.store.repositories.audit import AuditAction, record_event
 
 _PREFIX = "mc_"
 
-# Long enough that a digest without salt is safe: the secret can't be guessed.
+# Of keys and cookies. Long enough that a digest without salt is safe: the secret can't be guessed.
 _SECRET_BYTES = 32
 
 
@@ -123,3 +123,37 @@ def key_of(row: Row[Any]) -> Key:
         expires_at=row.expires_at,
         revoked_at=row.revoked_at,
     )
+
+
+class BrowserSessions:
+    """Browser sessions of all tenants. Secrets are not stored, only their SHA-256."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
+
+    def open(self, key: Key, lifetime_s: float, request_id: str | None = None) -> str:
+        """Open a session for a browser that has shown a key; returns its secret."""
+        secret = secrets.token_urlsafe(_SECRET_BYTES)
+        with self._transactions.writing() as connection:
+            connection.execute(delete(browser_sessions).where(browser_sessions.c.expires_at < now()))
+            connection.execute(
+                insert(browser_sessions).values(sha256=digest(secret), key_id=key.id, expires_at=now() + lifetime_s)
+            )
+            record_event(connection, Actor(key.id, request_id), key.tenant, AuditAction.BROWSER_LET_IN, key.id)
+        return secret
+
+    def find(self, secret: str) -> Key | None:
+        """Key that a browser has shown; ``None`` unless both the session and the key are valid now."""
+        query = (
+            select(keys)
+            .join(browser_sessions)
+            .where(browser_sessions.c.sha256 == digest(secret), browser_sessions.c.expires_at > now(), is_valid())
+        )
+        with self._transactions.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else key_of(row)
+
+    def close(self, secret: str) -> None:
+        """Delete a session."""
+        with self._transactions.writing() as connection:
+            connection.execute(delete(browser_sessions).where(browser_sessions.c.sha256 == digest(secret)))

@@ -1,1 +1,0 @@
-"""Rights to reach records: keys of tenants, browsers that have shown one, links."""
