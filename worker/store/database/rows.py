@@ -3,9 +3,10 @@
 import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from itertools import compress, groupby
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, tuple_
 
@@ -18,51 +19,47 @@ from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, jobs, sessions
-from worker.store.model.characters import Character, CharacterSummary, JobCharacter, StoredCharacterFile
-from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, Result, StageProgress, config_of
-from worker.store.model.sessions import Calibration, InputFile, Session
+from worker.store.model.characters import JobCharacter
+from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, StageProgress, config_of
+from worker.store.model.sessions import InputFile, Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+RecordT = TypeVar("RecordT", bound="DataclassInstance")
 
 _STATES = tuple(ChunkState)
 _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 
-def session_of(row: Row[Any]) -> Session:
+def read(record: type[RecordT], row: Row[Any], **converted: Any) -> RecordT:
+    """Record from the columns of a row that are named as its fields; ``converted`` are values of other fields."""
+    names = {field.name for field in fields(record)} & row._mapping.keys() - converted.keys()
+    return record(**{name: row._mapping[name] for name in names}, **converted)
+
+
+def read_session(row: Row[Any]) -> Session:
     """Session from its row."""
-    return Session(
-        id=row.id,
-        name=row.name,
-        created_at=row.created_at,
+    return read(
+        Session,
+        row,
         files=tuple(InputFile(**file) for file in row.files),
         preflight=Preflight.from_json(row.preflight),
         metadata=row.client_metadata,
-        record_sha256=row.record_sha256,
-        purpose=row.purpose,
-        videos_deleted_at=row.videos_deleted_at,
-        chunk_frames=row.chunk_frames,
     )
 
 
-def result_of(row: Row[Any]) -> Result:
-    """Result from its row."""
-    return Result(
-        name=row.name,
-        kind=row.kind,
-        person=row.person,
-        media_type=row.media_type,
-        key=row.key,
-        num_bytes=row.num_bytes,
-        sha256=row.sha256,
-        revision=row.revision,
-        person_name=row.person_name,
-    )
+def read_problem(document: Mapping[str, Any] | None) -> JobProblem | None:
+    """Problem of a job or of an attempt, from its column."""
+    return None if document is None else JobProblem.from_json(document)
 
 
 # Clients ask for jobs all the time, and building the query takes longer than running it.
 @functools.cache
 def select_jobs() -> Select[Any]:
-    """Query of jobs with the preflight of their sessions, for ``jobs_of``."""
+    """Query of jobs with the preflight of their sessions, for ``read_jobs``."""
     elapsed_s = now() - jobs.c.started_at
     return select(
         jobs,
@@ -73,7 +70,7 @@ def select_jobs() -> Select[Any]:
     ).join(sessions)
 
 
-def jobs_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
+def read_jobs(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
     """Jobs with their stages and their places in the queue, from rows of ``select_jobs``."""
     stages = _stages(connection, [row.id for row in rows])
     visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
@@ -114,31 +111,25 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
 def _job(
     row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
 ) -> JobRecord:
-    spec = spec_of(row.spec)
+    spec = read_spec(row.spec)
     config = config_of(spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
-    making, character = making_of(row.kind, row.making), job_character_of(row.character)
-    return JobRecord(
-        id=row.id,
-        session_id=row.session_id,
-        session_name=row.session_name,
+    making, character = read_making(row.kind, row.making), read_job_character(row.character)
+    return read(
+        JobRecord,
+        row,
         num_frames=preflight.timebase.num_frames,
         duration_s=preflight.duration_s,
         state=JobState(row.state),
         spec=spec,
-        attempt=row.attempt,
         stages=stages,
         progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
         queue_position=queue_position,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
-        expires_at=row.expires_at,
         eta_s=_eta_s(row, stages),
-        problem=None if row.problem is None else JobProblem.from_json(row.problem),
-        waiting_for=None if row.waiting_for is None else JobProblem(**row.waiting_for),
+        problem=read_problem(row.problem),
+        waiting_for=read_problem(row.waiting_for),
         warnings=(
             *preflight.warnings,
             *method_warnings(config, has_videos),
@@ -146,22 +137,19 @@ def _job(
         ),
         result_warnings=found,
         making=making,
-        edits=edits_of(row.edits),
-        revision=row.revision,
+        edits=read_edits(row.edits),
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
-        results_revision=row.results_revision,
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
         character=character,
         has_videos=row.videos_deleted_at is None,
-        provider=row.provider,
         space=None
         if making is not None
         else foreseen_space(preflight, config, 0 if character is None else character.file.num_bytes),
     )
 
 
-def spec_of(document: Mapping[str, Any]) -> JobSpec:
+def read_spec(document: Mapping[str, Any]) -> JobSpec:
     """Spec of a job, from its column. Equal ones are checked once: a page of jobs has few different ones."""
     return _checked_spec(json.dumps(document))
 
@@ -171,17 +159,17 @@ def _checked_spec(document: str) -> JobSpec:
     return JobSpec.model_validate_json(document)
 
 
-def job_character_of(document: Mapping[str, Any] | None) -> JobCharacter | None:
+def read_job_character(document: Mapping[str, Any] | None) -> JobCharacter | None:
     """Character that a job moves, from its column."""
     return None if document is None else JobCharacter.from_json(document)
 
 
-def edits_of(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
+def read_edits(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
     """Edits of a job's people, from their column."""
     return tuple(map(edit_of, documents))
 
 
-def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
+def read_making(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     """Choices of what a job makes, from its columns."""
     if choices is None:
         return None
@@ -195,33 +183,6 @@ def making_of(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     )
     statures_m = tuple(choices.get("stature_m", ()))
     return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})
-
-
-def calibration_of(row: Row[Any]) -> Calibration:
-    """Calibration from its row, with the state and the problem of its job."""
-    return Calibration(
-        id=row.id,
-        name=row.name,
-        method=row.method,
-        created_at=row.created_at,
-        source=row.source,
-        files=row.files,
-        report=row.report,
-        session_id=row.session_id,
-        job_state=None if row.job_state is None else JobState(row.job_state),
-        problem=None if row.problem is None else JobProblem.from_json(row.problem),
-    )
-
-
-def character_summary_of(row: Row[Any]) -> CharacterSummary:
-    """Character without its bones, from its row."""
-    return CharacterSummary(row.id, row.name, row.created_at, StoredCharacterFile(**row.file), row.facts)
-
-
-def character_of(row: Row[Any]) -> Character:
-    """Character from its row."""
-    file = StoredCharacterFile(**row.file)
-    return Character(row.id, row.name, row.created_at, file, row.facts, row.bones, row.corrections)
 
 
 def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select
 
 from worker.store.database.connection import now
+from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import attempts, failures
 from worker.store.model.jobs import Attempt, Failure, JobProblem
 from worker.store.model.states import FINISHED, JobState
@@ -39,21 +40,20 @@ def keep_attempt(connection: Connection, job: Row[Any]) -> None:
     connection.execute(insert(attempts).values(job_id=job.id, **columns))
 
 
-def attempts_of(connection: Connection, job: Row[Any]) -> list[Attempt]:
+def read_attempts(connection: Connection, job: Row[Any]) -> list[Attempt]:
     """Attempts of a job, the first one first."""
     earlier = connection.execute(select(attempts).where(attempts.c.job_id == job.id).order_by(attempts.c.attempt))
     found = connection.execute(
         select(failures).where(failures.c.job_id == job.id).order_by(failures.c.attempt, failures.c.id)
     )
-    failed = {attempt: tuple(map(_failure, rows)) for attempt, rows in groupby(found, key=lambda row: row.attempt)}
+    by_attempt = groupby(found, key=lambda row: row.attempt)
+    failed = {attempt: tuple(map(_failure, rows)) for attempt, rows in by_attempt}
     return [
-        Attempt(
-            attempt=row.attempt,
+        read(
+            Attempt,
+            row,
             state=JobState(row.state),
-            problem=None if row.problem is None else JobProblem.from_json(row.problem),
-            queued_at=row.queued_at,
-            started_at=row.started_at,
-            finished_at=row.finished_at,
+            problem=read_problem(row.problem),
             failures=failed.get(row.attempt, ()),
         )
         for row in (*earlier, job)
@@ -61,10 +61,4 @@ def attempts_of(connection: Connection, job: Row[Any]) -> list[Attempt]:
 
 
 def _failure(row: Row[Any]) -> Failure:
-    return Failure(
-        stage=row.stage,
-        chunk_index=row.chunk_index,
-        chunk_try=row.chunk_try,
-        problem=JobProblem.from_json(row.problem),
-        failed_at=row.failed_at,
-    )
+    return read(Failure, row, problem=read_problem(row.problem))

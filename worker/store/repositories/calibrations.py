@@ -11,14 +11,14 @@ from uuid_utils import uuid7
 from pipeline.core.options.job_choices import CalibrationChoices
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import calibration_of
+from worker.store.database.rows import read, read_problem
 from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import job_prefix, session_prefix
 from worker.store.model.jobs import JobRecord
 from worker.store.model.sessions import Calibration, MadeCalibration
-from worker.store.model.states import FINISHED
+from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.audit import AuditAction, record_event
 
 
@@ -53,7 +53,7 @@ class Calibrations:
         if after is not None:
             query = query.where(calibrations.c.id < after)
         with self._access.reading() as connection:
-            return [calibration_of(row) for row in connection.execute(query)]
+            return [_calibration(row) for row in connection.execute(query)]
 
     def rename(self, calibration_id: str, name: str) -> Calibration:
         """Give a calibration another name; ``NotFound`` if there is none."""
@@ -121,7 +121,7 @@ class Calibrations:
             return self._read(connection, calibration_id)
 
     def _read(self, connection: Connection, calibration_id: str) -> Calibration:
-        return calibration_of(self._row(connection, calibration_id))
+        return _calibration(self._row(connection, calibration_id))
 
     def _row(self, connection: Connection, calibration_id: str) -> Row[Any]:
         query = _select().where(calibrations.c.id == calibration_id, self._access.may_reach(calibrations))
@@ -148,10 +148,16 @@ def _num_bytes(document: Mapping[str, Any] | None) -> int:
 
 
 def _select() -> Select[Any]:
-    """Query of calibrations with the states of their jobs, for ``calibration_of``."""
+    """Query of calibrations with the states and problems of their jobs."""
     return select(calibrations, jobs.c.state.label("job_state"), jobs.c.problem).outerjoin(
         jobs, jobs.c.id == calibrations.c.id
     )
+
+
+def _calibration(row: Row[Any]) -> Calibration:
+    """Calibration from a row of ``_select``."""
+    state = None if row.job_state is None else JobState(row.job_state)
+    return read(Calibration, row, job_state=state, problem=read_problem(row.problem))
 
 
 def _own_session(row: Row[Any]) -> Select[Any]:

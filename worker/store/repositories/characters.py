@@ -2,15 +2,15 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
 
-from sqlalchemy import Column, Connection, Row, delete, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, select, update
 from uuid_utils import uuid7
 
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import character_of, character_summary_of
+from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import characters
 from worker.store.errors import Conflict, NotFound
@@ -18,13 +18,7 @@ from worker.store.files.artifacts import character_prefix
 from worker.store.model.characters import Character, CharacterSummary, StoredCharacterFile
 from worker.store.repositories.audit import AuditAction, record_event
 
-_LISTED: tuple[Column[Any], ...] = (
-    characters.c.id,
-    characters.c.name,
-    characters.c.created_at,
-    characters.c.file,
-    characters.c.facts,
-)
+CharacterT = TypeVar("CharacterT", bound=CharacterSummary)
 
 
 class Characters:
@@ -86,20 +80,21 @@ class Characters:
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.CHARACTER_CREATED, character_id)
-            return character_of(self._row(connection, character_id))
+            return _read(Character, self._row(connection, character_id))
 
     def get(self, character_id: str) -> Character:
         """Character with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
-            return character_of(self._row(connection, character_id))
+            return _read(Character, self._row(connection, character_id))
 
     def page(self, limit: int = 50, after: str | None = None) -> list[CharacterSummary]:
         """Characters, the newest first; ``after`` is the last id of the page before."""
-        query = select(*_LISTED).where(self._access.may_reach(characters)).order_by(characters.c.id.desc()).limit(limit)
+        listed = (characters.c[field.name] for field in fields(CharacterSummary))
+        query = select(*listed).where(self._access.may_reach(characters)).order_by(characters.c.id.desc()).limit(limit)
         if after is not None:
             query = query.where(characters.c.id < after)
         with self._access.reading() as connection:
-            return [character_summary_of(row) for row in connection.execute(query)]
+            return [_read(CharacterSummary, row) for row in connection.execute(query)]
 
     def rename(self, character_id: str, name: str) -> Character:
         """Give a character another name; ``NotFound`` if there is none."""
@@ -108,7 +103,7 @@ class Characters:
             if row.name != name:
                 connection.execute(update(characters).where(characters.c.id == row.id).values(name=name))
                 record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_RENAMED, row.id)
-            return character_of(self._row(connection, character_id))
+            return _read(Character, self._row(connection, character_id))
 
     def correct(
         self,
@@ -129,7 +124,7 @@ class Characters:
             chosen = update(characters).where(characters.c.id == row.id)
             connection.execute(chosen.values(**values, num_bytes=num_bytes))
             record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_CORRECTED, row.id)
-            return character_of(self._row(connection, character_id))
+            return _read(Character, self._row(connection, character_id))
 
     def delete(self, character_id: str) -> None:
         """Delete a character, and note its file for removal; ``NotFound`` if there is none."""
@@ -146,6 +141,10 @@ class Characters:
         if row is None:
             raise NotFound("There is no such character.")
         return row
+
+
+def _read(record: type[CharacterT], row: Row[Any]) -> CharacterT:
+    return read(record, row, file=StoredCharacterFile(**row.file))
 
 
 def _json_bytes(document: Mapping[str, Any]) -> int:

@@ -11,7 +11,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, document_of
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import edits_of, job_character_of, jobs_of, making_of, select_jobs
+from worker.store.database.rows import read_edits, read_job_character, read_jobs, read_making, select_jobs
 from worker.store.database.stored_files import (
     forget_answers,
     has_visuals,
@@ -28,7 +28,7 @@ from worker.store.model.characters import JobCharacter
 from worker.store.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, config_of, kind_of
 from worker.store.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, StagePlan
-from worker.store.repositories.attempts import attempts_of, keep_attempt
+from worker.store.repositories.attempts import keep_attempt, read_attempts
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
 from worker.store.repositories.sessions import delete_proxies, lock_session
@@ -151,7 +151,7 @@ class Jobs:
         if after is not None:
             query = query.where(jobs.c.id < after)
         with self._access.reading() as connection:
-            return jobs_of(connection, connection.execute(query).all())
+            return read_jobs(connection, connection.execute(query).all())
 
     def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
         """Progress of jobs by id, for callers that look for changes; unknown ids are left out."""
@@ -166,7 +166,7 @@ class Jobs:
     def attempts(self, job_id: str) -> list[Attempt]:
         """Attempts of a job with their failures, the first attempt first; ``NotFound`` without a job."""
         with self._access.reading() as connection:
-            return attempts_of(connection, job_row(connection, self._access, job_id))
+            return read_attempts(connection, job_row(connection, self._access, job_id))
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
@@ -272,7 +272,7 @@ class Jobs:
 
     def _read(self, connection: Connection, job_id: str) -> JobRecord:
         query = select_jobs().where(jobs.c.id == job_id, self._access.may_reach(jobs))
-        found = jobs_of(connection, connection.execute(query).all())
+        found = read_jobs(connection, connection.execute(query).all())
         if not found:
             raise NotFound("There is no such job.")
         return found[0]
@@ -284,10 +284,10 @@ def _config_of(
     """Configuration of a job from its row, with its own edits or with others."""
     return config_of(
         JobSpec.model_validate(job.spec),
-        making_of(job.kind, job.making),
-        edits_of(job.edits) if edits is None else edits,
+        read_making(job.kind, job.making),
+        read_edits(job.edits) if edits is None else edits,
         job.revision if revision is None else revision,
-        job_character_of(job.character),
+        read_job_character(job.character),
     )
 
 

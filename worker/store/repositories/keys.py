@@ -10,6 +10,7 @@ from uuid_utils import uuid7
 
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now
+from worker.store.database.rows import read
 from worker.store.database.tables import browser_sessions, keys
 from worker.store.errors import NotFound
 from worker.store.model.rights import Actor, Key, Scope
@@ -48,12 +49,12 @@ class Keys:
                 )
             )
             record_event(connection, Actor(), tenant, AuditAction.KEY_CREATED, key_id)
-            return key_of(connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
+            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
 
     def all(self) -> list[Key]:
         """All keys, also those that are no longer valid, the oldest first."""
         with self._transactions.reading() as connection:
-            return [key_of(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
+            return [_key(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
 
     def count_tenants(self) -> int:
         """Number of tenants that have a valid key with the scope ``write``."""
@@ -78,7 +79,7 @@ class Keys:
                 connection.execute(update(keys).where(keys.c.id == key_id).values(revoked_at=now()))
                 connection.execute(delete(browser_sessions).where(browser_sessions.c.key_id == key_id))
                 record_event(connection, Actor(), row.tenant, AuditAction.KEY_REVOKED, key_id)
-            return key_of(connection.execute(select(keys).where(keys.c.id == key_id)).one())
+            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one())
 
     def find(self, secret: str) -> Key | None:
         """Key with a secret; ``None`` if it is unknown or not valid now."""
@@ -87,7 +88,7 @@ class Keys:
         query = select(keys).where(keys.c.sha256 == digest(secret), is_valid())
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else key_of(row)
+        return None if row is None else _key(row)
 
     def valid(self, key_ids: Collection[str]) -> set[str]:
         """Ids among some whose keys are valid now."""
@@ -112,17 +113,8 @@ def is_valid() -> ColumnElement[bool]:
     return keys.c.revoked_at.is_(None) & (keys.c.expires_at.is_(None) | (keys.c.expires_at > now()))
 
 
-def key_of(row: Row[Any]) -> Key:
-    """Key from its row."""
-    return Key(
-        id=row.id,
-        tenant=row.tenant,
-        name=row.name,
-        scopes=frozenset(Scope(scope) for scope in row.scopes),
-        created_at=row.created_at,
-        expires_at=row.expires_at,
-        revoked_at=row.revoked_at,
-    )
+def _key(row: Row[Any]) -> Key:
+    return read(Key, row, scopes=frozenset(map(Scope, row.scopes)))
 
 
 class BrowserSessions:
@@ -151,7 +143,7 @@ class BrowserSessions:
         )
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else key_of(row)
+        return None if row is None else _key(row)
 
     def close(self, secret: str) -> None:
         """Delete a session."""

@@ -14,6 +14,7 @@ from uuid_utils import uuid7
 
 from worker.store.database.access import Access, Transactions
 from worker.store.database.connection import now
+from worker.store.database.rows import read
 from worker.store.database.tables import jobs, keys, links, recordings
 from worker.store.errors import Conflict, NotFound
 from worker.store.model.recordings import JoinLink
@@ -62,14 +63,14 @@ class Links:
                 )
             )
             record_event(connection, self._access.actor, job.tenant, AuditAction.LINK_CREATED, link_id)
-            return _link_of(connection.execute(_select_links().where(links.c.id == link_id)).one()), secret
+            return _link(connection.execute(_select_links().where(links.c.id == link_id)).one()), secret
 
     def of_job(self, job_id: str) -> list[Link]:
         """Valid links of a job, the newest first; ``NotFound`` without a job."""
         query = _select_links().where(links.c.job_id == job_id, *_are_valid()).order_by(links.c.id.desc())
         with self._access.reading() as connection:
             job_row(connection, self._access, job_id)
-            return [_link_of(row) for row in connection.execute(query)]
+            return [_link(row) for row in connection.execute(query)]
 
     def revoke(self, link_id: str) -> None:
         """Revoke a link for good; ``NotFound`` if there is none."""
@@ -99,7 +100,7 @@ class LinkSecrets:
         query = _select_links().where(links.c.sha256 == digest(secret), *_are_valid())
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else _link_of(row)
+        return None if row is None else _link(row)
 
     def valid(self, link_ids: Collection[str]) -> set[str]:
         """Ids among some whose links are valid now."""
@@ -119,17 +120,8 @@ def _are_valid() -> tuple[ColumnElement[bool], ...]:
     return links.c.expires_at > now(), by_key
 
 
-def _link_of(row: Row[Any]) -> Link:
-    return Link(
-        id=row.id,
-        tenant=row.tenant,
-        job_id=row.job_id,
-        session_id=row.session_id,
-        scope=LinkScope(row.scope),
-        name=row.name,
-        created_at=row.created_at,
-        expires_at=row.expires_at,
-    )
+def _link(row: Row[Any]) -> Link:
+    return read(Link, row, scope=LinkScope(row.scope))
 
 
 class JoinSecrets:

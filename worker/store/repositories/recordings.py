@@ -15,6 +15,7 @@ from uuid_utils import uuid7
 
 from worker.store.database.access import Access
 from worker.store.database.connection import now
+from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers
 from worker.store.database.tables import clips, phones, recordings, takes, uploads
 from worker.store.errors import Conflict, NotFound, PhoneRemoved
@@ -84,7 +85,7 @@ class Recordings:
         if after is not None:
             query = query.where(recordings.c.id < after)
         with self._access.reading() as connection:
-            return _sessions_of(connection, connection.execute(query.order_by(recordings.c.id.desc()).limit(limit)))
+            return _read_recordings(connection, connection.execute(query.order_by(recordings.c.id.desc()).limit(limit)))
 
     def delete(self, recording_id: str) -> None:
         """Delete a recording with the uploads of its phones that no session took; ``NotFound`` if there is none."""
@@ -319,7 +320,7 @@ class Recordings:
     def _read(self, connection: Connection, recording_id: str) -> RecordingSession:
         mine = self._access.may_reach(recordings)
         query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
-        found = _sessions_of(connection, connection.execute(query))
+        found = _read_recordings(connection, connection.execute(query))
         if not found:
             raise NotFound(_NO_RECORDING)
         return found[0]
@@ -388,53 +389,28 @@ def _delete(connection: Connection, recording_ids: Collection[str]) -> None:
     connection.execute(delete(recordings).where(recordings.c.id.in_(recording_ids)))
 
 
-def _sessions_of(connection: Connection, rows: Iterable[Row[Any]]) -> list[RecordingSession]:
+def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[RecordingSession]:
     """Recordings with all that belongs to them, in the order of their rows."""
     found = list(rows)
     ids = [row.id for row in found]
-    phones_of, takes_of = _of_recordings(connection, phones, ids), _of_recordings(connection, takes, ids)
-    clips_of: defaultdict[tuple[str, int], list[TakeClip]] = defaultdict(list)
+    phones_by_id, takes_by_id = _rows_by_recording(connection, phones, ids), _rows_by_recording(connection, takes, ids)
+    clips_by_take: defaultdict[tuple[str, int], list[TakeClip]] = defaultdict(list)
     for row in connection.execute(select(clips).where(clips.c.recording_id.in_(ids)).order_by(clips.c.phone)):
-        files = tuple(ClipFile(**file) for file in row.files)
-        clips_of[row.recording_id, row.take].append(TakeClip(row.phone, row.started, row.stopped, files))
-    return [
-        RecordingSession(
-            row.id,
-            row.name,
-            row.created_at,
-            row.expires_at,
-            row.revision,
-            tuple(map(_phone_of, phones_of[row.id])),
-            tuple(_take_of(take, clips_of[row.id, take.number]) for take in takes_of[row.id]),
+        clip = read(TakeClip, row, files=tuple(ClipFile(**file) for file in row.files))
+        clips_by_take[row.recording_id, row.take].append(clip)
+    recordings_read = []
+    for row in found:
+        own_phones = (read(RecordingPhone, phone, is_removed=bool(phone.removed_at)) for phone in phones_by_id[row.id])
+        own_takes = (
+            read(RecordingTake, take, clips=tuple(clips_by_take[row.id, take.number])) for take in takes_by_id[row.id]
         )
-        for row in found
-    ]
+        recordings_read.append(read(RecordingSession, row, phones=tuple(own_phones), takes=tuple(own_takes)))
+    return recordings_read
 
 
-def _of_recordings(connection: Connection, table: Table, ids: Collection[str]) -> Mapping[str, list[Row[Any]]]:
+def _rows_by_recording(connection: Connection, table: Table, ids: Collection[str]) -> Mapping[str, list[Row[Any]]]:
     """Rows of a table by recording, in the order of their numbers."""
     rows = defaultdict[str, list[Row[Any]]](list)
     for row in connection.execute(select(table).where(table.c.recording_id.in_(ids)).order_by(table.c.number)):
         rows[row.recording_id].append(row)
     return rows
-
-
-def _phone_of(row: Row[Any]) -> RecordingPhone:
-    return RecordingPhone(row.number, row.name, row.device, row.joined_at, row.removed_at is not None)
-
-
-def _take_of(row: Row[Any], of_take: Iterable[TakeClip]) -> RecordingTake:
-    return RecordingTake(
-        number=row.number,
-        name=row.name,
-        start_s=row.start_s,
-        stop_s=row.stop_s,
-        is_stopped=row.is_stopped,
-        settings=row.settings,
-        is_upload_wanted=row.is_upload_wanted,
-        is_discarded=row.is_discarded,
-        session_id=row.session_id,
-        job_id=row.job_id,
-        calibration_id=row.calibration_id,
-        clips=tuple(of_take),
-    )

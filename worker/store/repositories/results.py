@@ -5,10 +5,10 @@ from sqlalchemy import select
 from pipeline.core.options.job_choices import BLURRED_KIND
 from pipeline.run.engine.stage import VIEWER
 from worker.store.database.access import Access
-from worker.store.database.rows import result_of
+from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import jobs, results
 from worker.store.errors import NoResults, NotFinished, NotFound
-from worker.store.model.jobs import JobProblem, Result, is_worth_a_retry
+from worker.store.model.jobs import Result, is_worth_a_retry
 from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.jobs import job_row
 
@@ -34,9 +34,9 @@ class Results:
             job = job_row(connection, self._access, job_id)
             if job.results_revision is None and job.state not in FINISHED:
                 raise NotFinished("The job is unfinished; its results come with its end.")
-            found = [result_of(row) for row in connection.execute(query)]
+            found = [read(Result, row) for row in connection.execute(query)]
         if not found and job.results_revision is None:
-            problem = JobProblem.from_json(job.problem) if job.problem else None
+            problem = read_problem(job.problem)
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found
@@ -50,7 +50,7 @@ class Results:
         with self._access.reading() as connection:
             job_row(connection, self._access, job_id)
             row = connection.execute(query).one_or_none()
-        return None if row is None else result_of(row)
+        return None if row is None else read(Result, row)
 
     def proxy(self, session_id: str, name: str) -> Result | None:
         """Proxy of a session by its name, as soon as it is made; ``None`` before, and without a session."""
@@ -64,7 +64,7 @@ class Results:
         )
         with self._access.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else result_of(row)
+        return None if row is None else read(Result, row)
 
     def blurred(self, session_id: str, name: str) -> Result | None:
         """Blurred video of a session by its name, of the newest job that has made it; ``None`` if none has."""
@@ -78,7 +78,7 @@ class Results:
         )
         with self._access.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else result_of(row)
+        return None if row is None else read(Result, row)
 
     def get(self, job_id: str, name: str) -> Result:
         """Result of a job by name; errors as of ``all_of_job``, and ``NotFound`` if there is none of this name."""

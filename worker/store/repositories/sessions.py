@@ -15,7 +15,7 @@ from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.options.job_choices import BLURRED_KIND
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import session_of
+from worker.store.database.rows import read_session
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.store.errors import Conflict, NotFound
@@ -226,7 +226,7 @@ class Sessions:
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such session.")
-        return session_of(row)
+        return read_session(row)
 
     def _read_capture(self, connection: Connection, session_id: str) -> Capture:
         query = _select_captures().where(sessions.c.id == session_id, self._access.may_reach(sessions))
@@ -271,7 +271,7 @@ def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Captu
     blurred = _blurred_videos(connection, [row.id for row in rows])
     return [
         Capture(
-            session_of(row),
+            read_session(row),
             row.num_jobs,
             None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state)),
             frozenset(made[row.id]),

@@ -5,12 +5,12 @@ that receives it.
 """
 
 from collections.abc import Collection
-from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
 
 from worker.store.database.access import Access
 from worker.store.database.connection import lock, now
+from worker.store.database.rows import read
 from worker.store.database.tables import uploads
 from worker.store.errors import Conflict, NotFound
 from worker.store.model.recordings import UploadingPhone
@@ -131,7 +131,7 @@ class Uploads:
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such upload.")
-        return _upload_of(row)
+        return read(Upload, row)
 
 
 def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_bytes: int) -> None:
@@ -141,7 +141,3 @@ def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_b
     if num_uploads >= phone.max_uploads or sent_bytes + num_bytes > phone.max_bytes:
         limits = f"{phone.max_uploads} uploads with {phone.max_bytes:,} bytes"
         raise Conflict(f"The phones of a recording may have {limits} at most; make sessions of takes, or discard some.")
-
-
-def _upload_of(row: Row[Any]) -> Upload:
-    return Upload(row.id, row.name, row.num_bytes, row.metadata, row.expires_at, row.spool)

@@ -9,7 +9,7 @@ from uuid_utils import uuid7
 from pipeline.core.options.job_choices import VisualChoices
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import edits_of, jobs_of, select_jobs
+from worker.store.database.rows import read_edits, read_jobs, select_jobs
 from worker.store.database.tables import jobs, sessions
 from worker.store.database.transitions import delete_visuals_job, note
 from worker.store.errors import Conflict
@@ -70,7 +70,7 @@ class Visuals:
                 )
             else:
                 spec = JobSpec.model_validate(of_job.spec)
-                config = config_of(spec, VisualChoices(), edits_of(of_job.edits), revision)
+                config = config_of(spec, VisualChoices(), read_edits(of_job.edits), revision)
                 require_videos(connection, of_job.session_id, stages, config)
                 delete_visuals_job(connection, job_id)
                 connection.execute(
@@ -97,7 +97,7 @@ class Visuals:
                 connection.execute(update(jobs).where(jobs.c.id == job_id).values(visuals_old_at=None))
                 note(connection, visuals_id, "state", JobState.QUEUED)
                 record_event(connection, self._access.actor, of_job.tenant, AuditAction.JOB_CREATED, visuals_id)
-            (job,) = jobs_of(connection, connection.execute(select_jobs().where(jobs.c.id == visuals_id)).all())
+            (job,) = read_jobs(connection, connection.execute(select_jobs().where(jobs.c.id == visuals_id)).all())
             return job
 
     def due(self, rest_s: float) -> list[str]:

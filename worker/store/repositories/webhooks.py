@@ -8,14 +8,13 @@ import base64
 import json
 import secrets
 from collections.abc import Mapping
-from typing import Any
 
-from sqlalchemy import Connection, Row, case, delete, func, insert, literal, or_, select, type_coerce, update
+from sqlalchemy import Connection, case, delete, func, insert, literal, or_, select, type_coerce, update
 from uuid_utils import uuid7
 
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now
-from worker.store.database.rows import jobs_of, select_jobs
+from worker.store.database.rows import read, read_jobs, select_jobs
 from worker.store.database.tables import UtcTimestamp, deliveries, jobs, webhook_secrets
 from worker.store.model.jobs import Delivery, WebhookSecret
 from worker.store.model.rights import Actor
@@ -25,6 +24,7 @@ from worker.store.repositories.audit import AuditAction, record_event
 # Time from each failed try to the next one: about a day in all.
 _WAITS_S = (5.0, 30.0, 120.0, 600.0, 1800.0, 3600.0, 2 * 3600.0, 4 * 3600.0, 6 * 3600.0, 8 * 3600.0)
 MAX_TRIES = len(_WAITS_S) + 1
+_SECRET_BYTES = 32
 
 _NONE_BUSY: Mapping[str, int] = {}
 
@@ -36,7 +36,7 @@ def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None
     url = row.spec.get("callback_url")
     if url is None:
         return
-    (job,) = jobs_of(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
+    (job,) = read_jobs(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
     message = {
         "type": f"job.{state}",
         "timestamp": row.ended_at.isoformat().replace("+00:00", "Z"),
@@ -93,13 +93,13 @@ class Webhooks:
                 .where(deliveries.c.id.in_([row.id for row in rows]))
                 .values(due_at=now() + lease_s, tries=deliveries.c.tries + 1)
             )
-            return [_delivery_of(row, row.tries + 1) for row in rows]
+            return [read(Delivery, row, tries=row.tries + 1) for row in rows]
 
     def pending(self) -> list[Delivery]:
         """Messages that were not delivered, the oldest first."""
         with self._transactions.reading() as connection:
             rows = connection.execute(select(deliveries).order_by(deliveries.c.id))
-            return [_delivery_of(row, row.tries) for row in rows]
+            return [read(Delivery, row) for row in rows]
 
     def delivered(self, delivery: Delivery) -> None:
         """Delete a message that arrived, or that its receiver refuses for good."""
@@ -118,23 +118,6 @@ class Webhooks:
                 update(deliveries).where(deliveries.c.id == delivery.id).values(due_at=now() + wait_s, problem=problem)
             )
         return True
-
-
-def _delivery_of(row: Row[Any], tries: int) -> Delivery:
-    return Delivery(
-        id=row.id,
-        message_id=row.message_id,
-        job_id=row.job_id,
-        tenant=row.tenant,
-        url=row.url,
-        body=row.body,
-        due_at=row.due_at,
-        tries=tries,
-        problem=row.problem,
-    )
-
-
-_SECRET_BYTES = 32
 
 
 class WebhookSecrets:
@@ -170,4 +153,4 @@ def read_secrets(connection: Connection, tenant: str) -> list[WebhookSecret]:
     is_valid = or_(webhook_secrets.c.expires_at.is_(None), webhook_secrets.c.expires_at > now())
     query = select(webhook_secrets).where(webhook_secrets.c.tenant == tenant, is_valid)
     rows = connection.execute(query.order_by(webhook_secrets.c.id.desc()))
-    return [WebhookSecret(row.secret, row.created_at, row.expires_at) for row in rows]
+    return [read(WebhookSecret, row) for row in rows]

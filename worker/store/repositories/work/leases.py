@@ -13,7 +13,7 @@ from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.findings import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
-from worker.store.database.rows import edits_of, job_character_of, making_of, spec_of
+from worker.store.database.rows import read, read_edits, read_job_character, read_making, read_spec
 from worker.store.database.stored_files import list_results
 from worker.store.database.tables import artifacts, chunks, jobs
 from worker.store.database.totals import Total, count
@@ -261,26 +261,22 @@ class Leases:
 
 
 def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
-    return Claim(
+    return read(
+        Claim,
+        chunk,
         chunk_id=chunk.id,
-        job_id=job.id,
-        session_id=job.session_id,
-        stage=chunk.stage,
         index=chunk.chunk_index,
-        payload=chunk.payload,
-        unit_count=chunk.unit_count,
-        output_key=chunk.output_key,
-        spec=spec_of(job.spec),
         lease_token=token,
-        attempt=chunk.attempt,
+        session_id=job.session_id,
+        spec=read_spec(job.spec),
         job_attempt=job.attempt,
         trace=job.trace,
-        making=making_of(job.kind, job.making),
-        edits=edits_of(job.edits),
+        making=read_making(job.kind, job.making),
+        edits=read_edits(job.edits),
         revision=job.revision,
         of_job=job.of_job,
         provider=job.provider,
-        character=job_character_of(job.character),
+        character=read_job_character(job.character),
     )
 
 

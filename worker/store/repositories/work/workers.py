@@ -11,12 +11,14 @@ from sqlalchemy import ColumnElement, Connection, and_, delete, func, or_, selec
 from pipeline.core.options.providers import CPU, Provider
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
+from worker.store.database.rows import read
 from worker.store.database.tables import workers
 from worker.store.model.work import WorkerState, WorkerStatus
 
 # Renewed every four seconds: two in a row were missed.
 SILENT_AFTER_S = 10.0
 _FORGOTTEN_AFTER_S = 60.0
+_LISTS = ("detectors", "bodies", "formats", "codes")
 
 
 class Workers:
@@ -28,7 +30,7 @@ class Workers:
     def report(self, status: WorkerStatus) -> None:
         """Record what a worker process does now; the row is valid for ``SILENT_AFTER_S``."""
         with self._transactions.writing() as connection:
-            lists = {name: list(getattr(status, name)) for name in ("detectors", "bodies", "formats", "codes")}
+            lists = {name: list(getattr(status, name)) for name in _LISTS}
             upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
             _forget_silent(connection)
 
@@ -42,18 +44,12 @@ class Workers:
         with self._transactions.reading() as connection:
             rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
             return [
-                WorkerStatus(
-                    id=row.id,
+                read(
+                    WorkerStatus,
+                    row,
                     state=WorkerState(row.state),
-                    activity=row.activity,
-                    done=row.done,
-                    total=row.total,
-                    detectors=tuple(row.detectors),
-                    bodies=tuple(row.bodies),
-                    formats=tuple(row.formats),
-                    codes=tuple(row.codes),
                     provider=Provider(**row.provider),
-                    memory_bytes=row.memory_bytes,
+                    **{name: tuple(getattr(row, name)) for name in _LISTS},
                 )
                 for row in rows
             ]
