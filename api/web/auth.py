@@ -257,7 +257,7 @@ def _records_of(find: _Find) -> Callable[..., Coroutine[None, None, TenantRecord
 
 def _records(request: Request, services: Services, caller: Caller) -> TenantRecords:
     actor = Actor(caller.key.id if caller.key else None, request.state.request_id)
-    return services.store.of(caller.tenant, services.quotas, actor, caller.phone)
+    return services.store.tenant(caller.tenant, services.quotas, actor, caller.phone)
 
 
 _any_in_turn = _in_turn(_find_caller)

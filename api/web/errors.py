@@ -59,7 +59,7 @@ from worker.store.errors import (
     VideosDeleted,
 )
 from worker.store.files.disk import is_disk_full
-from worker.store.outages import Outage, outage_of
+from worker.store.outages import Outage, find_outage
 
 _log = structlog.get_logger(__name__)
 
@@ -382,9 +382,9 @@ def _from_failure(error: Exception) -> ApiError:
             return ApiError(CLIENT_DISCONNECTED, "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
-        case _ if outage_of(error) is Outage.DATABASE:
+        case _ if find_outage(error) is Outage.DATABASE:
             return service_unavailable(DATABASE_UNAVAILABLE, "The database does not respond.", hint=_WAIT)
-        case _ if outage_of(error) is Outage.ARTIFACTS:
+        case _ if find_outage(error) is Outage.ARTIFACTS:
             return service_unavailable(ARTIFACTS_UNAVAILABLE, "The artifact store does not respond.", hint=_WAIT)
         case ArtifactsRefused():
             hint = "The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys."

@@ -58,7 +58,7 @@ ALLOWED = ("422 (Unprocessable", "404 (Not Found", "429 (Too Many")
 OF_FRAME = {"GET /v1/caller", "GET /v1/jobs", "GET /v1/jobs/ID/events"}
 
 
-def kind_of(request: Request) -> str:
+def job_kind(request: Request) -> str:
     """Method and path of a request to the service, without ids."""
     path = re.sub(r"https?://[^/]+", "", request.url).partition("?")[0]
     return f"{request.method} {re.sub(r'[0-9a-f]{8}-[0-9a-f-]{27,}', 'ID', path)}"
@@ -98,7 +98,7 @@ class Run:
         expect(self._send()).to_be_visible(timeout=180_000)
 
     def _handle(self, route: Route) -> None:
-        kind = kind_of(route.request)
+        kind = job_kind(route.request)
         self._numbers[kind] += 1
         self.seen.append((kind, self._numbers[kind]))
         if kind in self.bodies:
@@ -217,7 +217,7 @@ def actions_of(name: str, files: dict[str, Path]) -> tuple[list[Action], str]:
             lambda: (
                 not run.is_as_meant
                 or run.page.evaluate(STORED)
-                or (run.held and kind_of(run.held.request).startswith("GET /v1/calibrations"))
+                or (run.held and job_kind(run.held.request).startswith("GET /v1/calibrations"))
             )
         )
         run.page.reload()

@@ -149,7 +149,7 @@ def queries(engine: sa.Engine) -> Iterator[list[tuple[str, Any]]]:
 
 def test_no_query_reads_more_rows_than_a_page_needs(many: tuple[ManyJobs, str]) -> None:
     filled, _ = many
-    store, engine = filled.store.of("tenant-0"), filled.store._database._engine
+    store, engine = filled.store.tenant("tenant-0"), filled.store._database._engine
     acts: dict[str, Callable[[], object]] = {
         "jobs": store.jobs.page,
         "queued jobs": lambda: store.jobs.page(state=JobState.QUEUED),

@@ -72,7 +72,7 @@ class PoisonBench:
         names = [f"{camera.name}.zip" for camera in self.take.cameras]
         preflight = report(self.take, [[name] for name in names], None)
         digest = hashlib.sha256(content).hexdigest()
-        records = self.store.of("careful")
+        records = self.store.tenant("careful")
         ids = []
         for _ in range(NUM_SMALL):
             session_id = records.sessions.reserve_id()
@@ -90,7 +90,7 @@ class PoisonBench:
             timebase=PreflightTimebase(0.0, 25.0, 500),
             stretches=(range(500),),
         )
-        records = self.store.of("careless")
+        records = self.store.tenant("careless")
         ids = []
         for _ in range(NUM_POISON):
             session_id = records.sessions.reserve_id()

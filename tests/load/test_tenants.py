@@ -95,7 +95,7 @@ def queue_jobs(store: JobStore) -> dict[str, int]:
     codes = stage_codes()
     for tenant, number in numbers.items():
         store.keys.add(tenant, "load", {Scope.WRITE})
-        records = store.of(tenant)
+        records = store.tenant(tenant)
         for _ in range(number):
             session_id = records.sessions.reserve_id()
             file = InputFile("left.mp4", "video", f"sessions/{session_id}/inputs/left.mp4", 1, "a" * 64)

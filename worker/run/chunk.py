@@ -17,7 +17,7 @@ from worker.store.errors import DamagedDatabase
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.model.sessions import Session
 from worker.store.model.work import Claim
-from worker.store.outages import outage_of
+from worker.store.outages import find_outage
 from worker.store.store import JobStore
 
 log = structlog.get_logger()
@@ -173,7 +173,7 @@ class Lease:
             except DamagedDatabase:
                 self._lost = True
             except Exception as error:
-                if outage_of(error) is None:
+                if find_outage(error) is None:
                     log.exception("heartbeat_failed", chunk=self._claim.chunk_id)
                 elif not self._was_cut_off:  # logged once
                     log.warning("heartbeat_failed", chunk=self._claim.chunk_id, reason=type(error).__name__)

@@ -13,7 +13,7 @@ from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, plan
 from pipeline.run.engine.stage import SessionFacts, Task
 from pipeline.run.space import foreseen_memory
 from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import JobRecord, Making, config_of
+from worker.store.model.jobs import JobRecord, Making, job_config
 from worker.store.model.sessions import InputFile
 from worker.store.model.work import ChunkPlan, Claim, StagePlan
 from worker.store.spec import JobSpec
@@ -52,7 +52,7 @@ def plan_job(
     identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
     ``worker.store.model.jobs.JobRecord``.
     """
-    config = config_of(spec, making, edits, revision, character)
+    config = job_config(spec, making, edits, revision, character)
     stages = plan(session_facts(session), config, codes or stage_codes(provider), session.chunk_frames)
     memory = foreseen_memory(session.preflight, config)
     return tuple(

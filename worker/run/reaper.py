@@ -30,7 +30,7 @@ from worker.store.errors import Conflict, DamagedDatabase, NotFound
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.disk import DiskSpace, keep_files_private
 from worker.store.files.unneeded import orphaned_prefixes, remove_files
-from worker.store.outages import Outage, outage_of
+from worker.store.outages import Outage, find_outage
 from worker.store.queue import WorkQueue
 from worker.store.store import JobStore
 
@@ -85,7 +85,7 @@ class Reaper:
             except DamagedDatabase:
                 raise
             except Exception as error:
-                if outage_of(error) is Outage.DATABASE:
+                if find_outage(error) is Outage.DATABASE:
                     if not self._is_database_away:  # logged once
                         log.warning("reap_failed", step=step.__name__, reason=type(error).__name__)
                     self._is_database_away = True

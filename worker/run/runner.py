@@ -29,7 +29,7 @@ from worker.store.files.artifacts import (
 from worker.store.model.jobs import Result
 from worker.store.model.sessions import MadeCalibration
 from worker.store.model.work import Ability, Claim, KeptPiece
-from worker.store.outages import Outage, outage_of
+from worker.store.outages import Outage, find_outage
 from worker.store.store import JobStore
 
 log = structlog.get_logger()
@@ -110,7 +110,7 @@ class Runner:
             try:
                 claim = self._next_claim(is_first=num_run == 0)
             except Exception as error:
-                self._outage = outage_of(error)
+                self._outage = find_outage(error)
                 if self._outage is None:
                     raise
                 continue
@@ -141,7 +141,7 @@ class Runner:
             if self._store.leases.waits_for_others(self._ability):
                 self._pass_on()
         except Exception as error:
-            if outage_of(error) is None:
+            if find_outage(error) is None:
                 raise  # else the reaper wakes a worker later
 
     def _pause(self, pauses: Pauses, outage: Outage) -> None:
@@ -196,7 +196,7 @@ class Runner:
 
     def _failure(self, claim: Claim, error: Exception) -> Callable[[], bool]:
         """Report of a chunk that failed, or that met an outage."""
-        self._outage = outage_of(error)
+        self._outage = find_outage(error)
         if self._outage is None:
             log.error("chunk_failed", attempt=claim.attempt, exc_info=error)
             return partial(self._store.leases.fail, *_held(claim), job_problem(error, claim.stage))
@@ -216,7 +216,7 @@ class Runner:
                 if was_cut_off:
                     self._store.waits.excuse(claim)
             except Exception as error:
-                if outage_of(error) is not Outage.DATABASE:
+                if find_outage(error) is not Outage.DATABASE:
                     raise
                 was_cut_off = True
                 if self._stopping():
@@ -308,7 +308,7 @@ class Runner:
             return False
         if read_interim(self._artifacts, claim, claim.output_key) is not None:
             return False
-        read_by = (self._store.outputs.of_stage(claim.job_id, stage) for stage in followers(claim.stage))
+        read_by = (self._store.outputs.list_stage(claim.job_id, stage) for stage in followers(claim.stage))
         return not all(
             self._is_whole(claim.session_id, output.key, output.sha256) for outputs in read_by for output in outputs
         )
@@ -337,7 +337,7 @@ class Runner:
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()
-        for output in self._store.outputs.of_stage(claim.job_id, stage)[chunks]:
+        for output in self._store.outputs.list_stage(claim.job_id, stage)[chunks]:
             key = stage_key(claim.session_id, output.key)
             try:
                 # Without a digest it is being computed again.
@@ -349,7 +349,7 @@ class Runner:
         return contents
 
     def _interim(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
-        outputs = self._store.outputs.of_stage(claim.job_id, stage)[chunks]
+        outputs = self._store.outputs.list_stage(claim.job_id, stage)[chunks]
         contents = [read_interim(self._artifacts, claim, output.key) for output in outputs]
         if damaged := {output.index for output, content in zip(outputs, contents, strict=True) if content is None}:
             raise DamagedOutputsError(stage, damaged)

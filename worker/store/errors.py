@@ -45,7 +45,7 @@ class NotFinished(Conflict):
 class NoResults(Conflict):
     """The job has ended without results.
 
-    ``state`` is that of the job, ``reason`` the error that it failed with, if any; ``retryable``: another attempt may
+    ``state`` is the job's state, ``reason`` the error that it failed with, if any; ``retryable``: another attempt may
     succeed.
     """
 

@@ -50,7 +50,7 @@ class Outage(StrEnum):
     BROKER = "broker_unavailable"
 
 
-def outage_of(error: BaseException) -> Outage | None:
+def find_outage(error: BaseException) -> Outage | None:
     """Outage that an error reports; ``None`` if the part responded, for example by refusing a key."""
     if isinstance(error, ArtifactsUnavailable) or (isinstance(error, OSError) and error.errno in _FOLDER_AWAY):
         return Outage.ARTIFACTS
@@ -60,11 +60,11 @@ def outage_of(error: BaseException) -> Outage | None:
 
 
 def is_perhaps_recorded(error: BaseException) -> bool:
-    """Whether a transaction that ended with an error may have been committed: the answer of the database was lost.
+    """Return whether a transaction with an error may have been committed: the database's answer was lost.
 
     Files that the transaction names are kept then; files without a row are removed later.
     """
-    return outage_of(error) is Outage.DATABASE
+    return find_outage(error) is Outage.DATABASE
 
 
 def _is_database_away(error: DBAPIError) -> bool:

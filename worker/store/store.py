@@ -56,7 +56,7 @@ class JobStore(Records):
         self.webhook_secrets = WebhookSecrets(self._database)
         self.audit = Audit(self._database)
 
-    def of(
+    def tenant(
         self, tenant: str, quotas: Quotas = NO_QUOTAS, actor: Actor = _NOBODY, phone: UploadingPhone | None = None
     ) -> TenantRecords:
         """Records of one tenant. ``actor`` is the key and the request that are written to the audit.
@@ -74,7 +74,7 @@ class JobStore(Records):
         ...     session = work.sessions.add(name, files, preflight, session_id)
         ...     job = work.jobs.add(session.id, spec, stages)
         """
-        return self.of(tenant, quotas, actor).transaction()
+        return self.tenant(tenant, quotas, actor).transaction()
 
     def figures(self) -> Figures:
         """Figures of all jobs, for monitoring."""

@@ -31,7 +31,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
         name=key.name if key else None,
         scopes=tuple(sorted(caller.scopes)),
         expires_at=key.expires_at if key else None,
-        quotas=QuotasOut.of(services.store.of(caller.tenant).usage(), services.quotas),
+        quotas=QuotasOut.of(services.store.tenant(caller.tenant).usage(), services.quotas),
     )
 
 

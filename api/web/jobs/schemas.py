@@ -16,7 +16,7 @@ from worker.store.model.jobs import (
     JobRecord,
     StageProgress,
     is_worth_a_retry,
-    kind_of,
+    job_kind,
 )
 from worker.store.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
 from worker.store.spec import JobSpec
@@ -229,8 +229,8 @@ class JobOut(ResponseModel):
                     *("result_warnings", "visuals_job", "space", "links"),
                 ),
             ),
-            kind=kind_of(job.making),
-            calibration_id=job.id if kind_of(job.making) == "calibration" else None,
+            kind=job_kind(job.making),
+            calibration_id=job.id if job_kind(job.making) == "calibration" else None,
             provider=provider_name(job.provider) if _runs_networks(job) else None,
             stages=tuple(StageOut.of(stage) for stage in job.stages),
             error=JobError.of(job.problem) if job.problem else None,

@@ -58,7 +58,7 @@ def create_link(
 )
 def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
     """List the valid links of a job, the newest first."""
-    return LinkList(links=tuple(LinkOut(**fields_of(link, LinkOut)) for link in records.links.of_job(job_id)))
+    return LinkList(links=tuple(LinkOut(**fields_of(link, LinkOut)) for link in records.links.list_valid(job_id)))
 
 
 @router.delete(
@@ -97,7 +97,7 @@ def _check(spec: LinkSpec, services: Services) -> None:
 def _require_opened(records: TenantRecords, job_id: str, session_id: str, spec: LinkSpec) -> None:
     """Raise the problem of what the link would open."""
     if spec.scope is LinkScope.FILE and spec.name == ALL_RESULTS:
-        records.results.of_job(job_id)
+        records.results.downloads(job_id)
     elif spec.scope is LinkScope.FILE and spec.name is not None:
         records.results.get(job_id, spec.name)
     elif spec.scope is LinkScope.VIDEO:

@@ -97,7 +97,7 @@ async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_e
 async def _capture(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
     settings = services.settings
     actor = Actor(caller.key.id if caller.key else None, websocket.state.request_id)
-    records = services.store.of(caller.tenant, services.quotas, actor)
+    records = services.store.tenant(caller.tenant, services.quotas, actor)
     first = await receive(websocket, settings)
     if (text := first.get("text")) is None:
         raise SocketProblem(LIVE_MESSAGE, "The first message is start, in JSON.")

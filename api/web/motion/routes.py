@@ -136,7 +136,7 @@ def get_motion(
 
 def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
     """Files of a job, all of one revision."""
-    results = {result.name: result for result in records.results.all_of_job(job_id)}
+    results = {result.name: result for result in records.results.all(job_id)}
     try:
         return [results[name] for name in names]
     except KeyError:

@@ -64,7 +64,7 @@ async def _accept(websocket: WebSocket) -> None:
 
 def _records(services: Services, websocket: WebSocket, caller: Caller) -> TenantRecords:
     actor = Actor(caller.key.id if caller.key else None, websocket.state.request_id)
-    return services.store.of(caller.tenant, services.quotas, actor)
+    return services.store.tenant(caller.tenant, services.quotas, actor)
 
 
 async def _phone(websocket: WebSocket, services: Services, recording_id: str, secret: str) -> None:

@@ -52,7 +52,7 @@ _FILE = file_content(dict.fromkeys(_TYPES), "(the file)")
 )
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of the last revision that was finished, also while those of a newer one are made."""
-    results = records.results.of_job(job_id)
+    results = records.results.downloads(job_id)
     job = records.jobs.get(job_id)
     return ResultList(results=tuple(ResultOut.of(job, result) for result in results))
 
@@ -73,7 +73,7 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
 )
 def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) -> Response:
     """Download all result files of a job as one archive, with a folder for each person, and one for overlay videos."""
-    results = records.results.of_job(job_id)
+    results = records.results.downloads(job_id)
     _require_whole(services, results)
     job = records.jobs.get(job_id)
     # Compressed while it is sent, in the API's process: the fastest level halves the size of a session's files.

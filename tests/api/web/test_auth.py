@@ -132,7 +132,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]
         upload = live.client.post("/v1/uploads", headers=TUS).headers["location"]
         del live.client.headers["Authorization"]
-        records = live.services.store.of("theirs", actor=Actor(key.id))
+        records = live.services.store.tenant("theirs", actor=Actor(key.id))
         ids = {
             "character_id": character_of(live, records),
             "calibration_id": records.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id,

@@ -26,7 +26,7 @@ def stage_names(job: JobRecord) -> set[str]:
 
 
 def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
-    return {result.name: result.revision for result in bench.store.results.of_job(job_id)}
+    return {result.name: result.revision for result in bench.store.results.downloads(job_id)}
 
 
 def test_job_that_blurs_has_a_blurred_video_of_each_camera(bench: RunnerBench) -> None:

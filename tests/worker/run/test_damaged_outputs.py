@@ -30,7 +30,7 @@ from worker.store.spec import JobSpec
 
 def stored(bench: RunnerBench, job_id: str, stage: str, chunk: int = 0) -> Path:
     """File of a chunk's output."""
-    key = bench.store.outputs.of_stage(job_id, stage)[chunk].key
+    key = bench.store.outputs.list_stage(job_id, stage)[chunk].key
     return bench.data_dir / "artifacts" / stage_key(bench.session.id, key)
 
 
@@ -52,7 +52,7 @@ DAMAGES = pytest.mark.parametrize("damage", [flip, truncate, remove])
 def test_damaged_output_is_made_again(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
-    key = bench.store.outputs.of_stage(bench.store.jobs.page()[0].id, ASSOCIATE)[0].key
+    key = bench.store.outputs.list_stage(bench.store.jobs.page()[0].id, ASSOCIATE)[0].key
     bench.artifacts.put_bytes(stage_key(bench.session.id, key), b"damaged")
     again = bench.create_job()
     bench.runner().work(60.0)
@@ -171,7 +171,7 @@ def test_damaged_result_is_rebuilt_by_another_job(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     flip(stored(bench, job.id, HOLD))
-    flip(bench.data_dir / "artifacts" / bench.store.results.of_job(job.id)[0].key)
+    flip(bench.data_dir / "artifacts" / bench.store.results.downloads(job.id)[0].key)
     again = bench.create_job()
     bench.runner().work(60.0)
     assert bench.result(again.id) == RESULT

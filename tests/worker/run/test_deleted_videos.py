@@ -123,7 +123,7 @@ def test_nothing_goes_before_a_job_has_succeeded(filled: RunnerBench) -> None:
     reaper(filled).reap()
     assert not is_deleted(filled)
     with pytest.raises(NotFound):
-        filled.store.of("somebody else").sessions.delete_videos(filled.session.id)
+        filled.store.tenant("somebody else").sessions.delete_videos(filled.session.id)
 
 
 def test_edits_and_further_files_need_no_videos(filled: RunnerBench) -> None:

@@ -72,7 +72,7 @@ def test_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) ->
 
     def stored() -> dict[str, tuple[str, int]]:
         """Key and time of the last change of each file."""
-        files = {file.name: file.key for file in bench.store.results.all_of_job(job.id)}
+        files = {file.name: file.key for file in bench.store.results.all(job.id)}
         return {name: (key, (bench.data_dir / "artifacts" / key).stat().st_mtime_ns) for name, key in files.items()}
 
     bench.stages[EXPORT] = export_with_name
@@ -88,7 +88,7 @@ def test_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) ->
     assert after["person-1.bvh"] == before["person-1.bvh"]
     assert after["person-1.glb"] != before["person-1.glb"]
     assert not bench.artifacts.exists(before["person-1.glb"][0])
-    assert {file.revision for file in bench.store.results.all_of_job(job.id)} == {1}
+    assert {file.revision for file in bench.store.results.all(job.id)} == {1}
 
     # A file that is damaged is stored again; one that no revision lists is removed.
     bench.artifacts.put_bytes(after["person-1.bvh"][0], b"damaged")
@@ -213,10 +213,10 @@ def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobR
 def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecord) -> None:
     """The tenant with fewer running chunks is next, whatever the other one edits."""
     store = bench.store
-    session = store.of("other").sessions.add(
+    session = store.tenant("other").sessions.add(
         "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
     )
-    theirs = store.of("other").jobs.add(session.id, done.spec, plan_job(session, done.spec))
+    theirs = store.tenant("other").jobs.add(session.id, done.spec, plan_job(session, done.spec))
     edit(bench, done, FIRST)
     again = bench.create_job()
     taken = []

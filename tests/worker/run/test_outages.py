@@ -124,7 +124,7 @@ def test_missing_bucket_is_no_outage_and_no_damaged_output(on_s3: RunnerBench) -
 
 def test_missing_object_is_computed_again(on_s3: RunnerBench) -> None:
     def lose_an_output(work: Work) -> Output:
-        (output, *_) = on_s3.store.outputs.of_stage(work.claim.job_id, DETECT)
+        (output, *_) = on_s3.store.outputs.list_stage(work.claim.job_id, DETECT)
         if not lost:
             lost.append(output.key)
             obstore.delete(on_s3.artifacts._store, stage_key(work.claim.session_id, output.key))  # type: ignore[attr-defined]

@@ -100,7 +100,7 @@ def test_files_of_interrupted_deletions_are_removed(bench: RunnerBench) -> None:
     bench.runner().work(60.0)
     files = [
         result_key(job.id, "person-1.bvh"),
-        *(stage_key(bench.session.id, output.key) for output in bench.store.outputs.of_stage(job.id, DETECT)),
+        *(stage_key(bench.session.id, output.key) for output in bench.store.outputs.list_stage(job.id, DETECT)),
     ]
     assert all(bench.artifacts.exists(key) for key in files)
     bench.store.sessions.delete(bench.session.id)

@@ -67,7 +67,7 @@ def make_visuals(bench: RunnerBench, job_id: str) -> JobRecord:
 
 def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
     """Revisions of the listed files, by name."""
-    return {result.name: result.revision for result in bench.store.results.of_job(job_id)}
+    return {result.name: result.revision for result in bench.store.results.downloads(job_id)}
 
 
 def shown(*edits: PeopleEdit) -> bytes:
@@ -244,7 +244,7 @@ def test_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord)
 def test_visuals_are_removed_with_their_job_and_count(bench: RunnerBench, done: JobRecord) -> None:
     edited(bench, done.id, FIRST)
     make_visuals(bench, done.id)
-    usage = bench.store.of("default").usage()
+    usage = bench.store.tenant("default").usage()
     assert usage.unfinished_jobs == 0
     bench.store.jobs.delete(done.id)
     assert bench.store.jobs.page(kind="visuals") == []

@@ -81,7 +81,7 @@ def test_programs_end_with_sentences(database: Path, damage: Callable[[Path], No
 def read_all(store: JobStore) -> None:
     for job in store.jobs.page():
         store.jobs.attempts(job.id)
-        store.results.of_job(job.id)
+        store.results.downloads(job.id)
         store.sessions.get(job.session_id)
 
 

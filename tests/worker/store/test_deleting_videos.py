@@ -47,9 +47,9 @@ def test_sessions_whose_videos_are_superfluous(jobs: StoreBench) -> None:
 
 def test_room_of_a_tenant_comes_back(jobs: StoreBench) -> None:
     succeed(jobs)
-    before = jobs.store.of("default").usage().stored_bytes
+    before = jobs.store.tenant("default").usage().stored_bytes
     jobs.store.sessions.delete_videos(jobs.session_id)
-    assert before - jobs.store.of("default").usage().stored_bytes == 3_000_000_000
+    assert before - jobs.store.tenant("default").usage().stored_bytes == 3_000_000_000
 
 
 @pytest.mark.parametrize("attempt", range(4))
@@ -87,7 +87,7 @@ def test_blurred_videos_of_a_session(jobs: StoreBench) -> None:
     capture = jobs.store.sessions.capture(jobs.session_id)
     assert (capture.is_blurred, capture.blurred) == (True, frozenset({"blurred-0.mp4"}))
     assert jobs.store.results.blurred(jobs.session_id, "blurred-0.mp4") == made
-    assert jobs.store.of("somebody else").results.blurred(jobs.session_id, "blurred-0.mp4") is None
+    assert jobs.store.tenant("somebody else").results.blurred(jobs.session_id, "blurred-0.mp4") is None
     jobs.finish_all()
     plain = jobs.store.jobs.add(jobs.session_id, JobSpec(), stages())
     assert jobs.store.sessions.capture(jobs.session_id).is_blurred

@@ -13,7 +13,7 @@ from tests.far_network import FarNetwork, far_network
 from tests.postgres import Postgres, running_postgres
 from tests.waiting import wait_for
 from worker.store.database.connection import Database
-from worker.store.outages import Outage, outage_of
+from worker.store.outages import Outage, find_outage
 from worker.store.queue import WorkQueue
 
 NUM_CONNECTIONS = 5
@@ -38,7 +38,7 @@ def outcome(database: Database) -> Outage | int | None:
         with database.reading() as connection:
             return int(connection.execute(text("SELECT 1")).scalar_one())
     except Exception as error:
-        return outage_of(error)
+        return find_outage(error)
 
 
 def fill_pool(database: Database) -> None:
@@ -84,7 +84,7 @@ def test_a_statement_whose_answer_is_lost_ends_with_an_outage(network: FarNetwor
             with database.reading() as connection:
                 connection.execute(text("SELECT pg_sleep(3)"))
         except Exception as error:
-            outcomes.append(outage_of(error))
+            outcomes.append(find_outage(error))
 
     thread = threading.Thread(target=wait_for_the_answer, daemon=True)
     thread.start()

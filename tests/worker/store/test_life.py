@@ -104,7 +104,7 @@ class Life(RuleBasedStateMachine):
             if job.state == JobState.SUCCEEDED:
                 assert {stage.state for stage in job.stages} == {ChunkState.DONE}
                 assert job.progress == 1.0
-                assert [result.name for result in self._store.results.of_job(job.id)] == ["person-1.bvh"]
+                assert [result.name for result in self._store.results.downloads(job.id)] == ["person-1.bvh"]
             assert (job.problem is not None) == (job.state == JobState.FAILED)
 
     def teardown(self) -> None:

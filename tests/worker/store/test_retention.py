@@ -52,7 +52,7 @@ def test_a_job_whose_time_is_over_is_due_once(jobs: StoreBench) -> None:
     assert jobs.store.jobs.get(other.id).state is JobState.SUCCEEDED
     with pytest.raises(Conflict):
         jobs.store.jobs.retry(job.id, stages())
-    assert [one.name for one in jobs.store.results.of_job(job.id)] == ["person-1.bvh"]
+    assert [one.name for one in jobs.store.results.downloads(job.id)] == ["person-1.bvh"]
     jobs.store.jobs.delete(job.id)
 
 

@@ -25,7 +25,7 @@ from sqlalchemy import (
 from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.database.connection import (
     Database,
-    damage_of,
+    damage_message,
     require_content,
     require_known_schema,
     schema_revisions,
@@ -69,7 +69,7 @@ def damage_blames_source(database_url: str) -> Iterator[None]:
         yield
     except (sqlite3.Error, DamagedDatabase) as error:
         source = sqlite_path(database_url)
-        reason = error.reason if isinstance(error, DamagedDatabase) else damage_of(error)
+        reason = error.reason if isinstance(error, DamagedDatabase) else damage_message(error)
         if source is None or reason is None:
             raise
         raise DamagedDatabase(source, reason) from error

@@ -109,7 +109,7 @@ def sqlite_path(database_url: str) -> Path | None:
     return Path(url.database or "") if url.get_backend_name() == "sqlite" else None
 
 
-def damage_of(error: BaseException) -> str | None:
+def damage_message(error: BaseException) -> str | None:
     """Message of SQLite if an error says that its file is damaged; ``None`` for other errors."""
     code = getattr(error, "sqlite_errorcode", 0) & _PRIMARY_CODE
     return str(error) if code in _DAMAGE or str(error).startswith(_NOT_TEXT) else None
@@ -172,7 +172,7 @@ class Database:
             if connection.dialect.name == "postgresql":  # SQLite always reads so
                 connection.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():
-                if connection.dialect.name == "postgresql":  # what is read may be worked on for long
+                if connection.dialect.name == "postgresql":  # the rows may be worked on for long
                     connection.execute(text("SET LOCAL idle_in_transaction_session_timeout = 0"))
                 yield connection
 
@@ -257,7 +257,7 @@ class Database:
             self._fail("a row holds text that is no JSON")
 
     def _note_damage(self, context: ExceptionContext) -> None:
-        if reason := damage_of(context.original_exception):
+        if reason := damage_message(context.original_exception):
             self._fail(reason)
 
     def _fail(self, reason: str) -> NoReturn:

@@ -40,7 +40,7 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     )
     calibrated = select(func.coalesce(func.sum(calibrations.c.num_bytes), 0)).where(calibrations.c.tenant == tenant)
     moved = select(func.coalesce(func.sum(characters.c.num_bytes), 0)).where(characters.c.tenant == tenant)
-    is_copy = (mine, jobs.c.state != JobState.EXPIRED, jobs.c.of_job.is_(None))
+    is_copy = (mine, jobs.c.state != JobState.EXPIRED, jobs.c.reconstruction_id.is_(None))
     copied = select(func.coalesce(func.sum(jobs.c.character[("file", "num_bytes")].as_integer()), 0)).where(*is_copy)
     num_uploads, upload_bytes = connection.execute(
         select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)

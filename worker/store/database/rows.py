@@ -20,7 +20,7 @@ from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, jobs, sessions
 from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, StageProgress, config_of
+from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
 from worker.store.model.sessions import InputFile, Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
@@ -104,15 +104,15 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
     """Jobs that make visuals of edited jobs, by the ids of these."""
     if not job_ids:
         return {}
-    query = select(jobs.c.of_job, jobs.c.id, jobs.c.state).where(jobs.c.of_job.in_(job_ids))
-    return {row.of_job: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
+    query = select(jobs.c.reconstruction_id, jobs.c.id, jobs.c.state).where(jobs.c.reconstruction_id.in_(job_ids))
+    return {row.reconstruction_id: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
 
 
 def _job(
     row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
 ) -> JobRecord:
     spec = read_spec(row.spec)
-    config = config_of(spec)
+    config = job_config(spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
     found = tuple(Finding(**warning) for warning in row.warnings)
@@ -196,7 +196,7 @@ def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:
 
 def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[StageProgress, ...]]:
     rows = connection.execute(_select_stages(), {"job_ids": job_ids}).all()
-    return {job_id: tuple(map(_stage, of_job)) for job_id, of_job in groupby(rows, key=itemgetter(0))}
+    return {job_id: tuple(map(_stage, stages)) for job_id, stages in groupby(rows, key=itemgetter(0))}
 
 
 @functools.cache
@@ -239,7 +239,7 @@ def _stage(row: Sequence[Any]) -> StageProgress:
 
 
 def stage_state(states: Iterable[ChunkState]) -> ChunkState:
-    """State of a stage from those of its chunks: the worst one, else running, else the one that all share."""
+    """State of a stage from the states of its chunks: the worst one, else running, else the shared one."""
     found = frozenset(states)
     for decisive in (ChunkState.FAILED, ChunkState.RUNNING, ChunkState.CANCELED):
         if decisive in found:

@@ -72,9 +72,9 @@ def has_visuals(connection: Connection, job_id: str) -> bool:
 
 def _drop(connection: Connection, job_id: str, condition: ColumnElement[bool]) -> Collection[str]:
     """Drop the rows that meet a condition; returns the prefixes of their keys."""
-    of_job = results.c.job_id == job_id
-    keys = connection.scalars(select(results.c.key).where(of_job, condition)).all()
-    connection.execute(delete(results).where(of_job, condition))
+    in_job = results.c.job_id == job_id
+    keys = connection.scalars(select(results.c.key).where(in_job, condition)).all()
+    connection.execute(delete(results).where(in_job, condition))
     return sorted({f"{key.rpartition('/')[0]}/" for key in keys})
 
 

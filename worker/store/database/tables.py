@@ -105,16 +105,16 @@ jobs = Table(
     Column(
         "kind", String(16), nullable=False, server_default="reconstruction"
     ),  # or "calibration", "proxies", "visuals"
-    Column("making", JSON(none_as_null=True)),  # choices of what it makes; null: it reconstructs
+    Column("making", JSON(none_as_null=True)),  # choices of a calibration, proxies or visuals; null: it reconstructs
     Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
     Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
     Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results
     Column("results_revision", Integer),  # revision whose files can be read; null before the first success
-    Column("of_job", String(36), index=True),  # reconstruction whose visuals it makes, which deletes it with itself
+    Column("reconstruction_id", String(36), index=True),  # whose visuals it makes; deleted with it
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
     Column("precedence", Integer, nullable=False, server_default="1"),  # ``Precedence``
     Column("waiting_for", JSON(none_as_null=True)),  # problem of an outage; null: nothing keeps it waiting
-    Column("provider", String, nullable=False, server_default=""),  # identity of that of its networks; empty: the CPU
+    Column("provider", String, nullable=False, server_default=""),  # execution provider of its networks; empty: the CPU
     Column("character", JSON(none_as_null=True)),  # that it moves: id, copy of the file, corrections; null: none
     Index(None, "session_id", "id"),
     Index(None, "session_id", "kind", "id"),
@@ -145,7 +145,7 @@ calibrations = Table(
     Index(None, "tenant", "id"),
 )
 
-# Characters of the user's own: files with a skeleton, and what was recognised in them.
+# Characters of users: files with a skeleton, and its recognised bones.
 characters = Table(
     "characters",
     metadata,
@@ -430,7 +430,7 @@ takes = Table(
     Column("number", Integer, primary_key=True),
     Column("name", String(200), nullable=False),
     Column("start_s", Double, nullable=False),
-    Column("stop_s", Double, nullable=False),  # as long as nobody stops it, the latest one
+    Column("stop_s", Double, nullable=False),  # until the take is stopped, the latest possible stop
     Column("is_stopped", Boolean(create_constraint=False), nullable=False),
     Column("settings", JSON, nullable=False),  # size and rate of the video that phones are asked for
     Column("is_upload_wanted", Boolean(create_constraint=False), nullable=False),

@@ -62,18 +62,18 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
 
 
 def _drop_earlier_results(connection: Connection, job: Row[Any]) -> None:
-    """Drop the files that those of a job that has succeeded replace: visuals are replaced by visuals alone.
+    """Drop files of earlier revisions after a job has succeeded; visuals are replaced by visuals alone.
 
     Blurred videos are of all revisions.
     """
     is_visual = results.c.kind.in_(VISUAL_KINDS)
-    of_same_kind = is_visual if job.of_job is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
-    drop_results(connection, job.of_job or job.id, of_same_kind & (results.c.revision < job.revision))
+    of_same_kind = is_visual if job.reconstruction_id is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
+    drop_results(connection, job.reconstruction_id or job.id, of_same_kind & (results.c.revision < job.revision))
 
 
 def delete_visuals_job(connection: Connection, job_id: str) -> None:
     """Delete the job that makes visuals of a locked job; a worker that makes them stops when it finds its job gone."""
-    for visuals_id in connection.scalars(select(jobs.c.id).where(jobs.c.of_job == job_id)).all():
+    for visuals_id in connection.scalars(select(jobs.c.id).where(jobs.c.reconstruction_id == job_id)).all():
         remove_later(connection, job_prefix(visuals_id))
         connection.execute(delete(jobs).where(jobs.c.id == visuals_id))
 

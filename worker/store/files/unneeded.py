@@ -10,7 +10,7 @@ import uuid
 import structlog
 
 from worker.store.files.artifacts import ArtifactStore, character_prefix, job_prefix, session_prefix
-from worker.store.outages import outage_of
+from worker.store.outages import find_outage
 from worker.store.repositories.work.expiry import Removals
 
 log = structlog.get_logger()
@@ -28,8 +28,8 @@ def remove_files(removals: Removals, artifacts: ArtifactStore) -> None:
             else:
                 artifacts.delete(removal.prefix)
         except OSError as error:
-            if outage_of(error) is not None:
-                log.warning("removals_wait", outage=outage_of(error))
+            if find_outage(error) is not None:
+                log.warning("removals_wait", outage=find_outage(error))
                 return  # of hundreds of removals, each would wait for the store
             log.exception("removal_failed", prefix=removal.prefix)
         else:

@@ -22,8 +22,8 @@ Making = CalibrationChoices | ProxyChoices | VisualChoices
 """Choices of a job that makes something else than a reconstruction."""
 
 
-def kind_of(making: Making | None) -> JobKind:
-    """Kind of a job by what it makes."""
+def job_kind(making: Making | None) -> JobKind:
+    """Kind of a job by its choices."""
     match making:
         case None:
             return "reconstruction"
@@ -35,7 +35,7 @@ def kind_of(making: Making | None) -> JobKind:
             return "visuals"
 
 
-def config_of(
+def job_config(
     spec: JobSpec,
     making: Making | None = None,
     edits: tuple[PeopleEdit, ...] = (),
@@ -70,7 +70,7 @@ class SessionError:
 class JobProblem:
     """Problem of a job: a stable code, and a sentence for the client without texts of exceptions or paths.
 
-    ``errors`` are those of the session that was refused.
+    ``errors`` are the errors of the refused session.
     """
 
     code: Code
@@ -120,13 +120,13 @@ class JobRecord:
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``waiting_for`` is the outage that keeps
-    its work waiting. ``warnings`` are sentences, and include those of ``result_warnings``. ``making`` has the choices
-    of what it makes; without it, the job reconstructs. ``edits`` are the edits of its people, ``revision`` the number
-    of times that they were changed, and ``people`` those whom the reconstruction found, before any edit; ``None`` until
-    its first results are written. ``results_revision`` is the revision whose files can be read, while those of a newer
-    one are made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of
-    an earlier revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character
-    that it moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
+    its work waiting. ``warnings`` are sentences, with the messages of ``result_warnings``. ``making`` has the choices
+    of a calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
+    ``revision`` the number of their changes, and ``people`` the reconstructed people before any edit; ``None`` until
+    the first results are written. ``results_revision`` is the revision whose files can be read, while newer files are
+    made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of an earlier
+    revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character that it
+    moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
     identity of the execution provider of its networks, empty for the CPU. ``space`` is what a reconstruction was
     foreseen to need; ``None`` of other jobs.
     """
@@ -190,7 +190,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A result file of a job, in the artifact store under ``key``; ``revision`` is that of the edits it shows.
+    """A result file of a job, in the artifact store under ``key``; ``revision`` is the revision of its edits.
 
     ``person`` is the number of a person as in the file's name, ``person_name`` the name that edits gave, or else the
     same.
@@ -209,7 +209,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Webhook message of a job's end. ``tries`` includes the present try; ``problem`` is that of the last one."""
+    """Webhook message of a job's end. ``tries`` includes the present try; ``problem`` is of the last try."""
 
     id: int
     message_id: str

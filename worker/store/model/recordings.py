@@ -45,8 +45,8 @@ class TakeClip:
     """Clip of a take by one phone."""
 
     phone: int
-    started: Mapping[str, Any] | None  # What the phone said when it began; ``None``: nothing
-    stopped: Mapping[str, Any] | None  # What it said when it ended
+    started: Mapping[str, Any] | None  # Message of the phone when it began; ``None``: none
+    stopped: Mapping[str, Any] | None  # Message of the phone when it ended
     files: tuple[ClipFile, ...]  # By their parts
 
     @property
@@ -62,7 +62,7 @@ class RecordingTake:
     number: int
     name: str
     start_s: float
-    stop_s: float  # As long as nobody stops it, the latest one
+    stop_s: float  # Until the take is stopped, the latest possible stop
     is_stopped: bool
     settings: Mapping[str, Any]  # Size and rate of the video that phones are asked for; empty: what they can
     is_upload_wanted: bool

@@ -49,7 +49,7 @@ class AuditEvent:
 
 
 class LinkScope(StrEnum):
-    """What a link opens."""
+    """Target of a link."""
 
     FILE = "file"  # one result file, or all as a zip
     VIDEO = "video"  # the video of one camera

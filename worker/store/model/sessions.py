@@ -43,7 +43,7 @@ Purpose = Literal["capture", "calibration"]
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """A capture session: its files, and what the preflight found in them."""
+    """A capture session: its files, and their preflight."""
 
     id: str
     name: str
@@ -103,7 +103,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class MadeCalibration:
-    """Calibration that a job has made; fields as of ``Calibration``."""
+    """Calibration that a job has made; fields like ``Calibration``."""
 
     files: Mapping[str, str]
     report: Mapping[str, Any]

@@ -9,7 +9,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit
 from pipeline.core.options.providers import CPU, Provider
 from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import Making, config_of
+from worker.store.model.jobs import Making, job_config
 from worker.store.spec import JobSpec
 
 
@@ -80,22 +80,22 @@ class Claim:
     attempt: int  # try of the chunk, from 1
     job_attempt: int
     trace: str | None  # W3C traceparent of the request for the job
-    making: Making | None = None  # as of ``JobRecord``, like the next two
+    making: Making | None = None  # like ``JobRecord``, as the next two
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0
-    of_job: str | None = None  # reconstruction of which it makes visuals
+    reconstruction_id: str | None = None  # reconstruction of which it makes visuals
     provider: str = ""  # identity of the execution provider of the job's networks
-    character: JobCharacter | None = None  # as of ``JobRecord``
+    character: JobCharacter | None = None  # like ``JobRecord``
 
     @property
     def config(self) -> ReconstructionConfig:
         """Configuration of the job."""
-        return config_of(self.spec, self.making, self.edits, self.revision, self.character)
+        return job_config(self.spec, self.making, self.edits, self.revision, self.character)
 
     @property
     def listed_by(self) -> str:
-        """Id of the job whose result files those of the chunk are."""
-        return self.of_job or self.job_id
+        """Id of the job that lists the result files of the chunk."""
+        return self.reconstruction_id or self.job_id
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class Figures:
 
 
 class WorkerState(StrEnum):
-    """Whether a worker process could start a chunk now."""
+    """Readiness of a worker process for a chunk."""
 
     STARTING = "starting"
     READY = "ready"

@@ -1,4 +1,4 @@
-"""Audit: events of what was done to sessions, jobs, uploads, links and keys, and by which key.
+"""Audit: actions on sessions, jobs, uploads, links and keys, with the key of each action.
 
 An event is recorded in the transaction of the action, and outlives its subject.
 """

@@ -31,7 +31,7 @@ class Calibrations:
     def add(self, name: str, source: Mapping[str, Any], files: Mapping[str, str]) -> Calibration:
         """Add a calibration that was sent as a file.
 
-        ``source`` and ``files`` are as of ``worker.store.model.sessions.Calibration``. Raises ``QuotaExceeded``.
+        ``source`` and ``files`` are like in ``worker.store.model.sessions.Calibration``. Raises ``QuotaExceeded``.
         """
         return self._insert(str(uuid7()), name, "file", source, files)
 

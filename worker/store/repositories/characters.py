@@ -1,4 +1,4 @@
-"""Characters of the user's own."""
+"""Characters of users."""
 
 import json
 from collections.abc import Mapping
@@ -112,7 +112,7 @@ class Characters:
         bones: Mapping[str, Any],
         corrections: Mapping[str, str | None],
     ) -> Character:
-        """Replace a user's corrections of a character's bones, and what was recognised with them.
+        """Replace a user's corrections of a character's bones, and the bones recognised with them.
 
         Raises ``NotFound`` or ``QuotaExceeded``.
         """

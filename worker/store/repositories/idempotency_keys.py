@@ -21,7 +21,7 @@ _KEPT_S = 24 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class KeyClaim:
-    """Right to store the answer of a key: a lease with a token, as of a chunk."""
+    """Right to store the answer of a key: a lease with a token, like a chunk's."""
 
     key: str
     token: str

@@ -25,7 +25,7 @@ from worker.store.database.transitions import cancel_chunks, delete_visuals_job,
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, config_of, kind_of
+from worker.store.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
 from worker.store.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, StagePlan
 from worker.store.repositories.attempts import keep_attempt, read_attempts
@@ -69,7 +69,7 @@ class Jobs:
         Parameters
         ----------
         retention_s
-            Time that results are kept after the job's end; ``None``: until somebody deletes them.
+            Time that results are kept after the job's end; ``None``: until they are deleted.
         trace
             W3C traceparent of the request, for the workers.
         making
@@ -96,12 +96,12 @@ class Jobs:
                 access.require_room(connection, stored_bytes=character.file.num_bytes)
                 if not keep(connection, job_prefix(job_id)):
                     raise Conflict("The copy of the character took too long; send the request again.")
-            if kind_of(making) not in SIDE_KINDS:  # which the tenant has not asked for
+            if job_kind(making) not in SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
             if spec.blur_faces:
                 delete_proxies(connection, access, session_id)
             tenant = lock_session(connection, access, session_id)
-            require_videos(connection, session_id, stages, config_of(spec, making, character=character))
+            require_videos(connection, session_id, stages, job_config(spec, making, character=character))
             connection.execute(
                 insert(jobs).values(
                     id=job_id,
@@ -115,7 +115,7 @@ class Jobs:
                     queued_at=now(),
                     retention_s=retention_s,
                     trace=trace,
-                    kind=kind_of(making),
+                    kind=job_kind(making),
                     making=None if making is None else asdict(making),
                     character=None if character is None else asdict(character),
                 )
@@ -140,7 +140,7 @@ class Jobs:
     ) -> list[JobRecord]:
         """Jobs, the newest first: all of them, or those in a state or of a session.
 
-        ``after`` is the last id of the page before. Without a ``kind`` all count but those of ``SIDE_KINDS``.
+        ``after`` is the last id of the page before. Without a ``kind``, all kinds but ``SIDE_KINDS``.
         """
         query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
@@ -193,7 +193,7 @@ class Jobs:
             self._access.require_room(connection, unfinished_jobs=1)
             job = job_row(connection, self._access, job_id, lock=True)
             if job.state in RETRYABLE:
-                require_videos(connection, job.session_id, stages, _config_of(job))
+                require_videos(connection, job.session_id, stages, _row_config(job))
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if job.state not in RETRYABLE or not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
@@ -220,7 +220,7 @@ class Jobs:
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
         caller publishes that there is work. ``stages`` are the plan with these edits, ``revision`` is the one that they
         were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, ``VideosDeleted``
-        if people would have to be detected again, or ``Conflict`` if the job is expired, has found nobody yet, or has
+        if people would have to be detected again, or ``Conflict`` if the job is expired, has no people yet, or has
         another revision.
         """
         with self._access.writing() as connection:
@@ -231,7 +231,7 @@ class Jobs:
                 raise Conflict(f"The job has the revision {job.revision} now, not {revision}.")
             if job.people is None:
                 raise Conflict("The job has no results yet, so its people can't be edited.")
-            require_videos(connection, job.session_id, stages, _config_of(job, tuple(edits), job.revision + 1))
+            require_videos(connection, job.session_id, stages, _row_config(job, tuple(edits), job.revision + 1))
             changed = {
                 "edits": [document_of(edit) for edit in edits],
                 "revision": job.revision + 1,
@@ -246,7 +246,7 @@ class Jobs:
                 raise Conflict(f"The people of a job can be edited until it has expired; this one is {job.state}.")
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_EDITED, job_id)
             keep_attempt(connection, job)
-            # What the last attempt has left, unless its files are listed.
+            # Files of the last attempt, unless they are listed.
             remove_later(connection, interim_prefix(job_id, job.attempt))
             remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
             delete_visuals_job(connection, job_id)
@@ -278,11 +278,11 @@ class Jobs:
         return found[0]
 
 
-def _config_of(
+def _row_config(
     job: Row[Any], edits: tuple[PeopleEdit, ...] | None = None, revision: int | None = None
 ) -> ReconstructionConfig:
     """Configuration of a job from its row, with its own edits or with others."""
-    return config_of(
+    return job_config(
         JobSpec.model_validate(job.spec),
         read_making(job.kind, job.making),
         read_edits(job.edits) if edits is None else edits,

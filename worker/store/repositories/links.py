@@ -65,7 +65,7 @@ class Links:
             record_event(connection, self._access.actor, job.tenant, AuditAction.LINK_CREATED, link_id)
             return _link(connection.execute(_select_links().where(links.c.id == link_id)).one()), secret
 
-    def of_job(self, job_id: str) -> list[Link]:
+    def list_valid(self, job_id: str) -> list[Link]:
         """Valid links of a job, the newest first; ``NotFound`` without a job."""
         query = _select_links().where(links.c.job_id == job_id, *_are_valid()).order_by(links.c.id.desc())
         with self._access.reading() as connection:
@@ -75,11 +75,11 @@ class Links:
     def revoke(self, link_id: str) -> None:
         """Revoke a link for good; ``NotFound`` if there is none."""
         with self._access.writing() as connection:
-            tenant = self._tenant_of(connection, link_id)
+            tenant = self._require_tenant(connection, link_id)
             connection.execute(delete(links).where(links.c.id == link_id))
             record_event(connection, self._access.actor, tenant, AuditAction.LINK_REVOKED, link_id)
 
-    def _tenant_of(self, connection: Connection, link_id: str) -> str:
+    def _require_tenant(self, connection: Connection, link_id: str) -> str:
         query = select(links.c.tenant).where(links.c.id == link_id, self._access.may_reach(links), *_are_valid())
         tenant: str | None = connection.scalar(query.select_from(links.outerjoin(keys)))
         if tenant is None:

@@ -19,11 +19,11 @@ class Results:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def of_job(self, job_id: str) -> list[Result]:
-        """Results of a job for downloads, by name: all but those that viewers read; errors as of ``all_of_job``."""
-        return [result for result in self.all_of_job(job_id) if result.kind != VIEWER]
+    def downloads(self, job_id: str) -> list[Result]:
+        """Results of a job for downloads, by name, without the files of viewers; errors like ``all``."""
+        return [result for result in self.all(job_id) if result.kind != VIEWER]
 
-    def all_of_job(self, job_id: str) -> list[Result]:
+    def all(self, job_id: str) -> list[Result]:
         """Results of a job, by name.
 
         Raises ``NotFound``, ``NotFinished`` if no revision of the job has succeeded yet, or ``NoResults`` if it failed
@@ -81,8 +81,8 @@ class Results:
         return None if row is None else read(Result, row)
 
     def get(self, job_id: str, name: str) -> Result:
-        """Result of a job by name; errors as of ``all_of_job``, and ``NotFound`` if there is none of this name."""
-        for result in self.all_of_job(job_id):
+        """Result of a job by name; errors like ``all``, and ``NotFound`` if there is none of this name."""
+        for result in self.all(job_id):
             if result.name == name:
                 return result
         raise NotFound("The job has no result of this name.")

@@ -126,7 +126,7 @@ class Sessions:
         if state is not None:
             query = query.where(jobs.c.state == state)
         with self._access.reading() as connection:
-            return _captures_of(connection, connection.execute(query).all())
+            return _read_captures(connection, connection.execute(query).all())
 
     def locked(self, session_id: str) -> Capture:
         """Session with an id, locked until the transaction ends; ``NotFound`` if there is none."""
@@ -233,16 +233,16 @@ class Sessions:
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such session.")
-        return _captures_of(connection, [row])[0]
+        return _read_captures(connection, [row])[0]
 
 
 def searchable(name: str) -> str:
-    """Name as searches compare it: databases fold the case of letters differently, or only that of ASCII."""
+    """Name as searches compare it: databases fold the case of letters differently, or of ASCII alone."""
     return unicodedata.normalize("NFKC", name).casefold()
 
 
 def _select_captures() -> Select[Any]:
-    """Query of sessions with their reconstructions, for ``_capture_of``; ``jobs`` is the newest one."""
+    """Query of sessions with their reconstructions, for ``_read_captures``; ``jobs`` is the newest one."""
     other = jobs.alias("other")
     is_one = (other.c.session_id == sessions.c.id, other.c.kind == "reconstruction")
     newest = select(other.c.id).where(*is_one).order_by(other.c.id.desc()).limit(1).correlate(sessions)
@@ -254,7 +254,7 @@ def _select_captures() -> Select[Any]:
     return select(sessions, *columns).select_from(with_newest)
 
 
-def _captures_of(connection: Connection, rows: Sequence[Row[Any]]) -> list[Capture]:
+def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Capture]:
     """Captures with their proxies, from rows of ``_select_captures``."""
     made = defaultdict[str, set[str]](set)
     jobs_that_make: dict[str, NewestJob] = {}

@@ -1,6 +1,6 @@
 """Uploads: files that clients send in pieces, until a session takes them or they expire.
 
-A row holds what was announced. The number of bytes that have arrived is the size of the file on the spool of the API
+A row holds the announcement. The number of bytes that have arrived is the size of the file on the spool of the API
 that receives it.
 """
 

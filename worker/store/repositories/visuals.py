@@ -1,4 +1,4 @@
-"""Jobs that make overlay videos, the report and the recording of an edited reconstruction anew."""
+"""Jobs that remake overlay videos, the report and the recording of an edited reconstruction."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,7 +13,7 @@ from worker.store.database.rows import read_edits, read_jobs, select_jobs
 from worker.store.database.tables import jobs, sessions
 from worker.store.database.transitions import delete_visuals_job, note
 from worker.store.errors import Conflict
-from worker.store.model.jobs import JobRecord, config_of
+from worker.store.model.jobs import JobRecord, job_config
 from worker.store.model.states import RETRYABLE, JobState
 from worker.store.model.work import Precedence, StagePlan
 from worker.store.repositories.audit import AuditAction, record_event
@@ -50,36 +50,37 @@ class Visuals:
         VideosDeleted
             The session's videos were deleted, and an overlay video or a recording is to be made.
         Conflict
-            Files of the reconstruction are being made, it was edited since, or nothing is to be made anew.
+            Files of the reconstruction are being made, it was edited since, or nothing is to be remade.
         """
         with self._access.writing() as connection:
-            of_job = job_row(connection, self._access, job_id, lock=True)
-            if of_job.state != JobState.SUCCEEDED:
-                raise Conflict(f"The job is {of_job.state}: its files have to be made first.")
-            if of_job.revision != revision:
-                raise Conflict(f"The job has the revision {of_job.revision} now, not {revision}.")
-            earlier = connection.execute(select(jobs.c.id, jobs.c.state).where(jobs.c.of_job == job_id)).one_or_none()
+            reconstruction = job_row(connection, self._access, job_id, lock=True)
+            if reconstruction.state != JobState.SUCCEEDED:
+                raise Conflict(f"The job is {reconstruction.state}: its files have to be made first.")
+            if reconstruction.revision != revision:
+                raise Conflict(f"The job has the revision {reconstruction.revision} now, not {revision}.")
+            visuals = select(jobs.c.id, jobs.c.state).where(jobs.c.reconstruction_id == job_id)
+            earlier = connection.execute(visuals).one_or_none()
             visuals_id = str(uuid7())
             if earlier is not None and earlier.state not in RETRYABLE:
                 if earlier.state == JobState.SUCCEEDED:
                     raise Conflict("Overlay videos, report and recording are those of the last edits already.")
                 visuals_id = earlier.id
-            elif earlier is None and of_job.visuals_old_at is None:
+            elif earlier is None and reconstruction.visuals_old_at is None:
                 raise Conflict(
                     "The job has nothing to show of an earlier revision: overlay videos, a report, or a recording."
                 )
             else:
-                spec = JobSpec.model_validate(of_job.spec)
-                config = config_of(spec, VisualChoices(), read_edits(of_job.edits), revision)
-                require_videos(connection, of_job.session_id, stages, config)
+                spec = JobSpec.model_validate(reconstruction.spec)
+                config = job_config(spec, VisualChoices(), read_edits(reconstruction.edits), revision)
+                require_videos(connection, reconstruction.session_id, stages, config)
                 delete_visuals_job(connection, job_id)
                 connection.execute(
                     insert(jobs).values(
                         id=visuals_id,
-                        session_id=of_job.session_id,
-                        tenant=of_job.tenant,
+                        session_id=reconstruction.session_id,
+                        tenant=reconstruction.tenant,
                         state=JobState.QUEUED,
-                        spec=of_job.spec | {"callback_url": None},  # of the reconstruction's end
+                        spec=reconstruction.spec | {"callback_url": None},  # of the reconstruction's end
                         precedence=Precedence[spec.priority.upper()],
                         attempt=1,
                         created_at=now(),
@@ -87,16 +88,16 @@ class Visuals:
                         trace=trace,
                         kind="visuals",
                         making=asdict(VisualChoices()),
-                        edits=of_job.edits,
-                        revision=of_job.revision,
-                        of_job=job_id,
-                        character=of_job.character,
+                        edits=reconstruction.edits,
+                        revision=reconstruction.revision,
+                        reconstruction_id=job_id,
+                        character=reconstruction.character,
                     )
                 )
                 insert_following(connection, visuals_id, stages, job_id)
                 connection.execute(update(jobs).where(jobs.c.id == job_id).values(visuals_old_at=None))
                 note(connection, visuals_id, "state", JobState.QUEUED)
-                record_event(connection, self._access.actor, of_job.tenant, AuditAction.JOB_CREATED, visuals_id)
+                record_event(connection, self._access.actor, reconstruction.tenant, AuditAction.JOB_CREATED, visuals_id)
             (job,) = read_jobs(connection, connection.execute(select_jobs().where(jobs.c.id == visuals_id)).all())
             return job
 

@@ -86,8 +86,8 @@ def test_requests_that_wait_are_limited(live: Live, monkeypatch: pytest.MonkeyPa
     with client_of(live, "many") as many:
         many.get("/v1/jobs")
         monkeypatch.setattr(live.services.turns, "_limits", replace(live.services.turns._limits, max_waiting=3))
-        gate = Gate(live.services.store.of)
-        monkeypatch.setattr(live.services.store, "of", gate)
+        gate = Gate(live.services.store.tenant)
+        monkeypatch.setattr(live.services.store, "tenant", gate)
         with ThreadPoolExecutor(20) as pool:
             sent = [pool.submit(many.get, "/v1/caller") for _ in range(20)]
             try:

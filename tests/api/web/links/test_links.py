@@ -163,7 +163,7 @@ def test_links_that_are_no_longer_valid(studio: Studio) -> None:
     token = of_key["url"].rpartition("?link=")[2]
     assert studio.open(path, token).status_code == 200
     studio.live.services.store.keys.revoke(key.id)
-    _, ended = studio.live.services.store.of("studio").links.add(studio.job_id, LinkScope.JOB, None, -1.0)
+    _, ended = studio.live.services.store.tenant("studio").links.add(studio.job_id, LinkScope.JOB, None, -1.0)
     wrong = [revoked["url"].rpartition("?link=")[2], token, ended, "mcl_", "x" * 5000, studio.secret, revoked["id"]]
     for secret in [*wrong, "\u2603", "mcl_" + "A" * 43]:
         answer = studio.open(path, secret)

@@ -40,7 +40,7 @@ def test_of_two_connections_of_a_phone_the_later_one_stays(order: Sequence[int])
 def test_a_database_that_was_restored_is_followed(tmp_path: Path) -> None:
     store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
     store.migrate()
-    records = store.of("default")
+    records = store.tenant("default")
     recording, _ = records.recordings.add("Rehearsal", 3600.0)
     rooms = Rooms(store, SilentRelay())
 

@@ -449,7 +449,7 @@ def test_chunks_of_new_sessions_are_as_long_as_the_measured_speed_allows(
 ) -> None:
     def num_detections(live: Live, session_id: str) -> int:
         job = live.client.post(f"/v1/sessions/{session_id}/jobs").json()
-        plan = live.services.store.outputs.of_stage(job["id"], "detect")
+        plan = live.services.store.outputs.list_stage(job["id"], "detect")
         live.finish(job["id"], each_chunk=True)
         return len(plan)
 

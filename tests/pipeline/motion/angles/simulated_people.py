@@ -54,11 +54,11 @@ def errors_deg(truth_deg: np.ndarray, angles: JointAngles) -> dict[str, np.ndarr
     errors: dict[str, list[np.ndarray]] = {}
     for column, name in enumerate(ANGLE_NAMES):
         known = np.isfinite(off_deg[:, column])
-        errors.setdefault(kind_of(name), []).append(off_deg[known, column])
+        errors.setdefault(job_kind(name), []).append(off_deg[known, column])
     return {name: np.concatenate(of_sides) for name, of_sides in errors.items()}
 
 
-def kind_of(name: str) -> str:
+def job_kind(name: str) -> str:
     """Name of an angle without the side."""
     return name.removeprefix("left_").removeprefix("right_")
 

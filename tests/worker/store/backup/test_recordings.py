@@ -30,7 +30,7 @@ class FilmedRoom:
 
 
 def uploads_of(store: JobStore, recording_id: str, number: int) -> TenantRecords:
-    return store.of("mine", Quotas(), Actor(), UploadingPhone(recording_id, number, 5, 1000))
+    return store.tenant("mine", Quotas(), Actor(), UploadingPhone(recording_id, number, 5, 1000))
 
 
 def add_upload(data: Data, recording_id: str, phone: int, content: bytes, num_bytes: int) -> str:
@@ -43,7 +43,7 @@ def add_upload(data: Data, recording_id: str, phone: int, content: bytes, num_by
 
 @pytest.fixture
 def room(data: Data) -> FilmedRoom:
-    recordings = data.store.of("mine", Quotas(), Actor()).recordings
+    recordings = data.store.tenant("mine", Quotas(), Actor()).recordings
     recording, secret = recordings.add("Rehearsal", 3600.0)
     for phone_id in PHONE_IDS:
         recordings.join(recording.id, phone_id, "Phone", "Chrome on Android", LIMITS)
@@ -69,7 +69,7 @@ def test_restored_recordings_are_unchanged_and_continue(data: Data, room: Filmed
     assert data.back_up(tmp_path / "backup.tar").problems == ()
     restored(tmp_path / "backup.tar", tmp_path / "there")
     with opened_data(tmp_path / "there") as there:
-        recordings = there.store.of("mine", Quotas(), Actor()).recordings
+        recordings = there.store.tenant("mine", Quotas(), Actor()).recordings
         assert recordings.get(room.id) == before
         assert [take.state(START_S + 305) for take in before.takes] == [
             *(TakeState.USED, TakeState.RECORDED, TakeState.RECORDING)
@@ -86,7 +86,7 @@ def test_restored_recordings_are_unchanged_and_continue(data: Data, room: Filmed
         with pytest.raises(NotFound):
             uploads_of(there.store, room.id, 1).uploads.get(room.half)
         with pytest.raises(NotFound):
-            there.store.of("other", Quotas(), Actor()).recordings.get(room.id)
+            there.store.tenant("other", Quotas(), Actor()).recordings.get(room.id)
         # Revisions count on from there.
         assert recordings.stop_take(room.id, START_S + 310).revision == before.revision + 1
         recordings.add_file(room.id, 2, 2, ClipFile(1, room.half, 4, START_S + 200.0, 0.02, 10.0, {}))

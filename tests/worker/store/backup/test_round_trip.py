@@ -105,7 +105,7 @@ def test_missing_and_damaged_files_are_listed(busy: Data, tmp_path: Path) -> Non
         record_key(running.id): "missing",
         result_key(finished.id, "person-1.bvh"): "damaged",
     }
-    output = stage_key(done.id, busy.store.outputs.of_stage(finished.id, "detect")[0].key)
+    output = stage_key(done.id, busy.store.outputs.list_stage(finished.id, "detect")[0].key)
     believed = next(iter(busy.folder.glob(f"artifacts/sessions/{running.id}/stages/*")))
     for key, problem in {**lost, output: "missing"}.items():
         path = busy.folder / "artifacts" / key

@@ -11,7 +11,7 @@ from worker.store.database.connection import Database, now, upsert
 from worker.store.database.tables import artifacts
 from worker.store.database.tables import jobs as jobs_table
 from worker.store.database.transitions import lock_job
-from worker.store.outages import Outage, outage_of
+from worker.store.outages import Outage, find_outage
 from worker.store.store import JobStore
 
 
@@ -120,7 +120,7 @@ def test_a_frozen_process_holds_a_lock_for_a_while_only(
         with working.writing() as connection:  # waits for the lock
             assert lock_job(connection, job_id) is not None
         lock_job(held, job_id)
-    assert outage_of(caught.value) is Outage.DATABASE
+    assert find_outage(caught.value) is Outage.DATABASE
     with frozen.writing() as connection:
         assert lock_job(connection, job_id) is not None
     with frozen.snapshot() as connection:

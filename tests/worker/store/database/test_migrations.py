@@ -101,8 +101,8 @@ def test_upgraded_database_is_read_and_its_work_continues(first_release: JobStor
     first_release.leases.reap(LEASE_S)
     StoreBench(empty_database_url, first_release, capture.session.id).finish_all()
     assert {job.state for job in first_release.jobs.page()} == {JobState.SUCCEEDED}
-    assert [result.name for job in first_release.jobs.page() for result in first_release.results.of_job(job.id)]
-    assert first_release.of("default").usage().stored_bytes > 3_000_000_000
+    assert [result.name for job in first_release.jobs.page() for result in first_release.results.downloads(job.id)]
+    assert first_release.tenant("default").usage().stored_bytes > 3_000_000_000
 
 
 @pytest.mark.parametrize(

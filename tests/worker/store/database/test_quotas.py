@@ -23,7 +23,7 @@ def add_session(jobs: StoreBench, records: TenantRecords, num_bytes: int = 100) 
 
 
 def test_sessions(jobs: StoreBench) -> None:
-    mine, theirs = (jobs.store.of(tenant, Quotas(sessions=2), Actor()) for tenant in ("mine", "theirs"))
+    mine, theirs = (jobs.store.tenant(tenant, Quotas(sessions=2), Actor()) for tenant in ("mine", "theirs"))
     first = add_session(jobs, mine)
     add_session(jobs, mine)
     for refused in (lambda: add_session(jobs, mine), lambda: mine.require_room(0)):
@@ -38,7 +38,7 @@ def test_sessions(jobs: StoreBench) -> None:
 
 
 def test_bytes(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(stored_bytes=1000), Actor())
+    mine = jobs.store.tenant("mine", Quotas(stored_bytes=1000), Actor())
     session_id = add_session(jobs, mine, 900)
     mine.require_room(100)
     with pytest.raises(QuotaExceeded):
@@ -61,7 +61,7 @@ def test_bytes(jobs: StoreBench) -> None:
 
 
 def test_unfinished_jobs(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(unfinished_jobs=2), Actor())
+    mine = jobs.store.tenant("mine", Quotas(unfinished_jobs=2), Actor())
     session_id = add_session(jobs, mine)
     first = mine.jobs.add(session_id, JobSpec(), stages(1))
     second = mine.jobs.add(session_id, JobSpec(), stages(1))
@@ -79,16 +79,16 @@ def test_unfinished_jobs(jobs: StoreBench) -> None:
 
 def test_a_quota_of_nothing(jobs: StoreBench) -> None:
     with pytest.raises(QuotaExceeded):
-        add_session(jobs, jobs.store.of("mine", Quotas(sessions=0), Actor()))
+        add_session(jobs, jobs.store.tenant("mine", Quotas(sessions=0), Actor()))
 
 
 def test_two_at_once_don_t_take_the_last_place_twice(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     quotas = Quotas(unfinished_jobs=3)
-    session_id = add_session(jobs, jobs.store.of("mine", quotas, Actor()))
+    session_id = add_session(jobs, jobs.store.tenant("mine", quotas, Actor()))
 
     def try_it(store: JobStore) -> bool:
         try:
-            store.of("mine", quotas, Actor()).jobs.add(session_id, JobSpec(), stages(1))
+            store.tenant("mine", quotas, Actor()).jobs.add(session_id, JobSpec(), stages(1))
         except QuotaExceeded:
             return False
         return True

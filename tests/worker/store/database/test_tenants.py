@@ -21,7 +21,7 @@ from worker.store.tenant_records import TenantRecords
 
 def make(jobs: StoreBench, tenant: str) -> tuple[TenantRecords, str, str]:
     """A tenant's records, with a session and a failed job."""
-    records = jobs.store.of(tenant, Quotas(), Actor())
+    records = jobs.store.tenant(tenant, Quotas(), Actor())
     session_id = records.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     job_id = records.jobs.add(session_id, JobSpec(), stages(1)).id
     claim = jobs.claim()
@@ -37,7 +37,7 @@ def test_lists_hold_the_tenant_s_own(jobs: StoreBench) -> None:
     assert [one.id for one in mine.jobs.page()] == [my_job]
     assert set(mine.jobs.changes([my_job, their_job])) == {my_job}
     assert [one.id for one in jobs.store.jobs.page()] == [their_job, my_job]
-    assert jobs.store.of("nobody").sessions.page() == []
+    assert jobs.store.tenant("nobody").sessions.page() == []
 
 
 Act = Callable[[TenantRecords, str, str], object]
@@ -51,12 +51,12 @@ ACTS: dict[str, Act] = {
     "jobs.add": lambda records, session_id, job_id: records.jobs.add(session_id, JobSpec(), stages(1)),
     "jobs.get": lambda records, session_id, job_id: records.jobs.get(job_id),
     "jobs.attempts": lambda records, session_id, job_id: records.jobs.attempts(job_id),
-    "results.of_job": lambda records, session_id, job_id: records.results.of_job(job_id),
-    "results.all_of_job": lambda records, session_id, job_id: records.results.all_of_job(job_id),
+    "results.downloads": lambda records, session_id, job_id: records.results.downloads(job_id),
+    "results.all": lambda records, session_id, job_id: records.results.all(job_id),
     "results.listed": lambda records, session_id, job_id: records.results.listed(job_id, "person-1.bvh"),
     "results.get": lambda records, session_id, job_id: records.results.get(job_id, "person-1.bvh"),
     "links.add": lambda records, session_id, job_id: records.links.add(job_id, LinkScope.JOB, None, 60.0),
-    "links.of_job": lambda records, session_id, job_id: records.links.of_job(job_id),
+    "links.list_valid": lambda records, session_id, job_id: records.links.list_valid(job_id),
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),
     "jobs.edit": lambda records, session_id, job_id: records.jobs.edit(job_id, (), stages(1)),
@@ -70,7 +70,7 @@ def test_nothing_can_be_done_with_another_s(jobs: StoreBench, act: str) -> None:
     theirs, session_id, job_id = make(jobs, "theirs")
     before = theirs.sessions.get(session_id), theirs.jobs.page()
     with pytest.raises(NotFound):
-        ACTS[act](jobs.store.of("mine", Quotas(), Actor()), session_id, job_id)
+        ACTS[act](jobs.store.tenant("mine", Quotas(), Actor()), session_id, job_id)
     assert (theirs.sessions.get(session_id), theirs.jobs.page()) == before
 
 
@@ -92,6 +92,6 @@ def test_every_act_is_tried() -> None:
 
 
 def test_a_job_is_of_its_session_s_tenant(jobs: StoreBench) -> None:
-    session_id = jobs.store.of("theirs").sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
+    session_id = jobs.store.tenant("theirs").sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     job_id = jobs.store.jobs.add(session_id, JobSpec(), stages(1)).id
-    assert [one.id for one in jobs.store.of("theirs").jobs.page()] == [job_id]
+    assert [one.id for one in jobs.store.tenant("theirs").jobs.page()] == [job_id]

@@ -9,7 +9,7 @@ ACTOR = Actor("key", "request")
 
 
 def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(), ACTOR)
+    mine = jobs.store.tenant("mine", Quotas(), ACTOR)
     session_id = mine.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     for name in ("Handshake", "Handshake"):  # the second time it is no change
         mine.sessions.rename(session_id, name)
@@ -35,7 +35,7 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
 
 
 def test_a_calibration_that_is_renamed_is_noted(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(), ACTOR)
+    mine = jobs.store.tenant("mine", Quotas(), ACTOR)
     made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
     for name in ("Studio B", "Studio B"):  # the second time it is no change
         assert mine.calibrations.rename(made, name).name == "Studio B"

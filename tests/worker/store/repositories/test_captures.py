@@ -5,7 +5,7 @@ import pytest
 from pipeline.core.options.job_choices import PROXY_KIND, CalibrationChoices, ProxyChoices
 from tests.worker.store.conftest import CODE, PREFLIGHT, UNITS, StoreBench, stages
 from worker.store.errors import Conflict
-from worker.store.model.jobs import NewestJob, Result, kind_of
+from worker.store.model.jobs import NewestJob, Result, job_kind
 from worker.store.model.states import JobState
 from worker.store.model.work import ChunkPlan, StagePlan
 from worker.store.spec import JobSpec
@@ -14,7 +14,7 @@ from worker.store.tenant_records import TenantRecords
 
 @pytest.fixture
 def records(jobs: StoreBench) -> TenantRecords:
-    return jobs.store.of("studio")
+    return jobs.store.tenant("studio")
 
 
 def add(jobs: StoreBench, records: TenantRecords, name: str) -> str:
@@ -43,7 +43,7 @@ def names(records: TenantRecords, name: str) -> list[str]:
 def test_search_by_name(jobs: StoreBench, records: TenantRecords, text: str, found: list[str]) -> None:
     for name in ("Handshake, take 3", "take_2", "STRASSE 5", "École", "100% done"):
         add(jobs, records, name)
-    add(jobs, jobs.store.of("other"), "Handshake of others, take 100%_\\ École STRASSE")
+    add(jobs, jobs.store.tenant("other"), "Handshake of others, take 100%_\\ École STRASSE")
     assert names(records, text) == found
 
 
@@ -78,7 +78,7 @@ def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: StoreBench, 
     making = ProxyChoices(("cam one", "cam two"))
     plan = (StagePlan("make_proxy", tuple(ChunkPlan(k, {}, UNITS, f"proxy-{k}") for k in range(2)), CODE),)
     proxies = records.jobs.add(session_id, JobSpec(), plan, making=making)
-    assert (proxies.making, kind_of(proxies.making)) == (making, "proxies")
+    assert (proxies.making, job_kind(proxies.making)) == (making, "proxies")
     assert records.jobs.page() == [job]
     assert [one.id for one in records.jobs.page(kind="proxies", session_id=session_id)] == [proxies.id]
     assert records.usage().unfinished_jobs == 1
@@ -97,7 +97,7 @@ def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: StoreBench, 
     # A proxy is there as soon as it is made.
     assert records.results.proxy(session_id, "proxy-0.mp4") == made
     assert records.sessions.capture(session_id).proxies == {"proxy-0.mp4"}
-    assert jobs.store.of("other").results.proxy(session_id, "proxy-0.mp4") is None
+    assert jobs.store.tenant("other").results.proxy(session_id, "proxy-0.mp4") is None
 
 
 def test_unfinished_proxies_do_not_keep_a_session(jobs: StoreBench, records: TenantRecords) -> None:

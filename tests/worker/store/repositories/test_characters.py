@@ -31,7 +31,7 @@ def add(records: Records, num_bytes: int = len(CONTENT)) -> Character:
 
 
 def test_a_character_is_of_its_tenant(jobs: StoreBench) -> None:
-    mine, theirs = jobs.store.of("mine"), jobs.store.of("theirs")
+    mine, theirs = jobs.store.tenant("mine"), jobs.store.tenant("theirs")
     made = add(theirs)
     assert theirs.characters.get(made.id) == made == jobs.store.characters.get(made.id)
     assert [(listed.id, listed.facts) for listed in theirs.characters.page()] == [(made.id, FACTS)]
@@ -48,14 +48,14 @@ def test_a_character_is_of_its_tenant(jobs: StoreBench) -> None:
 
 
 def test_pages_go_on_after_an_id(jobs: StoreBench) -> None:
-    made = [add(jobs.store.of("mine")).id for _ in range(3)]
-    mine = jobs.store.of("mine")
+    made = [add(jobs.store.tenant("mine")).id for _ in range(3)]
+    mine = jobs.store.tenant("mine")
     assert [listed.id for listed in mine.characters.page(limit=2)] == [made[2], made[1]]
     assert [listed.id for listed in mine.characters.page(limit=2, after=made[1])] == [made[0]]
 
 
 def test_changes_are_noted(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(), Actor("key", "request"))
+    mine = jobs.store.tenant("mine", Quotas(), Actor("key", "request"))
     made = add(mine)
     for _ in range(2):  # the second time it is no change
         assert mine.characters.rename(made.id, "Robot B").name == "Robot B"
@@ -71,7 +71,7 @@ def test_changes_are_noted(jobs: StoreBench) -> None:
 
 
 def test_bytes_count_for_the_quota(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine", Quotas(stored_bytes=1000), Actor())
+    mine = jobs.store.tenant("mine", Quotas(stored_bytes=1000), Actor())
     made = add(mine, 700)
     used = mine.usage().stored_bytes
     assert 700 < used < 800
@@ -86,7 +86,7 @@ def test_bytes_count_for_the_quota(jobs: StoreBench) -> None:
 
 
 def test_files_are_removed_with_their_row_or_without_one(jobs: StoreBench) -> None:
-    mine = jobs.store.of("mine")
+    mine = jobs.store.tenant("mine")
     made = add(mine)
     assert jobs.store.removals.due() == []
     mine.characters.delete(made.id)

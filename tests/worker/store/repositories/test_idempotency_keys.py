@@ -19,7 +19,7 @@ from worker.store.tenant_records import TenantRecords
 
 
 def of(jobs: StoreBench, tenant: str = "default") -> TenantRecords:
-    return jobs.store.of(tenant, Quotas(), Actor())
+    return jobs.store.tenant(tenant, Quotas(), Actor())
 
 
 def answer_of(job: JobRecord) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def test_while_it_is_answered_nobody_else_answers(jobs: StoreBench, new_store: C
 
     def try_it(store: JobStore) -> object:
         try:
-            return store.of("default").idempotency_keys.claim("key", "f" * 64, 60.0)
+            return store.tenant("default").idempotency_keys.claim("key", "f" * 64, 60.0)
         except KeyBusy:
             return None
 

@@ -14,7 +14,7 @@ from worker.store.tenant_records import TenantRecords
 
 
 def make_job(jobs: StoreBench, tenant: str, key_id: str | None = None) -> tuple[TenantRecords, str]:
-    records = jobs.store.of(tenant, Quotas(), Actor(key_id, "request"))
+    records = jobs.store.tenant(tenant, Quotas(), Actor(key_id, "request"))
     session_id = records.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     return records, records.jobs.add(session_id, JobSpec(), stages(1)).id
 
@@ -54,7 +54,7 @@ def test_a_link_ends_by_itself(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     link, secret = records.links.add(job_id, LinkScope.EVENTS, None, -1.0)
     assert find(jobs, secret) is None
-    assert records.links.of_job(job_id) == []
+    assert records.links.list_valid(job_id) == []
     assert jobs.store.link_secrets.valid({link.id}) == set()
     with pytest.raises(NotFound):
         records.links.revoke(link.id)
@@ -67,7 +67,7 @@ def test_a_link_is_revoked_by_its_tenant_alone(jobs: StoreBench) -> None:
     kept, kept_secret = records.links.add(job_id, LinkScope.EVENTS, None, 60.0)
     with pytest.raises(NotFound):
         others.links.revoke(link.id)
-    assert records.links.of_job(job_id) == [kept, link]
+    assert records.links.list_valid(job_id) == [kept, link]
     assert jobs.store.link_secrets.valid({link.id, kept.id}) == {link.id, kept.id}
     records.links.revoke(link.id)
     assert find(jobs, secret) is None

@@ -19,7 +19,7 @@ PHONE_IDS = ("the-secret-of-the-first-phone", "the-secret-of-the-second-phone")
 
 def opened(jobs: StoreBench, tenant: str = "mine", lifetime_s: float = 60.0) -> tuple[TenantRecords, str, str]:
     """Records of a tenant with a recording of two phones, and the secret of its link."""
-    records = jobs.store.of(tenant, Quotas(), Actor(None, "request"))
+    records = jobs.store.tenant(tenant, Quotas(), Actor(None, "request"))
     recording, secret = records.recordings.add("Rehearsal", lifetime_s)
     if lifetime_s < 1.0:
         time.sleep(lifetime_s + 0.1)
@@ -30,7 +30,7 @@ def opened(jobs: StoreBench, tenant: str = "mine", lifetime_s: float = 60.0) -> 
 
 
 def uploads_of(jobs: StoreBench, recording_id: str, number: int, max_bytes: int = 100) -> TenantRecords:
-    return jobs.store.of("mine", Quotas(), Actor(), UploadingPhone(recording_id, number, 3, max_bytes))
+    return jobs.store.tenant("mine", Quotas(), Actor(), UploadingPhone(recording_id, number, 3, max_bytes))
 
 
 def file_of(upload_id: str, part: int = 1) -> ClipFile:
@@ -57,7 +57,7 @@ def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
     _, _, before = opened(jobs)
     key, _ = jobs.store.keys.add("mine", "host", frozenset(Scope))
     assert jobs.store.join_secrets.find(before) is None  # no key made it, and now there is one
-    records = jobs.store.of("mine", Quotas(), Actor(key.id, "request"))
+    records = jobs.store.tenant("mine", Quotas(), Actor(key.id, "request"))
     _, secret = records.recordings.add("Rehearsal", 60.0)
     assert jobs.store.join_secrets.find(secret) is not None
     jobs.store.keys.revoke(key.id)
@@ -133,7 +133,7 @@ def test_a_phone_reaches_its_own_uploads_alone(jobs: StoreBench) -> None:
         with pytest.raises(NotFound):
             act("first")
     with pytest.raises(NotFound):
-        jobs.store.of("theirs").uploads.get("first")
+        jobs.store.tenant("theirs").uploads.get("first")
     with pytest.raises(Conflict):
         second.uploads.add("large", "take.webm", 41, "", 60.0, "here")  # both have 100 bytes together
     second.uploads.add("small", "take.webm", 40, "", 60.0, "here")
@@ -195,7 +195,7 @@ def test_nothing_can_be_done_with_another_s_recording(jobs: StoreBench, act: str
     records.recordings.start_take(recording_id, None, {}, 1000.0, LIMITS)
     before = records.recordings.get(recording_id)
     with pytest.raises(NotFound):
-        ACTS[act](jobs.store.of("mine").recordings, recording_id)
+        ACTS[act](jobs.store.tenant("mine").recordings, recording_id)
     assert records.recordings.get(recording_id) == before
 
 

@@ -121,7 +121,7 @@ def test_thousands_of_chunks(jobs: StoreBench) -> None:
     job = jobs.queue(2500)
     detect, export = jobs.store.jobs.get(job.id).stages
     assert (detect.total, export.total) == (2500 * UNITS, UNITS)
-    assert [one.key for one in jobs.store.outputs.of_stage(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
+    assert [one.key for one in jobs.store.outputs.list_stage(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
 
 
 def test_places_in_the_queue(jobs: StoreBench) -> None:
@@ -239,20 +239,20 @@ def test_retry_goes_to_the_end_of_the_queue(jobs: StoreBench) -> None:
 
 def test_outputs_are_in_the_order_of_the_chunks(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=12).id
-    assert [one.key for one in jobs.store.outputs.of_stage(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
-    assert [one.key for one in jobs.store.outputs.of_stage(job_id, "export")] == ["export"]
+    assert [one.key for one in jobs.store.outputs.list_stage(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
+    assert [one.key for one in jobs.store.outputs.list_stage(job_id, "export")] == ["export"]
 
 
 def test_results(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
-    for act in (lambda: jobs.store.results.of_job(job_id), lambda: jobs.store.results.get(job_id, "person-1.bvh")):
+    for act in (lambda: jobs.store.results.downloads(job_id), lambda: jobs.store.results.get(job_id, "person-1.bvh")):
         with pytest.raises(NotFinished):
             act()
     jobs.finish(jobs.claim())
     claim = jobs.claim()
     files = [result(job_id, name) for name in ("skeletons.json", "metrics.json", "person-1.bvh")]
     jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, results=files)
-    assert jobs.store.results.of_job(job_id) == sorted(files, key=lambda file: file.name)
+    assert jobs.store.results.downloads(job_id) == sorted(files, key=lambda file: file.name)
     assert jobs.store.results.get(job_id, "metrics.json") == files[1]
     with pytest.raises(NotFound):
         jobs.store.results.get(job_id, "person-2.bvh")
@@ -264,8 +264,8 @@ def test_downloads_leave_files_of_viewers_out(jobs: StoreBench) -> None:
     claim = jobs.claim()
     download, of_viewer = result(job_id, "metrics.json"), replace(result(job_id, "motion.bin"), kind="viewer")
     jobs.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1, results=[download, of_viewer])
-    assert jobs.store.results.of_job(job_id) == [download]
-    assert jobs.store.results.all_of_job(job_id) == [download, of_viewer]
+    assert jobs.store.results.downloads(job_id) == [download]
+    assert jobs.store.results.all(job_id) == [download, of_viewer]
     assert jobs.store.results.get(job_id, "motion.bin") == of_viewer
 
 
@@ -274,7 +274,7 @@ def test_a_failed_job_has_no_results(jobs: StoreBench) -> None:
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
     with pytest.raises(NoResults, match="The job is failed and has no results") as raised:
-        jobs.store.results.of_job(job_id)
+        jobs.store.results.downloads(job_id)
     assert raised.value.reason == f"{BROKEN.code}: {BROKEN.detail}"
 
 
@@ -326,7 +326,7 @@ def test_what_is_not_there_is_not_found(jobs: StoreBench) -> None:
         store.jobs.get,
         store.jobs.delete,
         store.jobs.cancel,
-        store.results.of_job,
+        store.results.downloads,
     ):
         with pytest.raises(NotFound):
             act(NOBODY)

@@ -16,7 +16,7 @@ HOUR_S = 3600.0
 
 
 def of(jobs: StoreBench, tenant: str = "mine", quotas: Quotas | None = None) -> TenantRecords:
-    return jobs.store.of(tenant, quotas or Quotas(), Actor("key", "request"))
+    return jobs.store.tenant(tenant, quotas or Quotas(), Actor("key", "request"))
 
 
 def begin(records: TenantRecords, num_bytes: int = 100) -> str:

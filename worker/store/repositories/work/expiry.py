@@ -51,7 +51,7 @@ class Removals:
             return [Removal(row.id, row.prefix) for row in connection.execute(query)]
 
     def known_ids(self, ids: Sequence[str]) -> set[str]:
-        """Those of some ids that a session, a job or a character has."""
+        """Ids among some that belong to a session, a job or a character."""
         known: set[str] = set()
         with self._transactions.reading() as connection:
             for start in range(0, len(ids), _MAX_IDS):

@@ -77,7 +77,7 @@ class Leases:
                 if work is None:
                     return None
                 job_id, takes = work
-                if (claim := self._claim_of(job_id, worker, lease_s, takes, ability.machine_bytes)) is not None:
+                if (claim := self._claim_chunk(job_id, worker, lease_s, takes, ability.machine_bytes)) is not None:
                     return claim
         return None
 
@@ -86,7 +86,7 @@ class Leases:
         with self._transactions.reading() as connection:
             return has_others(connection, ability) and next_job(connection) is not None
 
-    def _claim_of(
+    def _claim_chunk(
         self, job_id: str, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None
     ) -> Claim | None:
         """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
@@ -148,7 +148,7 @@ class Leases:
         people: Sequence[PersonSpan] | None = None,
         pieces: Sequence[KeptPiece] = (),
     ) -> bool:
-        """Record the output of a chunk with its pieces, and what it has of its job: files, warnings, people, ...
+        """Record the output of a chunk with its pieces, and its results: files, warnings, people, ...
 
         Returns whether the next stage became ready.
         """
@@ -160,7 +160,7 @@ class Leases:
             for stored in (KeptPiece(chunk.output_key, sha256, num_bytes), *pieces):
                 row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
                 upsert(connection, artifacts, {"session_id": job.session_id, **row})
-            list_results(connection, job.of_job or job.id, results)
+            list_results(connection, job.reconstruction_id or job.id, results)
             _record_findings(connection, job.id, warnings, people)
             if calibration is not None:
                 complete(connection, job.id, calibration)
@@ -274,7 +274,7 @@ def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
         making=read_making(job.kind, job.making),
         edits=read_edits(job.edits),
         revision=job.revision,
-        of_job=job.of_job,
+        reconstruction_id=job.reconstruction_id,
         provider=job.provider,
         character=read_job_character(job.character),
     )
@@ -294,7 +294,7 @@ def _lock_held(
     seen = connection.execute(held).one_or_none()
     if seen is None:
         return None
-    reconstruction = connection.scalar(select(jobs.c.of_job).where(jobs.c.id == seen.job_id))
+    reconstruction = connection.scalar(select(jobs.c.reconstruction_id).where(jobs.c.id == seen.job_id))
     if reconstruction is not None:
         lock_job(connection, reconstruction)  # whose visuals the job makes: an edit locks it, and deletes this job
     job = lock_job(connection, seen.job_id)

@@ -4,7 +4,7 @@ Abilities are code, graphics processor and memory. No chunk waits for an ability
 worker that runs its code takes it.
 
 A chunk can kill every worker that runs it, for lack of memory or by a fault of a library, and it takes a worker seconds
-to start again. So each retry waits longer, and stands behind the work of all tenants. The first loss may be an outage's
+to start again. So each retry waits longer, and comes after the work of all tenants. The first loss may be an outage's
 fault, so its retry does not wait.
 """
 
@@ -117,7 +117,7 @@ class MachineFull(Exception):  # noqa: N818 - no error: the chunk waits
 
 
 def ability_conditions(connection: Connection, ability: Ability) -> list[ColumnElement[bool]]:
-    """Conditions of the chunks that a worker takes: of the first one before those of the next one.
+    """Conditions of the chunks that a worker takes, in their order.
 
     While ready workers without a GPU run all other stages, a worker with a GPU takes chunks of networks first, or
     alone if it is reserved for them.
@@ -155,7 +155,7 @@ def require_machine(connection: Connection, chunk: Row[Any], worker: str, machin
 
 
 def _fits_memory(connection: Connection, ability: Ability) -> ColumnElement[bool]:
-    """Condition that a chunk fits into the worker's memory, or into that of no ready worker."""
+    """Condition that a chunk fits into the worker's memory, or into no ready worker's."""
     largest = connection.scalar(select(func.max(workers.c.memory_bytes)).where(is_ready())) or 0
     if ability.memory_bytes is None or ability.memory_bytes >= largest:
         return true()
@@ -179,7 +179,7 @@ _MAX_RUNNING_RETRIES = 2
 
 # Wait before each retry, by the number of lost tries.
 _WAITS_S = (0.0, 20.0, 60.0, 180.0)
-# Time for which a retry stands behind first tries, for each lost try: a tenant's long queue must not delay another
+# Time for which a retry comes after first tries, for each lost try: a tenant's long queue must not delay another
 # tenant's work without end.
 _BEHIND_S = 30.0
 # A retry that has run for longer is under no suspicion: a lost lease would have been noticed.
@@ -209,7 +209,7 @@ def retry_order(connection: Connection, tenants: Collection[str]) -> list[Column
     tenants
         Tenants that have work. While there are others, a tenant begins one retry at a time, and only when all of its
         lost chunks are due. With a chunk that has lost two tries it takes no idle worker, which the others will need:
-        the chunk waits for its place among first tries, and what stands behind waits for the chunk.
+        the chunk waits for its place among first tries, and the work after it waits for the chunk.
     """
     due_for_s = (now() - func.coalesce(chunks.c.due_at, 0.0)).label("due_for_s")
     run_for_s = (now() - chunks.c.claimed_at).label("run_for_s")

@@ -33,9 +33,9 @@ class Plans:
         """Ids of unfinished jobs without running chunks whose ready chunks no worker can run."""
         with self._transactions.reading() as connection:
             foreign = chunks.c.code.not_in(codes_at_work(connection))
-            of_job = chunks.c.job_id == jobs.c.id
-            is_waiting = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.READY, foreign).exists()
-            is_running = select(chunks.c.id).where(of_job, chunks.c.state == ChunkState.RUNNING).exists()
+            in_job = chunks.c.job_id == jobs.c.id
+            is_waiting = select(chunks.c.id).where(in_job, chunks.c.state == ChunkState.READY, foreign).exists()
+            is_running = select(chunks.c.id).where(in_job, chunks.c.state == ChunkState.RUNNING).exists()
             query = select(jobs.c.id).where(jobs.c.state.in_(AT_WORK), is_waiting, ~is_running)
             return list(connection.scalars(query.order_by(jobs.c.queued_at, jobs.c.id)))
 
@@ -112,13 +112,13 @@ def plan_changes(connection: Connection, job_id: str, stages: Sequence[StagePlan
     insert_chunks(connection, job_id, stages, num_kept)
 
 
-def insert_following(connection: Connection, job_id: str, stages: Sequence[StagePlan], of_job: str) -> None:
-    """Insert the chunks of a job that goes on from another one; what the other one has done is done."""
-    num_done = _count_done(connection, of_job, stages)
+def insert_following(connection: Connection, job_id: str, stages: Sequence[StagePlan], earlier_id: str) -> None:
+    """Insert the chunks of a job that continues another one; finished stages of the other job are done."""
+    num_done = _count_done(connection, earlier_id, stages)
     copied = "stage_index", "stage", "code", "chunk_index", "payload", "output_key", "unit_count", "done_units", "state"
     times = "started_at", "finished_at"
     rows = select(literal(job_id), literal(1), true(), *(chunks.c[name] for name in (*copied, *times))).where(
-        chunks.c.job_id == of_job, chunks.c.stage_index < num_done
+        chunks.c.job_id == earlier_id, chunks.c.stage_index < num_done
     )
     columns = ["job_id", "attempt", "reused", *copied, *times]
     connection.execute(insert(chunks).from_select(columns, rows, include_defaults=False))
@@ -172,7 +172,7 @@ class Outputs:
             row = connection.execute(query).one_or_none()
         return None if row is None else (row.sha256, row.num_bytes)
 
-    def of_stage(self, job_id: str, stage: str) -> list[ChunkOutput]:
+    def list_stage(self, job_id: str, stage: str) -> list[ChunkOutput]:
         """Outputs of a job's stage, in the order of its chunks."""
         stored = (artifacts.c.session_id == jobs.c.session_id) & (artifacts.c.output_key == chunks.c.output_key)
         query = (

@@ -62,8 +62,8 @@ class Workers:
 def provider_at_work(found: Iterable[WorkerStatus], earlier: str | None = None) -> str:
     """Identity of the execution provider for which work is planned, so that a ready worker can run it.
 
-    That of an ``earlier`` plan as long as a worker has it; else a GPU's before the CPU's, and the CPU's if no worker is
-    ready.
+    The provider of an ``earlier`` plan as long as a worker has it; else a GPU before the CPU, and the CPU if no worker
+    is ready.
     """
     providers = {worker.provider for worker in found if worker.state is WorkerState.READY}
     if earlier is not None and earlier in {provider.identity for provider in providers}:

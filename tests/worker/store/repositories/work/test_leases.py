@@ -79,7 +79,7 @@ def test_a_priority_takes_no_share_of_other_tenants(jobs: StoreBench) -> None:
 
 def queue_of_other(jobs: StoreBench, num_chunks: int, priority: Priority = "normal") -> str:
     """Queue a job of another tenant; returns its id."""
-    other = jobs.store.of("other", NO_QUOTAS, Actor())
+    other = jobs.store.tenant("other", NO_QUOTAS, Actor())
     session_id = other.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     return other.jobs.add(session_id, JobSpec(priority=priority), stages(num_chunks)).id
 
@@ -221,7 +221,7 @@ def test_only_the_holder_is_heard(jobs: StoreBench, report: Report) -> None:
     for token in (lost.lease_token, holder.lease_token):
         assert not report(jobs.store, holder.chunk_id, token)
     jobs.finish_all()
-    assert [file.name for file in jobs.store.results.of_job(job_id)] == ["person-1.bvh"]
+    assert [file.name for file in jobs.store.results.downloads(job_id)] == ["person-1.bvh"]
 
 
 def test_a_heartbeat_keeps_the_lease(jobs: StoreBench) -> None:
@@ -440,5 +440,5 @@ def test_outputs_that_stay_damaged_end_the_job(jobs: StoreBench) -> None:
 def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
-    outputs = jobs.store.outputs.of_stage(job_id, "detect")
+    outputs = jobs.store.outputs.list_stage(job_id, "detect")
     assert outputs == [ChunkOutput(0, "detect-0", "detect-0".ljust(64, "0")), ChunkOutput(1, "detect-1", None)]

@@ -25,7 +25,7 @@ TENANTS = ("one", "two", "three")
 
 def test_tenants_take_turns_at_a_worker_that_works_on_one_chunk_at_a_time(jobs: StoreBench) -> None:
     for tenant in TENANTS:
-        records = jobs.store.of(tenant)
+        records = jobs.store.tenant(tenant)
         session_id = records.sessions.reserve_id()
         template = jobs.store.sessions.get(jobs.session_id)
         records.sessions.add("take", template.files, template.preflight, session_id)
@@ -162,14 +162,14 @@ TOO_LONG = JobProblem(TIME_LIMIT, "It took too long.", retryable=True)
 
 
 def session_of(jobs: StoreBench, tenant: str) -> Session:
-    records = jobs.store.of(tenant)
+    records = jobs.store.tenant(tenant)
     template = jobs.store.sessions.get(jobs.session_id)
     return records.sessions.add("take", template.files, template.preflight, records.sessions.reserve_id())
 
 
 def queue(jobs: StoreBench, tenant: str, num_chunks: int = 3) -> str:
     session = session_of(jobs, tenant)
-    return jobs.store.of(tenant).jobs.add(session.id, JobSpec(), stages(num_chunks)).id
+    return jobs.store.tenant(tenant).jobs.add(session.id, JobSpec(), stages(num_chunks)).id
 
 
 def claim(jobs: StoreBench, lease_s: float = LEASE_S) -> Claim | None:

@@ -71,7 +71,7 @@ def upgrade() -> None:  # noqa: PLR0915 - one statement a table and an index
         sa.Column("revision", sa.Integer, nullable=False, server_default="0"),
         sa.Column("people", sa.JSON),
         sa.Column("results_revision", sa.Integer),
-        sa.Column("of_job", sa.String(36)),
+        sa.Column("reconstruction_id", sa.String(36)),
         sa.Column("visuals_old_at", sa.Double),
         sa.Column("precedence", sa.Integer, nullable=False, server_default="1"),
         sa.Column("waiting_for", sa.JSON),
@@ -80,7 +80,7 @@ def upgrade() -> None:  # noqa: PLR0915 - one statement a table and an index
         sa.PrimaryKeyConstraint("id", name="pk_jobs"),
         sa.ForeignKeyConstraint(["session_id"], ["sessions.id"], name="fk_jobs_session_id", ondelete="CASCADE"),
     )
-    op.create_index("ix_jobs_of_job", "jobs", ["of_job"])
+    op.create_index("ix_jobs_reconstruction_id", "jobs", ["reconstruction_id"])
     op.create_index("ix_jobs_visuals_old_at", "jobs", ["visuals_old_at"])
     op.create_index("ix_jobs_session_id_id", "jobs", ["session_id", "id"])
     op.create_index("ix_jobs_session_id_kind_id", "jobs", ["session_id", "kind", "id"])
