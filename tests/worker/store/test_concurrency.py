@@ -63,7 +63,7 @@ def test_processes_claim_every_chunk_once(jobs: StoreBench) -> None:
     assert len(claimed) == len(set(claimed)) == NUM_CHUNKS
 
 
-def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
+def test_finishes_at_once_open_next_stage_once(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     stores = [new_store() for _ in range(NUM_WORKERS)]
     for _ in range(5):
         job_id = jobs.queue(NUM_WORKERS).id
@@ -77,7 +77,7 @@ def test_one_of_the_last_to_finish_opens_the_next_stage(jobs: StoreBench, new_st
         assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: StoreBench) -> None:
+def test_report_that_waited_is_judged_by_present_rows(jobs: StoreBench) -> None:
     job_id = jobs.queue(1).id
     claim = jobs.claim()
     database = Database(jobs.url)
@@ -93,9 +93,7 @@ def test_a_report_that_waited_is_judged_by_what_is_true_then(jobs: StoreBench) -
     assert jobs.claim().chunk_id == claim.chunk_id
 
 
-def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
-    jobs: StoreBench, new_store: Callable[[], JobStore]
-) -> None:
+def test_jobs_with_all_calls_at_once_end(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     job_ids = [jobs.queue(6).id for _ in range(4)]
 
     def work(store: JobStore) -> None:
@@ -122,7 +120,7 @@ def test_claims_heartbeats_cancels_and_reaps_at_once_end_every_job(
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_store_is_carried_across_a_fork(jobs: StoreBench) -> None:
+def test_store_is_carried_across_fork(jobs: StoreBench) -> None:
     jobs.queue(NUM_CHUNKS)
     jobs.claim()  # the parent has a connection
     children = [_fork(lambda: _claim_and_finish(jobs, 5)) for _ in range(3)]

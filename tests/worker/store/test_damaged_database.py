@@ -38,7 +38,7 @@ def store_of(database: Path) -> contextlib.closing[JobStore]:
 
 
 @EACH_DAMAGE
-def test_a_damaged_file_is_found_before_anything_is_written(database: Path, damage: Callable[[Path], None]) -> None:
+def test_damaged_file_is_found_before_a_write(database: Path, damage: Callable[[Path], None]) -> None:
     damage(database)
     before = database.read_bytes()
     with store_of(database) as store:
@@ -53,7 +53,7 @@ def test_a_damaged_file_is_found_before_anything_is_written(database: Path, dama
 
 
 @EACH_DAMAGE
-def test_no_backup_is_made_of_a_damaged_file(database: Path, tmp_path: Path, damage: Callable[[Path], None]) -> None:
+def test_damaged_file_gets_no_backup(database: Path, tmp_path: Path, damage: Callable[[Path], None]) -> None:
     damage(database)
     with pytest.raises(DamagedDatabase) as refused:
         create_backup(database.parent, f"sqlite:///{database}", "", tmp_path / "b.tar", ignore)
@@ -85,7 +85,7 @@ def read_all(store: JobStore) -> None:
         store.sessions.get(job.session_id)
 
 
-def test_what_is_said_can_be_done(database: Path, tmp_path: Path) -> None:
+def test_damage_instructions_can_be_followed(database: Path, tmp_path: Path) -> None:
     overwrite(database, 0, bytes(100))
     with store_of(database) as store, pytest.raises(DamagedDatabase) as refused:
         store.migrate()
@@ -115,7 +115,7 @@ def test_once_damage_was_met_nothing_is_read_or_written_any_more(database: Path)
 
 
 @pytest.mark.parametrize("value", [b'{"cameras', b'{"cameras\xff"}'])
-def test_a_row_that_can_not_be_read_is_damage(database: Path, value: bytes) -> None:
+def test_unreadable_row_is_damage(database: Path, value: bytes) -> None:
     with contextlib.closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("UPDATE sessions SET preflight = CAST(? AS TEXT)", [value])
     with store_of(database) as store:
@@ -124,14 +124,14 @@ def test_a_row_that_can_not_be_read_is_damage(database: Path, value: bytes) -> N
             store.sessions.page()
 
 
-def test_an_empty_file_without_sessions_is_a_new_database(tmp_path: Path) -> None:
+def test_empty_file_without_sessions_is_new_database(tmp_path: Path) -> None:
     (tmp_path / "multicap.db").touch()
     with store_of(tmp_path / "multicap.db") as store:
         store.migrate()
         assert store.ping()
 
 
-def test_other_errors_are_no_damage(database: Path) -> None:
+def test_errors_of_other_kinds_are_no_damage(database: Path) -> None:
     with contextlib.closing(Database(f"sqlite:///{database}")) as opened:
         with pytest.raises(SQLAlchemyError) as error, opened.reading() as connection:
             connection.exec_driver_sql("SELECT nothing FROM nowhere")

@@ -53,7 +53,7 @@ def test_room_of_a_tenant_comes_back(jobs: StoreBench) -> None:
 
 
 @pytest.mark.parametrize("attempt", range(4))
-def test_a_job_and_a_deletion_at_once(jobs: StoreBench, attempt: int) -> None:
+def test_job_and_video_deletion_at_once(jobs: StoreBench, attempt: int) -> None:
     """One of them is refused: no job begins without the videos that it needs."""
     succeed(jobs)
 

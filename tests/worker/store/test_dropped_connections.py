@@ -54,9 +54,7 @@ def fill_pool(database: Database) -> None:
             future.result()
 
 
-def test_requests_on_forgotten_connections_end_and_the_next_ones_are_answered(
-    network: FarNetwork, postgres: Postgres
-) -> None:
+def test_requests_on_dropped_connections_end_next_are_answered(network: FarNetwork, postgres: Postgres) -> None:
     database = Database(postgres.url)
     fill_pool(database)
     assert network.forget(postgres.port) == NUM_CONNECTIONS
@@ -75,7 +73,7 @@ def test_requests_on_forgotten_connections_end_and_the_next_ones_are_answered(
     database.close()
 
 
-def test_a_statement_whose_answer_is_lost_ends_with_an_outage(network: FarNetwork, postgres: Postgres) -> None:
+def test_statement_with_lost_answer_is_outage(network: FarNetwork, postgres: Postgres) -> None:
     database = Database(postgres.url)
     outcomes: list[Outage | None] = []
 
@@ -104,7 +102,7 @@ def test_parameters_of_the_url_replace_the_times(postgres: Postgres) -> None:
     database.close()
 
 
-def test_a_forgotten_connection_to_the_broker_is_replaced(network: FarNetwork) -> None:
+def test_broker_connection_dropped_is_replaced(network: FarNetwork) -> None:
     port = 6390
     command = [
         get_binary_path(),

@@ -16,7 +16,7 @@ def noted(jobs: StoreBench, job_id: str) -> list[tuple[str, str]]:
     return [(row.kind, row.value) for row in rows]
 
 
-def test_a_life_is_noted_in_its_order(jobs: StoreBench) -> None:
+def test_events_of_job_are_in_order(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=2)
     jobs.finish_all()
     assert noted(jobs, job.id) == [

@@ -38,7 +38,7 @@ def broker() -> Iterator[Path]:
     shutil.rmtree(folder)
 
 
-def test_a_message_says_only_that_there_is_work(broker: Path) -> None:
+def test_message_has_no_content(broker: Path) -> None:
     queue = WorkQueue(f"redis+socket://{broker}")
     assert queue.ping()
     assert queue.publish()
@@ -50,7 +50,7 @@ def test_a_message_says_only_that_there_is_work(broker: Path) -> None:
     assert all(message["headers"]["argsrepr"] == "()" for message in messages)
 
 
-def test_a_broker_that_comes_back_is_used_again(broker: Path) -> None:
+def test_broker_back_is_used_again(broker: Path) -> None:
     moved = broker.with_name("moved")
     broker.rename(moved)
     queue = WorkQueue(f"redis+socket://{broker}")
@@ -62,7 +62,7 @@ def test_a_broker_that_comes_back_is_used_again(broker: Path) -> None:
     queue.close()
 
 
-def test_a_broker_that_is_away_costs_no_time() -> None:
+def test_broker_away_costs_no_time() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"redis://127.0.0.1:{server.getsockname()[1]}/0"
     queue = WorkQueue(url)
@@ -73,7 +73,7 @@ def test_a_broker_that_is_away_costs_no_time() -> None:
     queue.close()
 
 
-def test_a_broker_that_says_nothing_costs_little_time() -> None:
+def test_broker_silent_costs_little_time() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         queue = WorkQueue(f"redis://127.0.0.1:{server.getsockname()[1]}/0")
         started_s = time.monotonic()

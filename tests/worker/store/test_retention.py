@@ -35,7 +35,7 @@ def test_without_a_time_they_stay(jobs: StoreBench) -> None:
     assert jobs.store.removals.expire_jobs() == []
 
 
-def test_a_job_whose_time_is_over_is_due_once(jobs: StoreBench) -> None:
+def test_job_expired_is_due_once(jobs: StoreBench) -> None:
     job, other = queue(jobs, 0.01), queue(jobs, None)
     jobs.finish_all()
     time.sleep(0.05)
@@ -56,7 +56,7 @@ def test_a_job_whose_time_is_over_is_due_once(jobs: StoreBench) -> None:
     jobs.store.jobs.delete(job.id)
 
 
-def test_what_is_tried_again_is_not_due_meanwhile(jobs: StoreBench) -> None:
+def test_job_retried_is_not_due(jobs: StoreBench) -> None:
     job = queue(jobs, 0.01)
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
@@ -69,7 +69,7 @@ def test_what_is_tried_again_is_not_due_meanwhile(jobs: StoreBench) -> None:
     assert jobs.store.removals.expire_jobs() == [job.id]
 
 
-def test_the_time_left_is_guessed_from_the_work_that_was_done(jobs: StoreBench) -> None:
+def test_eta_is_derived_from_finished_work(jobs: StoreBench) -> None:
     job = queue(jobs, None)
     assert jobs.store.jobs.get(job.id).eta_s is None
     claim = jobs.claim()

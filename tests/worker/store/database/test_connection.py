@@ -79,7 +79,7 @@ def test_sqlite_is_set_up(tmp_path: Path) -> None:
     assert pragmas == {"journal_mode": "wal", "foreign_keys": 1, "busy_timeout": 30_000}
 
 
-def test_an_error_undoes_the_whole_transaction(jobs: StoreBench) -> None:
+def test_transaction_with_error_is_undone(jobs: StoreBench) -> None:
     database = Database(jobs.url)
     row = {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1}
 
@@ -109,9 +109,7 @@ def test_readers_see_a_state_while_another_writes(jobs: StoreBench) -> None:
 
 
 @pytest.mark.parametrize("backend", ["postgresql"])
-def test_a_frozen_process_holds_a_lock_for_a_while_only(
-    jobs: StoreBench, backend: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lock_of_frozen_process_ends(jobs: StoreBench, backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("worker.store.database.connection._IDLE_TRANSACTION_S", 0.5)
     job_id = jobs.queue().id
     frozen, working = Database(jobs.url), Database(jobs.url)

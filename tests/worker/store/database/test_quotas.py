@@ -77,12 +77,12 @@ def test_unfinished_jobs(jobs: StoreBench) -> None:
     assert {one.id for one in mine.jobs.page() if one.finished_at is None} == {first.id, third.id}
 
 
-def test_a_quota_of_nothing(jobs: StoreBench) -> None:
+def test_quota_of_zero_refuses_all(jobs: StoreBench) -> None:
     with pytest.raises(QuotaExceeded):
         add_session(jobs, jobs.store.tenant("mine", Quotas(sessions=0), Actor()))
 
 
-def test_two_at_once_don_t_take_the_last_place_twice(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
+def test_quota_two_at_once_take_last_place_once(jobs: StoreBench, new_store: Callable[[], JobStore]) -> None:
     quotas = Quotas(unfinished_jobs=3)
     session_id = add_session(jobs, jobs.store.tenant("mine", quotas, Actor()))
 

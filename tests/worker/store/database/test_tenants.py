@@ -66,7 +66,7 @@ ACTS: dict[str, Act] = {
 
 
 @pytest.mark.parametrize("act", ACTS)
-def test_nothing_can_be_done_with_another_s(jobs: StoreBench, act: str) -> None:
+def test_records_of_other_tenant_are_unknown(jobs: StoreBench, act: str) -> None:
     theirs, session_id, job_id = make(jobs, "theirs")
     before = theirs.sessions.get(session_id), theirs.jobs.page()
     with pytest.raises(NotFound):
@@ -74,7 +74,7 @@ def test_nothing_can_be_done_with_another_s(jobs: StoreBench, act: str) -> None:
     assert (theirs.sessions.get(session_id), theirs.jobs.page()) == before
 
 
-def test_every_act_is_tried() -> None:
+def test_records_every_method_is_tried() -> None:
     public = {
         f"{resource.__name__.lower()}.{name}"
         for resource in (Sessions, Jobs, Visuals, Results, Links)
@@ -91,7 +91,7 @@ def test_every_act_is_tried() -> None:
     }
 
 
-def test_a_job_is_of_its_session_s_tenant(jobs: StoreBench) -> None:
+def test_job_belongs_to_tenant_of_session(jobs: StoreBench) -> None:
     session_id = jobs.store.tenant("theirs").sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     job_id = jobs.store.jobs.add(session_id, JobSpec(), stages(1)).id
     assert [one.id for one in jobs.store.tenant("theirs").jobs.page()] == [job_id]

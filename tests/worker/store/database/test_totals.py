@@ -7,7 +7,7 @@ from tests.worker.store.conftest import EXPIRED_S, LEASE_S, UNITS, StoreBench
 from worker.store.model.jobs import JobProblem
 
 
-def test_a_job_adds_its_chunks_their_time_and_its_end(jobs: StoreBench) -> None:
+def test_totals_of_job_count_chunks_time_and_end(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=2)
     before = jobs.store.figures()
     assert (before.totals, before.jobs, before.chunks) == ({}, {"queued": 1}, {"ready": 2, "waiting": 1})

@@ -83,7 +83,7 @@ CONFLICTS = {(state, "cancel") for state in FINISHED} | {(state, "retry") for st
 
 
 @pytest.mark.parametrize("state", JobState)
-def test_what_an_action_does_in_a_state(jobs: StoreBench, state: JobState) -> None:
+def test_action_in_state_moves_or_refuses(jobs: StoreBench, state: JobState) -> None:
     database = Database(jobs.url)
     for action, act in ACTIONS.items():
         job_id, claim = bring_to(jobs, state)
@@ -109,7 +109,7 @@ def test_what_an_action_does_in_a_state(jobs: StoreBench, state: JobState) -> No
 
 
 @pytest.mark.parametrize("state", JobState)
-def test_only_finished_jobs_can_be_deleted(jobs: StoreBench, state: JobState) -> None:
+def test_delete_of_unfinished_job_is_refused(jobs: StoreBench, state: JobState) -> None:
     job_id, _ = bring_to(jobs, state)
     if state in FINISHED:
         jobs.store.jobs.delete(job_id)
@@ -122,7 +122,7 @@ def test_only_finished_jobs_can_be_deleted(jobs: StoreBench, state: JobState) ->
     assert jobs.store.jobs.get(job_id).state == state
 
 
-def test_a_job_moves_where_the_table_says_and_nowhere_else(jobs: StoreBench) -> None:
+def test_job_moves_along_table_alone(jobs: StoreBench) -> None:
     job_id = jobs.queue().id
     database = Database(jobs.url)
     with database.writing() as connection:

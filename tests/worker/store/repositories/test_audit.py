@@ -8,7 +8,7 @@ from worker.store.spec import JobSpec
 ACTOR = Actor("key", "request")
 
 
-def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
+def test_action_is_recorded_with_actor(jobs: StoreBench) -> None:
     mine = jobs.store.tenant("mine", Quotas(), ACTOR)
     session_id = mine.sessions.add("take", [], PREFLIGHT, jobs.store.sessions.reserve_id()).id
     for name in ("Handshake", "Handshake"):  # the second time it is no change
@@ -34,7 +34,7 @@ def test_what_is_done_is_noted_with_who_did_it(jobs: StoreBench) -> None:
     assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
 
 
-def test_a_calibration_that_is_renamed_is_noted(jobs: StoreBench) -> None:
+def test_calibration_rename_is_recorded(jobs: StoreBench) -> None:
     mine = jobs.store.tenant("mine", Quotas(), ACTOR)
     made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
     for name in ("Studio B", "Studio B"):  # the second time it is no change
@@ -43,7 +43,7 @@ def test_a_calibration_that_is_renamed_is_noted(jobs: StoreBench) -> None:
     assert acts == ["calibration-renamed", "calibration-created"]
 
 
-def test_what_is_refused_was_not_done(jobs: StoreBench) -> None:
+def test_action_refused_is_not_recorded(jobs: StoreBench) -> None:
     job = jobs.queue()
     before = jobs.store.audit.events()
     jobs.claim()
@@ -65,7 +65,7 @@ def test_keys_are_noted_too(jobs: StoreBench) -> None:
     ]
 
 
-def test_the_last_ones_come_first(jobs: StoreBench) -> None:
+def test_events_newest_come_first(jobs: StoreBench) -> None:
     for _ in range(5):
         jobs.queue()
     assert len(jobs.store.audit.events(limit=3)) == 3

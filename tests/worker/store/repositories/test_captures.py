@@ -47,7 +47,7 @@ def test_search_by_name(jobs: StoreBench, records: TenantRecords, text: str, fou
     assert names(records, text) == found
 
 
-def test_a_session_with_another_name_is_found_by_that_alone(jobs: StoreBench, records: TenantRecords) -> None:
+def test_session_renamed_is_found_by_new_name_alone(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "Walk")
     job = records.jobs.add(session_id, JobSpec(), stages(1))
     assert records.sessions.rename(session_id, "Gehen ß").session.name == "Gehen ß"

@@ -30,7 +30,7 @@ def add(records: Records, num_bytes: int = len(CONTENT)) -> Character:
     return records.characters.add(character_id, "Robot", file, FACTS, BONES, {"Hips": "pelvis"})
 
 
-def test_a_character_is_of_its_tenant(jobs: StoreBench) -> None:
+def test_character_of_other_tenant_is_unknown(jobs: StoreBench) -> None:
     mine, theirs = jobs.store.tenant("mine"), jobs.store.tenant("theirs")
     made = add(theirs)
     assert theirs.characters.get(made.id) == made == jobs.store.characters.get(made.id)
@@ -104,7 +104,7 @@ def moved_by(data: Data, content: bytes) -> tuple[str, JobCharacter]:
     return job_id, JobCharacter("x", StoredCharacterFile("robot.glb", key, len(content), digest), {"Hips": "pelvis"})
 
 
-def test_a_job_keeps_its_character(tmp_path: Path) -> None:
+def test_job_keeps_copy_of_character(tmp_path: Path) -> None:
     with opened_data(tmp_path / "data") as data:
         session_id, moved = data.add_session(), moved_by(data, CONTENT)
         session = data.store.sessions.get(session_id)

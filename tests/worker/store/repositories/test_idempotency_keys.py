@@ -39,7 +39,7 @@ def make(jobs: StoreBench, records: TenantRecords, claimed: KeyClaim) -> JobReco
     return job
 
 
-def test_the_first_answer_comes_again(jobs: StoreBench) -> None:
+def test_key_sent_again_gets_first_answer(jobs: StoreBench) -> None:
     records = of(jobs)
     assert not records.idempotency_keys.is_answered("key")
     job = make(jobs, records, claim(records))
@@ -72,7 +72,7 @@ def test_while_it_is_answered_nobody_else_answers(jobs: StoreBench, new_store: C
     assert len(tokens) == 1
 
 
-def test_what_came_to_nothing_may_be_tried_again(jobs: StoreBench) -> None:
+def test_key_of_failed_request_can_be_claimed_again(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records)
     records.idempotency_keys.release(claimed)
@@ -81,7 +81,7 @@ def test_what_came_to_nothing_may_be_tried_again(jobs: StoreBench) -> None:
     assert records.idempotency_keys.is_answered("key")
 
 
-def test_who_was_thought_dead_does_nothing(jobs: StoreBench) -> None:
+def test_claim_run_out_stores_no_answer(jobs: StoreBench) -> None:
     records = of(jobs)
     slow = claim(records, lease_s=-1.0)
     quick = claim(records)
@@ -92,7 +92,7 @@ def test_who_was_thought_dead_does_nothing(jobs: StoreBench) -> None:
     assert [one.id for one in records.jobs.page()] == [job.id]
 
 
-def test_a_claim_that_is_renewed_stays(jobs: StoreBench) -> None:
+def test_claim_renewed_stays(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records, lease_s=-1.0)
     records.idempotency_keys.renew(claimed, 60.0)
@@ -155,7 +155,7 @@ def test_answer_and_deed_come_together_or_not_at_all(jobs: StoreBench, act: str)
     assert records.idempotency_keys.is_answered("key")
 
 
-def test_a_key_whose_claim_ran_out_is_free_for_any_request(jobs: StoreBench) -> None:
+def test_key_with_claim_run_out_is_free(jobs: StoreBench) -> None:
     """Nothing was done under it."""
     records = of(jobs)
     lost = claim(records, lease_s=-1.0)

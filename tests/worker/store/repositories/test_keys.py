@@ -11,7 +11,7 @@ from worker.store.model.rights import Scope
 READ = frozenset({Scope.READ})
 
 
-def test_a_key_is_found_by_its_secret(jobs: StoreBench) -> None:
+def test_key_is_found_by_secret(jobs: StoreBench) -> None:
     key, secret = jobs.store.keys.add("studio", "portal", {Scope.WRITE, Scope.READ})
     assert secret.startswith("mc_")
     assert (key.tenant, key.name, key.scopes) == ("studio", "portal", frozenset({Scope.READ, Scope.WRITE}))
@@ -32,14 +32,14 @@ def test_secrets_are_not_kept(jobs: StoreBench) -> None:
     assert cookie not in str(rows)
 
 
-def test_a_key_ends_with_its_time(jobs: StoreBench) -> None:
+def test_key_expired_is_invalid(jobs: StoreBench) -> None:
     _, secret = jobs.store.keys.add("studio", "guest", READ, lifetime_s=0.2)
     assert jobs.store.keys.find(secret) is not None
     time.sleep(0.3)
     assert jobs.store.keys.find(secret) is None
 
 
-def test_a_revoked_key_ends_at_once_with_its_browsers(jobs: StoreBench) -> None:
+def test_key_revoked_ends_with_browser_sessions(jobs: StoreBench) -> None:
     key, secret = jobs.store.keys.add("studio", "portal", READ)
     other, other_secret = jobs.store.keys.add("studio", "script", READ)
     cookie = jobs.store.browser_sessions.open(key, 60.0)
@@ -63,7 +63,7 @@ def test_there_are_keys_from_the_first_one_on(jobs: StoreBench) -> None:
     assert jobs.store.keys.exist()
 
 
-def test_a_browser_stays_for_its_time_and_as_long_as_its_key(jobs: StoreBench) -> None:
+def test_browser_session_ends_with_time_or_key(jobs: StoreBench) -> None:
     key, _ = jobs.store.keys.add("studio", "portal", READ, lifetime_s=3.0)
     short, long = jobs.store.browser_sessions.open(key, 0.2), jobs.store.browser_sessions.open(key, 60.0)
     closed = jobs.store.browser_sessions.open(key, 60.0)

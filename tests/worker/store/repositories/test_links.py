@@ -23,7 +23,7 @@ def find(jobs: StoreBench, secret: str) -> Link | None:
     return jobs.store.link_secrets.find(secret)
 
 
-def test_a_link_is_found_by_its_secret_alone(jobs: StoreBench) -> None:
+def test_link_is_found_by_secret_alone(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     link, secret = records.links.add(job_id, LinkScope.FILE, "person-1.bvh", 60.0)
     assert (link.tenant, link.job_id, link.scope, link.name) == ("mine", job_id, "file", "person-1.bvh")
@@ -35,7 +35,7 @@ def test_a_link_is_found_by_its_secret_alone(jobs: StoreBench) -> None:
     assert len(secret) >= len("mcl_") + 43  # 256 bits
 
 
-def test_the_secret_is_not_stored(jobs: StoreBench) -> None:
+def test_link_secret_is_not_stored(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     engine = sa.create_engine(jobs.url)
@@ -50,7 +50,7 @@ def test_the_secret_is_not_stored(jobs: StoreBench) -> None:
     assert not any(secret.removeprefix("mcl_") in row for row in rows)
 
 
-def test_a_link_ends_by_itself(jobs: StoreBench) -> None:
+def test_link_expired_is_invalid(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     link, secret = records.links.add(job_id, LinkScope.EVENTS, None, -1.0)
     assert find(jobs, secret) is None
@@ -60,7 +60,7 @@ def test_a_link_ends_by_itself(jobs: StoreBench) -> None:
         records.links.revoke(link.id)
 
 
-def test_a_link_is_revoked_by_its_tenant_alone(jobs: StoreBench) -> None:
+def test_link_is_revoked_by_its_tenant_alone(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     others, _ = make_job(jobs, "others")
     link, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
@@ -77,7 +77,7 @@ def test_a_link_is_revoked_by_its_tenant_alone(jobs: StoreBench) -> None:
     assert acts[:3] == [("link-revoked", link.id), ("link-created", kept.id), ("link-created", link.id)]
 
 
-def test_a_link_ends_with_its_job(jobs: StoreBench) -> None:
+def test_link_ends_with_job(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "mine")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     records.jobs.cancel(job_id)
@@ -86,7 +86,7 @@ def test_a_link_ends_with_its_job(jobs: StoreBench) -> None:
     assert find(jobs, secret) is None
 
 
-def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
+def test_link_ends_with_key(jobs: StoreBench) -> None:
     key, _ = jobs.store.keys.add("mine", "portal", {Scope.WRITE})
     other, _ = jobs.store.keys.add("mine", "script", {Scope.WRITE})
     records, job_id = make_job(jobs, "mine", key.id)
@@ -98,7 +98,7 @@ def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
     assert jobs.store.link_secrets.valid({link.id}) == set()
 
 
-def test_a_link_without_a_key_ends_with_the_first_key(jobs: StoreBench) -> None:
+def test_link_without_key_ends_with_first_key(jobs: StoreBench) -> None:
     records, job_id = make_job(jobs, "default")
     _, secret = records.links.add(job_id, LinkScope.JOB, None, 60.0)
     assert find(jobs, secret) is not None

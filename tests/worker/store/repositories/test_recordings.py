@@ -37,7 +37,7 @@ def file_of(upload_id: str, part: int = 1) -> ClipFile:
     return ClipFile(part, upload_id, 5, 1000.5, 0.002, 2.4, {"mime_type": "video/webm"})
 
 
-def test_a_link_is_found_by_its_secret_and_ended_by_another_one(jobs: StoreBench) -> None:
+def test_link_of_recording_ends_with_the_next_one(jobs: StoreBench) -> None:
     records, recording_id, secret = opened(jobs)
     link = jobs.store.join_secrets.find(secret)
     assert link is not None
@@ -53,7 +53,7 @@ def test_a_link_is_found_by_its_secret_and_ended_by_another_one(jobs: StoreBench
     assert jobs.store.join_secrets.valid({link.id, renewed.id}) == {renewed.id}
 
 
-def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
+def test_link_of_recording_ends_with_key(jobs: StoreBench) -> None:
     _, _, before = opened(jobs)
     key, _ = jobs.store.keys.add("mine", "host", frozenset(Scope))
     assert jobs.store.join_secrets.find(before) is None  # no key made it, and now there is one
@@ -64,7 +64,7 @@ def test_a_link_ends_with_its_key(jobs: StoreBench) -> None:
     assert jobs.store.join_secrets.find(secret) is None
 
 
-def test_an_ended_recording_is_unknown_and_removed_with_unused_uploads(jobs: StoreBench) -> None:
+def test_recording_ended_is_removed_with_unused_uploads(jobs: StoreBench) -> None:
     records, ended_id, secret = opened(jobs, lifetime_s=0.3)
     _, kept_id, _ = opened(jobs)
     uploads_of(jobs, ended_id, 1).uploads.add("ended", "take.webm", 5, "", 60.0, "here")
@@ -80,7 +80,7 @@ def test_an_ended_recording_is_unknown_and_removed_with_unused_uploads(jobs: Sto
     assert [phone.number for phone in records.recordings.get(kept_id).phones] == [1, 2]
 
 
-def test_each_change_counts_the_revision_up(jobs: StoreBench) -> None:
+def test_recording_change_increases_revision(jobs: StoreBench) -> None:
     records, recording_id, _ = opened(jobs)
     found = records.recordings
     uploads_of(jobs, recording_id, 1).uploads.add("upload", "take.webm", 5, "", 60.0, "here")
@@ -124,7 +124,7 @@ def test_phones_have_names_of_their_own_and_are_recognised(jobs: StoreBench) -> 
     assert records.recordings.join(recording_id, "a third phone of two", None, "Chrome", LIMITS).number == 3
 
 
-def test_a_phone_reaches_its_own_uploads_alone(jobs: StoreBench) -> None:
+def test_phone_reaches_its_own_uploads_alone(jobs: StoreBench) -> None:
     records, recording_id, _ = opened(jobs)
     first, second = (uploads_of(jobs, recording_id, number) for number in (1, 2))
     first.uploads.add("first", "take.webm", 60, "", 60.0, "here")
@@ -142,7 +142,7 @@ def test_a_phone_reaches_its_own_uploads_alone(jobs: StoreBench) -> None:
         records.recordings.add_file(recording_id, 1, 2, file_of("first"))
 
 
-def test_a_take_is_used_once(jobs: StoreBench) -> None:
+def test_take_is_used_once(jobs: StoreBench) -> None:
     records, recording_id, _ = opened(jobs)
     found = records.recordings
     for _ in range(2):
@@ -190,7 +190,7 @@ ACTS = {
 
 
 @pytest.mark.parametrize("act", ACTS)
-def test_nothing_can_be_done_with_another_s_recording(jobs: StoreBench, act: str) -> None:
+def test_recording_of_other_tenant_is_unknown(jobs: StoreBench, act: str) -> None:
     records, recording_id, _ = opened(jobs, "theirs")
     records.recordings.start_take(recording_id, None, {}, 1000.0, LIMITS)
     before = records.recordings.get(recording_id)
@@ -199,7 +199,7 @@ def test_nothing_can_be_done_with_another_s_recording(jobs: StoreBench, act: str
     assert records.recordings.get(recording_id) == before
 
 
-def test_every_act_on_recordings_is_tried() -> None:
+def test_recordings_every_method_is_tried() -> None:
     public = {name for name in vars(Recordings) if not name.startswith("_")}
     # The first two are of a tenant; rooms, which a caller has entered, and the reaper ask for those of all.
     assert public - set(ACTS) == {"add", "page", "revisions", "expire", "phone_number"}

@@ -24,7 +24,7 @@ NOBODY = str(uuid_utils.uuid7())
 BROKEN = JobProblem(VIDEO_TRUNCATED, "The video ends early.", stage="detect", camera="cam one", hint="Copy it again.")
 
 
-def test_a_session_is_read_as_it_was_written(jobs: StoreBench) -> None:
+def test_session_is_read_as_written(jobs: StoreBench) -> None:
     session = jobs.store.sessions.get(jobs.session_id)
     assert session.name == "take"
     assert session.files[0] == InputFile(
@@ -52,7 +52,7 @@ def test_lists_are_paged_from_the_newest(jobs: StoreBench) -> None:
         assert page(third[-1]) == []
 
 
-def test_a_page_goes_on_after_its_last_item_was_deleted(jobs: StoreBench) -> None:
+def test_page_continues_after_deleted_item(jobs: StoreBench) -> None:
     oldest, middle, _ = (jobs.queue(1).id for _ in range(3))
     jobs.store.jobs.cancel(middle)
     jobs.store.jobs.delete(middle)
@@ -76,7 +76,7 @@ def test_jobs_by_session(jobs: StoreBench) -> None:
     assert (first.session_name, first.num_frames, first.duration_s) == ("take", 60, 2.4)
 
 
-def test_jobs_of_a_session_are_found_without_a_look_at_the_tenant_s_others(tmp_path: Path) -> None:
+def test_jobs_of_session_use_its_index(tmp_path: Path) -> None:
     store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
     store.migrate()
     said: list[str] = []
@@ -98,7 +98,7 @@ def test_jobs_of_a_session_are_found_without_a_look_at_the_tenant_s_others(tmp_p
     assert not any("TEMP B-TREE FOR ORDER BY" in one for one in said)
 
 
-def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: StoreBench) -> None:
+def test_job_new_has_first_stage_ready(jobs: StoreBench) -> None:
     job = jobs.queue(num_chunks=4)
     assert (job.state, job.attempt, job.progress, job.spec) == (JobState.QUEUED, 1, 0.0, JobSpec())
     assert [(stage.name, stage.state, stage.done, stage.total) for stage in job.stages] == [
@@ -111,7 +111,7 @@ def test_a_new_job_is_queued_with_its_first_stage_ready(jobs: StoreBench) -> Non
 
 
 @pytest.mark.parametrize("plan", [(), (stages(0))])
-def test_a_job_without_work_is_refused(jobs: StoreBench, plan: Any) -> None:
+def test_job_without_work_is_refused(jobs: StoreBench, plan: Any) -> None:
     with pytest.raises(ValueError, match="chunk"):
         jobs.store.jobs.add(jobs.session_id, JobSpec(), plan)
     assert jobs.store.jobs.page() == []
@@ -135,7 +135,7 @@ def test_places_in_the_queue(jobs: StoreBench) -> None:
     assert [job.queue_position for job in jobs.store.jobs.page()] == [1, 2, None]
 
 
-def test_a_job_as_it_goes_on(jobs: StoreBench) -> None:
+def test_job_progress_follows_chunks(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     first, second = jobs.claim(), jobs.claim()
     jobs.store.leases.heartbeat(first.chunk_id, first.lease_token, 5, 60)
@@ -156,13 +156,13 @@ def test_a_job_as_it_goes_on(jobs: StoreBench) -> None:
     assert job.created_at <= job.started_at <= job.finished_at  # type: ignore[operator]
 
 
-def test_a_stage_between_two_workers_is_running(jobs: StoreBench) -> None:
+def test_stage_between_two_workers_is_running(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
     assert jobs.store.jobs.get(job_id).stages[0].state == ChunkState.RUNNING
 
 
-def test_a_stage_is_reused_if_all_of_it_was(jobs: StoreBench) -> None:
+def test_stage_is_reused_if_all_chunks_were(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for reused in (False, True, True):
         claim = jobs.claim()
@@ -269,7 +269,7 @@ def test_downloads_leave_files_of_viewers_out(jobs: StoreBench) -> None:
     assert jobs.store.results.get(job_id, "motion.bin") == of_viewer
 
 
-def test_a_failed_job_has_no_results(jobs: StoreBench) -> None:
+def test_job_failed_has_no_results(jobs: StoreBench) -> None:
     job_id = jobs.queue().id
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, BROKEN)
@@ -318,7 +318,7 @@ def test_delete_session_takes_its_jobs_along(jobs: StoreBench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, "detect-0") is None
 
 
-def test_what_is_not_there_is_not_found(jobs: StoreBench) -> None:
+def test_records_with_unknown_id_are_not_found(jobs: StoreBench) -> None:
     store = jobs.store
     for act in (
         store.sessions.get,
@@ -338,7 +338,7 @@ def test_what_is_not_there_is_not_found(jobs: StoreBench) -> None:
         store.results.get(NOBODY, "person-1.bvh")
 
 
-def test_what_a_result_warns_of_comes_with_the_end(jobs: StoreBench) -> None:
+def test_job_finished_has_warnings_of_results(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     jobs.finish(jobs.claim())
     claim = jobs.claim()
@@ -351,7 +351,7 @@ def test_what_a_result_warns_of_comes_with_the_end(jobs: StoreBench) -> None:
     assert job.warnings == ("The clocks drift.", warning.message)
 
 
-def test_a_retry_forgets_what_the_result_before_warned_of(jobs: StoreBench) -> None:
+def test_retry_drops_warnings_of_earlier_results(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))

@@ -29,7 +29,7 @@ def expire(jobs: StoreBench, upload_id: str) -> None:
     jobs.execute(uploads.update().where(uploads.c.id == upload_id).values(expires_at=0.0))
 
 
-def test_what_was_said_comes_back(jobs: StoreBench) -> None:
+def test_upload_is_read_as_announced(jobs: StoreBench) -> None:
     mine = of(jobs)
     upload = mine.uploads.add(
         str(uuid7()), "cam_0.mp4", 5_000_000_000, "filename Y2FtXzAubXA0", HOUR_S, "host:/uploads"
@@ -50,7 +50,7 @@ def test_another_tenant_s_is_not_there(jobs: StoreBench, act: str) -> None:
     assert of(jobs, "theirs").uploads.get(upload_id).id == upload_id
 
 
-def test_one_that_was_deleted_is_gone(jobs: StoreBench) -> None:
+def test_upload_deleted_is_unknown(jobs: StoreBench) -> None:
     mine = of(jobs)
     upload_id = begin(mine)
     mine.uploads.delete(upload_id)
@@ -60,7 +60,7 @@ def test_one_that_was_deleted_is_gone(jobs: StoreBench) -> None:
     assert [event.act for event in jobs.store.audit.events("mine")] == ["upload-deleted", "upload-created"]
 
 
-def test_one_whose_time_is_over_is_gone(jobs: StoreBench) -> None:
+def test_upload_expired_is_unknown(jobs: StoreBench) -> None:
     mine = of(jobs)
     old, new = begin(mine), begin(mine)
     expire(jobs, old)
@@ -74,7 +74,7 @@ def test_one_whose_time_is_over_is_gone(jobs: StoreBench) -> None:
     assert jobs.store.uploads.known([old, new]) == {new}
 
 
-def test_a_session_uses_uploads_up_or_does_not_come_to_be(jobs: StoreBench) -> None:
+def test_session_uses_all_uploads_or_is_not_added(jobs: StoreBench) -> None:
     mine, theirs = of(jobs), of(jobs, "theirs")
     first, second, other = begin(mine), begin(mine), begin(theirs)
 
@@ -131,7 +131,7 @@ def test_quotas(jobs: StoreBench) -> None:
     assert (mine.usage().uploads, mine.usage().stored_bytes) == (2, 1000)
 
 
-def test_no_byte_counts_twice_when_an_upload_becomes_a_session_s(jobs: StoreBench) -> None:
+def test_upload_used_by_session_counts_once_for_quota(jobs: StoreBench) -> None:
     mine = of(jobs, quotas=Quotas(uploads=1, stored_bytes=100))
     upload_id = begin(mine, 100)
     session_id = jobs.store.sessions.reserve_id()

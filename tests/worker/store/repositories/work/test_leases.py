@@ -22,7 +22,7 @@ PROBLEM = JobProblem(INTERNAL_ERROR, "The stage detect failed inside the service
 FINAL = replace(PROBLEM, code=INPUT_ERROR, retryable=False)
 
 
-def test_a_claim_says_all_that_a_worker_needs(jobs: StoreBench) -> None:
+def test_claim_has_all_that_a_worker_needs(jobs: StoreBench) -> None:
     job = jobs.queue()
     claim = jobs.claim()
     assert claim == Claim(
@@ -62,14 +62,14 @@ def test_chunks_are_claimed_by_priority_of_the_job_before_age(jobs: StoreBench) 
     assert claimed == [preview.id, first.id, second.id, batch.id, later_batch.id]
 
 
-def test_a_priority_is_kept_when_a_job_is_sent_again(jobs: StoreBench) -> None:
+def test_priority_is_kept_by_retry(jobs: StoreBench) -> None:
     preview, normal = jobs.queue(1, "preview"), jobs.queue(1)
     jobs.store.jobs.cancel(preview.id)
     jobs.store.jobs.retry(preview.id, stages(1))
     assert [jobs.claim().job_id for _ in range(2)] == [preview.id, normal.id]
 
 
-def test_a_priority_takes_no_share_of_other_tenants(jobs: StoreBench) -> None:
+def test_priority_takes_no_share_of_other_tenants(jobs: StoreBench) -> None:
     """The tenant with fewer running chunks is next, whatever the priorities of the other tenant's jobs are."""
     preview = jobs.queue(4, "preview").id
     assert jobs.claim().job_id == preview
@@ -84,7 +84,7 @@ def queue_of_other(jobs: StoreBench, num_chunks: int, priority: Priority = "norm
     return other.jobs.add(session_id, JobSpec(priority=priority), stages(num_chunks)).id
 
 
-def test_a_long_queue_of_one_tenant_delays_nobody_else(jobs: StoreBench) -> None:
+def test_queue_of_one_tenant_delays_no_other_tenant(jobs: StoreBench) -> None:
     """Tenants have equal shares of the chunks at work, however many jobs each has and whoever was first."""
     first = [jobs.queue(4).id for _ in range(3)]
     held = [jobs.claim() for _ in range(2)]
@@ -115,7 +115,7 @@ def list_workers(jobs: StoreBench, num_workers: int) -> None:
         jobs.store.workers.report(WorkerStatus(f"host:{number}", WorkerState.READY, "works"))
 
 
-def test_one_worker_stays_free_for_the_other_tenants(jobs: StoreBench) -> None:
+def test_worker_stays_free_for_other_tenants(jobs: StoreBench) -> None:
     """However long a tenant's chunks take, and although the others have nothing to do when they begin."""
     for tenant in ("default", "other"):
         jobs.store.keys.add(tenant, "portal", {Scope.READ, Scope.WRITE})
@@ -137,9 +137,7 @@ def test_one_worker_stays_free_for_the_other_tenants(jobs: StoreBench) -> None:
         pytest.param({"default": Scope.WRITE, "other": Scope.WRITE}, 0, id="workers are not listed"),
     ],
 )
-def test_all_workers_are_one_tenants_where_no_other_could_use_them(
-    jobs: StoreBench, keys: Mapping[str, Scope], num_workers: int
-) -> None:
+def test_tenant_without_others_gets_all_workers(jobs: StoreBench, keys: Mapping[str, Scope], num_workers: int) -> None:
     for tenant, scope in keys.items():
         jobs.store.keys.add(tenant, "key", {scope})
     list_workers(jobs, num_workers)
@@ -148,7 +146,7 @@ def test_all_workers_are_one_tenants_where_no_other_could_use_them(
         jobs.claim()
 
 
-def test_a_revoked_key_reserves_no_worker(jobs: StoreBench) -> None:
+def test_key_revoked_reserves_no_worker(jobs: StoreBench) -> None:
     jobs.store.keys.add("default", "portal", {Scope.WRITE})
     revoked, _ = jobs.store.keys.add("other", "portal", {Scope.WRITE})
     jobs.store.keys.add("expired", "portal", {Scope.WRITE}, lifetime_s=-1.0)
@@ -160,7 +158,7 @@ def test_a_revoked_key_reserves_no_worker(jobs: StoreBench) -> None:
     jobs.claim()
 
 
-def test_the_only_worker_serves_everybody(jobs: StoreBench) -> None:
+def test_worker_alone_serves_all_tenants(jobs: StoreBench) -> None:
     for tenant in ("default", "other"):
         jobs.store.keys.add(tenant, "portal", {Scope.WRITE})
     list_workers(jobs, 1)
@@ -172,7 +170,7 @@ def test_without_jobs_there_is_nothing_to_claim(jobs: StoreBench) -> None:
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: StoreBench) -> None:
+def test_reduce_is_ready_when_whole_map_is_done(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=3)
     claims = [jobs.claim() for _ in range(3)]
     assert [jobs.finish(claim) for claim in (claims[2], claims[0])] == [False, False]
@@ -181,7 +179,7 @@ def test_a_reduce_is_ready_when_the_whole_map_is_done(jobs: StoreBench) -> None:
     assert jobs.claim().stage == "export"
 
 
-def test_each_stage_follows_the_one_before(jobs: StoreBench) -> None:
+def test_stage_follows_the_one_before(jobs: StoreBench) -> None:
     detect, export = stages(2)
     job = jobs.store.jobs.add(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
     order = []
@@ -205,7 +203,7 @@ REPORTS: dict[str, Report] = {
 
 
 @pytest.mark.parametrize("report", REPORTS.values(), ids=REPORTS.keys())
-def test_only_the_holder_is_heard(jobs: StoreBench, report: Report) -> None:
+def test_report_without_lease_changes_nothing(jobs: StoreBench, report: Report) -> None:
     job_id = jobs.queue(num_chunks=1).id
     lost = jobs.claim(EXPIRED_S)
     jobs.store.leases.reap(LEASE_S)
@@ -224,7 +222,7 @@ def test_only_the_holder_is_heard(jobs: StoreBench, report: Report) -> None:
     assert [file.name for file in jobs.store.results.downloads(job_id)] == ["person-1.bvh"]
 
 
-def test_a_heartbeat_keeps_the_lease(jobs: StoreBench) -> None:
+def test_heartbeat_keeps_lease(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(EXPIRED_S)
     assert jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
@@ -232,7 +230,7 @@ def test_a_heartbeat_keeps_the_lease(jobs: StoreBench) -> None:
     assert jobs.finish(claim)
 
 
-def test_a_lease_ends_by_the_clock(jobs: StoreBench) -> None:
+def test_lease_ends_by_clock(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     claim = jobs.claim(lease_s=0.3)
     assert not jobs.store.leases.reap(LEASE_S)
@@ -241,7 +239,7 @@ def test_a_lease_ends_by_the_clock(jobs: StoreBench) -> None:
     assert not jobs.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, LEASE_S)
 
 
-def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: StoreBench) -> None:
+def test_clock_put_back_keeps_no_lease_alive(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=2)
     lost, held = jobs.claim(lease_s=3600.0), jobs.claim(lease_s=3600.0)  # as if it had been an hour later
     assert not jobs.store.leases.reap(0.2)
@@ -252,7 +250,7 @@ def test_a_clock_that_was_put_back_keeps_no_lease_alive(jobs: StoreBench) -> Non
     assert jobs.store.leases.heartbeat(held.chunk_id, held.lease_token, 1, LEASE_S)
 
 
-def test_a_late_finish_counts_while_nobody_has_taken_the_chunk_back(jobs: StoreBench) -> None:
+def test_finish_late_counts_until_chunk_is_taken_back(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     assert jobs.finish(jobs.claim(EXPIRED_S))
 
@@ -272,7 +270,7 @@ def test_progress_never_goes_back(jobs: StoreBench) -> None:
     assert jobs.store.jobs.get(job_id).progress == 10 / total
 
 
-def test_a_failure_worth_another_try_gets_it(jobs: StoreBench) -> None:
+def test_failure_retryable_gets_another_try(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     for attempt in range(1, MAX_ATTEMPTS):
         claim = jobs.claim()
@@ -306,7 +304,7 @@ def test_another_failure_ends_the_job_and_stops_its_workers(jobs: StoreBench) ->
     assert not jobs.store.leases.reap(LEASE_S)
 
 
-def test_a_released_chunk_is_ready_and_has_lost_no_try(jobs: StoreBench) -> None:
+def test_chunk_released_is_ready_and_lost_no_try(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     for _ in range(2 * MAX_ATTEMPTS):
         claim = jobs.claim()
@@ -329,7 +327,7 @@ def test_reap_says_whether_anything_is_ready(jobs: StoreBench) -> None:
     assert jobs.store.leases.reap(LEASE_S)
 
 
-def test_a_worker_that_is_lost_again_and_again_ends_the_job(jobs: StoreBench) -> None:
+def test_worker_lost_too_often_ends_job(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     for attempt in range(1, MAX_ATTEMPTS + 1):
         assert jobs.store.jobs.get(job_id).state in {JobState.QUEUED, JobState.RUNNING}
@@ -361,7 +359,7 @@ def test_outputs_are_recorded_by_session(jobs: StoreBench) -> None:
     assert jobs.store.outputs.find("another", claim.output_key) is None
 
 
-def test_the_last_record_of_an_output_counts(jobs: StoreBench) -> None:
+def test_output_last_record_counts(jobs: StoreBench) -> None:
     jobs.queue(num_chunks=1)
     jobs.queue(num_chunks=1)
     for sha256 in ("a" * 64, "b" * 64):
@@ -380,7 +378,7 @@ def start_reduce(jobs: StoreBench, num_chunks: int = 3) -> tuple[str, Claim]:
     return job_id, claim
 
 
-def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(jobs: StoreBench) -> None:
+def test_outputs_damaged_are_computed_before_their_reader(jobs: StoreBench) -> None:
     job_id, reduce = start_reduce(jobs)
     before = jobs.store.jobs.get(job_id)
     assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {0, 2})
@@ -402,7 +400,7 @@ def test_damaged_outputs_are_computed_again_before_the_chunk_that_reads_them(job
     ]
 
 
-def test_a_second_finder_waits_for_the_first_one(jobs: StoreBench) -> None:
+def test_output_damaged_reported_twice_is_computed_once(jobs: StoreBench) -> None:
     detect, export = stages(2)
     (chunk,) = export.chunks
     chunks = tuple(replace(chunk, index=index, output_key=f"export-{index}") for index in range(3))

@@ -23,7 +23,7 @@ from worker.store.store import JobStore
 TENANTS = ("one", "two", "three")
 
 
-def test_tenants_take_turns_at_a_worker_that_works_on_one_chunk_at_a_time(jobs: StoreBench) -> None:
+def test_tenants_take_turns_at_one_worker(jobs: StoreBench) -> None:
     for tenant in TENANTS:
         records = jobs.store.tenant(tenant)
         session_id = records.sessions.reserve_id()
@@ -66,7 +66,7 @@ def stage_of(claim: Claim | None) -> str | None:
     return None if claim is None else claim.stage
 
 
-def test_a_gpu_takes_networks_first_while_others_do_the_rest(jobs: StoreBench) -> None:
+def test_gpu_takes_networks_first_beside_others(jobs: StoreBench) -> None:
     list_worker(jobs, "gpu:1", GPU, (OF_NETWORKS, OF_REST))
     list_worker(jobs, "cpu:1", CPU, (OF_REST,))
     queue_for_ability(jobs, "fit", OF_REST, num_chunks=2)
@@ -76,14 +76,14 @@ def test_a_gpu_takes_networks_first_while_others_do_the_rest(jobs: StoreBench) -
     assert stage_of(take(jobs, WITHOUT_GPU, "cpu:1")) == "fit"
 
 
-def test_a_gpu_alone_takes_everything_in_the_order_of_the_queue(jobs: StoreBench) -> None:
+def test_gpu_alone_takes_all_in_order_of_queue(jobs: StoreBench) -> None:
     list_worker(jobs, "gpu:1", GPU, (OF_NETWORKS, OF_REST))
     queue_for_ability(jobs, "fit", OF_REST)
     queue_for_ability(jobs, "detect", OF_NETWORKS)
     assert [stage_of(take(jobs, WITH_GPU)) for _ in range(2)] == ["fit", "detect"]
 
 
-def test_a_reserved_gpu_leaves_the_rest_to_others_as_long_as_there_are_any(jobs: StoreBench) -> None:
+def test_gpu_reserved_leaves_the_rest_to_others(jobs: StoreBench) -> None:
     reserved = replace(WITH_GPU, reserves_gpu=True)
     list_worker(jobs, "cpu:1", CPU, (OF_REST,))
     queue_for_ability(jobs, "fit", OF_REST, num_chunks=2)
@@ -95,7 +95,7 @@ def test_a_reserved_gpu_leaves_the_rest_to_others_as_long_as_there_are_any(jobs:
     assert stage_of(take(jobs, reserved)) == "fit"
 
 
-def test_a_worker_that_finds_nothing_knows_whether_another_one_could(jobs: StoreBench) -> None:
+def test_worker_without_chunk_knows_if_others_could(jobs: StoreBench) -> None:
     queue_for_ability(jobs, "detect", OF_NETWORKS)
     assert not jobs.store.leases.waits_for_others(WITHOUT_GPU)
     list_worker(jobs, "gpu:1", GPU, (OF_NETWORKS, OF_REST))
@@ -117,7 +117,7 @@ def test_large_chunks_wait_for_workers_with_enough_memory(jobs: StoreBench) -> N
 
 
 @pytest.mark.parametrize("gone", ["never there", "away"])
-def test_no_chunk_waits_for_memory_that_no_worker_has(jobs: StoreBench, gone: str) -> None:
+def test_chunk_larger_than_all_workers_is_taken(jobs: StoreBench, gone: str) -> None:
     small = Ability(frozenset({OF_REST}), memory_bytes=500 * MIB)
     list_worker(jobs, "small:1", CPU, (OF_REST,), 500 * MIB)
     if gone == "away":
@@ -127,7 +127,7 @@ def test_no_chunk_waits_for_memory_that_no_worker_has(jobs: StoreBench, gone: st
     assert stage_of(take(jobs, small, "small:1")) == "fit"
 
 
-def test_a_machine_runs_as_many_chunks_at_once_as_fit_into_its_memory(jobs: StoreBench) -> None:
+def test_machine_runs_chunks_that_fit_its_memory(jobs: StoreBench) -> None:
     on_machine = Ability(frozenset({OF_REST}), machine_bytes=1000 * MIB)
     queue_for_ability(jobs, "fit", OF_REST, 450 * MIB, num_chunks=3)
     held = [take(jobs, on_machine, f"here:{number}") for number in range(2)]
@@ -139,7 +139,7 @@ def test_a_machine_runs_as_many_chunks_at_once_as_fit_into_its_memory(jobs: Stor
     assert jobs.store.jobs.page()[0].state == JobState.RUNNING
 
 
-def test_a_large_chunk_is_not_overtaken_and_runs_alone_when_the_others_are_done(jobs: StoreBench) -> None:
+def test_chunk_too_large_is_not_overtaken_and_runs_alone(jobs: StoreBench) -> None:
     on_machine = Ability(frozenset({OF_REST}), machine_bytes=1000 * MIB)
     queue_for_ability(jobs, "check_session", OF_REST, 100 * MIB)
     running = take(jobs, on_machine, "here:1")
@@ -218,7 +218,7 @@ def test_retries_after_lost_leases_wait_longer_each_time(jobs: StoreBench) -> No
     assert job.problem.code == "worker_lost"
 
 
-def test_a_retry_stands_behind_first_tries_of_all_tenants(jobs: StoreBench) -> None:
+def test_retry_comes_after_first_tries_of_all_tenants(jobs: StoreBench) -> None:
     lost_job = queue(jobs, "one", num_chunks=2)
     lost = lose(jobs, lost_job)
     own, other = queue(jobs, "one", num_chunks=1), queue(jobs, "two", num_chunks=1)
@@ -230,7 +230,7 @@ def test_a_retry_stands_behind_first_tries_of_all_tenants(jobs: StoreBench) -> N
     assert (last.job_id, last.index, last.attempt) == (lost_job, 1, 1)
 
 
-def test_a_retry_that_has_stood_behind_for_long_has_its_turn(jobs: StoreBench) -> None:
+def test_retry_overdue_has_its_turn(jobs: StoreBench) -> None:
     lost_job = queue(jobs, "one", num_chunks=1)
     lose(jobs, lost_job)
     for _ in range(20):
@@ -244,7 +244,7 @@ def test_a_retry_that_has_stood_behind_for_long_has_its_turn(jobs: StoreBench) -
     assert lost_job in {jobs.claim().job_id for _ in range(2)}
 
 
-def test_a_tenant_has_at_most_two_running_retries(jobs: StoreBench) -> None:
+def test_tenant_has_at_most_two_running_retries(jobs: StoreBench) -> None:
     for _ in range(5):
         queue(jobs, "one", num_chunks=1)
     for _ in range(5):
@@ -268,7 +268,7 @@ def lose_often(jobs: StoreBench, num_jobs: int) -> list[Claim]:
     return lost
 
 
-def test_a_tenant_has_one_running_retry_while_other_tenants_have_work(jobs: StoreBench) -> None:
+def test_tenant_beside_others_has_one_running_retry(jobs: StoreBench) -> None:
     lose_often(jobs, 3)
     other = queue(jobs, "two", num_chunks=1)
     held = [jobs.claim() for _ in range(2)]
@@ -281,7 +281,7 @@ def test_a_tenant_has_one_running_retry_while_other_tenants_have_work(jobs: Stor
     assert claim(jobs) is None  # no more than two
 
 
-def test_a_tenant_waits_for_its_last_lost_chunk_while_other_tenants_have_work(jobs: StoreBench) -> None:
+def test_tenant_beside_others_waits_for_last_lost_chunk(jobs: StoreBench) -> None:
     lost = lose_often(jobs, 2)
     fresh, other = queue(jobs, "one", num_chunks=1), queue(jobs, "two", num_chunks=4)
     jobs.execute(sa.update(chunks).where(chunks.c.id == lost[0].chunk_id).values(due_at=now() + 100.0))
@@ -296,7 +296,7 @@ def test_a_tenant_waits_for_its_last_lost_chunk_while_other_tenants_have_work(jo
     assert fresh in {jobs.claim().job_id for _ in range(3)}
 
 
-def test_a_chunk_with_two_lost_tries_takes_no_idle_worker_that_other_tenants_will_need(jobs: StoreBench) -> None:
+def test_chunk_with_two_lost_tries_takes_no_idle_worker(jobs: StoreBench) -> None:
     job_id = queue(jobs, "one", num_chunks=1)
     for _ in range(2):
         lose(jobs, job_id)
@@ -309,7 +309,7 @@ def test_a_chunk_with_two_lost_tries_takes_no_idle_worker_that_other_tenants_wil
     assert jobs.claim().job_id == job_id
 
 
-def test_jobs_that_stand_behind_take_no_idle_worker_that_other_tenants_will_need(jobs: StoreBench) -> None:
+def test_jobs_after_lost_chunk_take_no_idle_worker(jobs: StoreBench) -> None:
     lose_often(jobs, 2)
     jobs.execute(sa.update(chunks).where(chunks.c.lost_tries > 0).values(due_at=now() - 30.0))
     fresh, other = queue(jobs, "one", num_chunks=1), queue(jobs, "two", num_chunks=1)
@@ -321,7 +321,7 @@ def test_jobs_that_stand_behind_take_no_idle_worker_that_other_tenants_will_need
         jobs.finish(work)
 
 
-def test_a_tenant_alone_waits_for_no_other_chunk(jobs: StoreBench) -> None:
+def test_tenant_alone_waits_for_no_other_chunk(jobs: StoreBench) -> None:
     for _ in range(2):
         queue(jobs, "one", num_chunks=1)
     lost = [jobs.claim(EXPIRED_S) for _ in range(2)]
@@ -331,7 +331,7 @@ def test_a_tenant_alone_waits_for_no_other_chunk(jobs: StoreBench) -> None:
     assert [jobs.claim().chunk_id, jobs.claim().job_id] == [lost[0].chunk_id, fresh]
 
 
-def test_other_chunks_of_a_job_wait_while_one_has_lost_two_tries(jobs: StoreBench) -> None:
+def test_chunks_of_job_wait_for_chunk_with_two_lost_tries(jobs: StoreBench) -> None:
     job_id = queue(jobs, "one", num_chunks=3)
     lost = lose(jobs, job_id)
     assert lose(jobs, job_id).chunk_id == lost.chunk_id
@@ -342,7 +342,7 @@ def test_other_chunks_of_a_job_wait_while_one_has_lost_two_tries(jobs: StoreBenc
     assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_chunks_that_an_outage_takes_from_many_workers_at_once_run_again_at_once(jobs: StoreBench) -> None:
+def test_chunks_lost_in_outage_run_again_at_once(jobs: StoreBench) -> None:
     job_id = queue(jobs, "one", num_chunks=6)
     held = [jobs.claim(EXPIRED_S if number < 3 else LEASE_S) for number in range(4)]
     jobs.store.leases.reap(LEASE_S)
@@ -369,7 +369,7 @@ def test_turns_of_tenants_survive_the_process_that_claims(jobs: StoreBench) -> N
     assert [len(set(owners[k : k + 3])) for k in range(0, 12, 3)] == [3] * 4
 
 
-def test_a_chunk_that_takes_too_long_has_two_tries(jobs: StoreBench) -> None:
+def test_chunk_too_long_has_two_tries(jobs: StoreBench) -> None:
     job_id = queue(jobs, "one", num_chunks=1)
     first = jobs.claim()
     assert jobs.store.leases.fail(first.chunk_id, first.lease_token, TOO_LONG)
@@ -384,7 +384,7 @@ def test_a_chunk_that_takes_too_long_has_two_tries(jobs: StoreBench) -> None:
     assert job.problem.detail == "It took too long. It was the last of 2 tries."
 
 
-def test_a_chunk_that_is_done_after_a_lost_try_is_no_longer_behind(jobs: StoreBench) -> None:
+def test_chunk_done_after_lost_try_is_no_longer_behind(jobs: StoreBench) -> None:
     job_id = queue(jobs, "one", num_chunks=2)
     lose(jobs, job_id)
     jobs.finish(jobs.claim())

@@ -19,14 +19,14 @@ def of_other_code(num_chunks: int) -> tuple[StagePlan, ...]:
     return tuple(StagePlan(stage.name, stage.chunks, OTHER) for stage in stages(num_chunks))
 
 
-def test_a_worker_takes_chunks_of_its_own_code_only(jobs: StoreBench) -> None:
+def test_worker_takes_chunks_of_its_own_code_alone(jobs: StoreBench) -> None:
     jobs.queue(2)
     assert jobs.store.leases.claim("worker", LEASE_S, Ability(frozenset({OTHER}))) is None
     claim = jobs.store.leases.claim("worker", LEASE_S, Ability(frozenset({OTHER, CODE})))
     assert claim is not None
 
 
-def test_two_versions_work_side_by_side(jobs: StoreBench) -> None:
+def test_versions_two_work_side_by_side(jobs: StoreBench) -> None:
     old = jobs.queue(1).id
     new = jobs.store.jobs.add(jobs.session_id, jobs.store.jobs.get(old).spec, of_other_code(1)).id
     for code, job_id in ((OTHER, new), (CODE, old)):
@@ -38,7 +38,7 @@ def test_two_versions_work_side_by_side(jobs: StoreBench) -> None:
         assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_a_job_that_no_worker_can_run_is_found(jobs: StoreBench) -> None:
+def test_job_without_able_worker_is_found(jobs: StoreBench) -> None:
     job_id = jobs.queue(2).id
     assert jobs.store.plans.unclaimable() == [job_id]
     assert not jobs.store.plans.is_run([OTHER])
@@ -52,7 +52,7 @@ def test_a_job_that_no_worker_can_run_is_found(jobs: StoreBench) -> None:
     assert not jobs.store.plans.is_run([OTHER])
 
 
-def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: StoreBench) -> None:
+def test_job_with_running_chunks_is_not_planned_again(jobs: StoreBench) -> None:
     job_id = jobs.queue(2).id
     list_worker(jobs, OTHER)
     held = jobs.claim()
@@ -68,7 +68,7 @@ def test_a_job_waits_for_its_running_chunks_before_it_is_planned_again(jobs: Sto
 
 
 @pytest.mark.parametrize("end", ["succeeded", "canceled"])
-def test_a_job_that_has_ended_is_not_planned_again(jobs: StoreBench, end: str) -> None:
+def test_job_ended_is_not_planned_again(jobs: StoreBench, end: str) -> None:
     job_id = jobs.queue(1).id
     if end == "succeeded":
         jobs.finish_all()
@@ -79,7 +79,7 @@ def test_a_job_that_has_ended_is_not_planned_again(jobs: StoreBench, end: str) -
     assert jobs.store.jobs.get(job_id).state == end
 
 
-def test_a_canceled_job_ends_although_no_worker_runs_its_code(jobs: StoreBench) -> None:
+def test_job_canceled_ends_without_able_worker(jobs: StoreBench) -> None:
     job_id = jobs.queue(1).id
     list_worker(jobs, OTHER)
     jobs.claim(lease_s=-1.0)

@@ -40,7 +40,7 @@ def test_workers_are_listed_as_they_last_reported(jobs: StoreBench) -> None:
 
 
 @pytest.mark.parametrize("seconds", [11.0, -11.0])
-def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: StoreBench, seconds: float) -> None:
+def test_worker_silent_is_gone_also_after_clock_set_back(jobs: StoreBench, seconds: float) -> None:
     jobs.store.workers.report(READY)
     seen_ago(jobs, seconds)
     assert jobs.store.workers.all() == []
@@ -52,33 +52,33 @@ def test_a_silent_worker_is_not_there_also_where_the_clock_was_put_back(jobs: St
     engine.dispose()
 
 
-def test_only_workers_that_are_ready_know_their_detectors(jobs: StoreBench) -> None:
+def test_worker_starting_knows_no_detectors(jobs: StoreBench) -> None:
     assert installed_detectors([]) is None
     assert installed_detectors([STARTING]) is None
     assert installed_detectors([STARTING, READY]) == frozenset({"movenet-multipose", "other"})
 
 
-def test_a_detector_is_installed_where_every_worker_has_it() -> None:
+def test_detector_is_installed_if_every_worker_has_it() -> None:
     # Any of them may take a chunk.
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
     assert installed_detectors([READY, other]) == frozenset({"movenet-multipose"})
 
 
-def test_a_body_is_installed_where_every_worker_has_it() -> None:
+def test_body_is_installed_if_every_worker_has_it() -> None:
     assert installed_bodies([STARTING]) is None
     assert installed_bodies([STARTING, READY]) == frozenset({"human"})
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("other",))
     assert installed_bodies([READY, other]) == frozenset()
 
 
-def test_a_format_is_written_where_every_worker_can() -> None:
+def test_format_is_written_if_every_worker_can() -> None:
     assert writable_formats([STARTING]) is None
     assert writable_formats([STARTING, READY]) == frozenset({"bvh", "usd"})
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", formats=("bvh",))
     assert writable_formats([READY, other]) == frozenset({"bvh"})
 
 
-def test_a_worker_refuses_a_database_of_a_newer_version(jobs: StoreBench) -> None:
+def test_worker_refuses_newer_database(jobs: StoreBench) -> None:
     jobs.store.require_known_schema()
     jobs.execute(sa.text("UPDATE alembic_version SET version_num = '0099'"))
     with pytest.raises(UnknownSchema, match="0099"):
