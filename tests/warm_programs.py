@@ -40,7 +40,7 @@ PROGRAMS = (
     "pipeline.video.decoder",
     "pipeline.video.playback.proxy",
     "pipeline.video.probe",
-    "pipeline.video.sound.listen",
+    "pipeline.video.sound",
 )
 
 PYTHON_COMMAND = child_processes.python_command

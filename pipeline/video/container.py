@@ -4,6 +4,7 @@ FFmpeg may open container formats only, and no other file. Decoding uses one thr
 import NumPy, so that decoder processes start quickly.
 """
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,14 @@ MAX_PIXELS = 8192 * 4320
 
 # All exceptions that PyAV raises for a broken file.
 DECODE_ERRORS = (FFmpegError, OSError, ValueError, EOFError)
+
+# Computing time for reading the packets of a file.
+_CPU_S_PER_BYTE = 60 / 2**30
+
+
+def reading_s(path: Path) -> int:
+    """Additional computing time (s) for reading a large file."""
+    return math.ceil(path.stat().st_size * _CPU_S_PER_BYTE)
 
 
 @contextmanager

@@ -14,8 +14,9 @@ from jaxtyping import UInt8
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
+from pipeline.core.runtime.confinement import BeyondLimitsError, FileRefusedError
 from pipeline.video.decoder import Request
-from pipeline.video.decoder_process import LimitError, UnreadableVideoError, decoded_frames
+from pipeline.video.decoder_process import decoded_frames
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.rotation import Rotator
 
@@ -88,9 +89,9 @@ def decode(
                     on_damaged(number)
                 following = number + 1
                 yield number, rotate(frame.image_rgb, video.rotation_deg // 90, video.is_mirrored)
-    except UnreadableVideoError:
+    except FileRefusedError:
         raise _undecodable(video, following) from None
-    except LimitError:
+    except BeyondLimitsError:
         raise _beyond_limits(video, following) from None
     for missing in _between(wanted, following, wanted[-1] + 1):
         on_damaged(missing)

@@ -22,16 +22,13 @@ from av.filter import Graph
 from av.video.frame import VideoFrame
 
 from pipeline.core.errors import UnusableError
-from pipeline.video.children import start_child
+from pipeline.core.runtime.confinement import EXIT_OUT_OF_MEMORY, EXIT_REFUSED, ChildLimits, confine, tell_ready
 from pipeline.video.container import DECODE_ERRORS, decode_from, decode_keyframes, display_pts
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.frames import decode_images, wanted_images
 
 FRAME = struct.Struct("<qII??")
 """Timestamp, width, height, whether the decoder marks the frame as damaged, and whether there is a picture."""
-
-EXIT_UNREADABLE = 3
-EXIT_OUT_OF_MEMORY = 4
 
 # Codecs that replace damaged parts by the previous frame and report this only in the log.
 _LOGS_DAMAGE = frozenset({"ffv1"})
@@ -136,7 +133,8 @@ def write_rows(frame_rgb: VideoFrame, picture: memoryview) -> None:
 def main() -> int:
     """Write the frames of the request and return the exit code."""
     request, shared_file = Request(**json.loads(sys.argv[1])), int(sys.argv[2])
-    start_child(request.max_cpu_s)
+    confine(ChildLimits(request.max_cpu_s))
+    tell_ready()
     try:
         _write_frames(request, shared_file)
     except MemoryError:
@@ -144,7 +142,7 @@ def main() -> int:
     except BrokenPipeError:  # the reader is gone
         return 1
     except (*DECODE_ERRORS, UnusableError):
-        return EXIT_UNREADABLE
+        return EXIT_REFUSED
     return 0
 
 

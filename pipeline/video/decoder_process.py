@@ -15,21 +15,13 @@ from typing import IO, NamedTuple, cast
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.core.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, child_error, is_caused_by_file
-from pipeline.video.decoder import EXIT_OUT_OF_MEMORY, EXIT_UNREADABLE, FRAME, Request
+from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.confinement import READY, check_end, child_end, started_child
+from pipeline.video.decoder import FRAME, Request
 
 # Longest wait for one frame. It includes decoding from the keyframe before the range. It is less than a minute, so
 # that a job never seems to hang.
 _TIMEOUT_S = 45.0
-
-
-class UnreadableVideoError(Exception):
-    """The file can't be opened or read."""
-
-
-class LimitError(Exception):
-    """The decoder crashed, or exceeded the limits on time or memory."""
 
 
 class DecodedFrame(NamedTuple):
@@ -55,34 +47,19 @@ def decoded_frames(request: Request, timeout_s: float | None = None) -> Generato
 
     Raises
     ------
-    UnreadableError
+    FileRefusedError
         If the file can't be opened or read.
-    LimitError
+    BeyondLimitsError
         If the decoder crashes, or exceeds the limits on time and memory.
     ChildError
         If the process fails for a reason other than its file.
     """
-    child: subprocess.Popen[bytes] | None = None
-    with _shared_file() as shared, tempfile.TemporaryFile() as errors:
+    with _shared_file() as shared:
         shared.truncate(request.picture_bytes)
         picture = mmap.mmap(shared.fileno(), request.picture_bytes, access=mmap.ACCESS_READ)
         command = module_command("pipeline.video.decoder", json.dumps(request._asdict()), str(shared.fileno()))
-        try:
-            with uninterrupted():
-                child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=errors,
-                    bufsize=0,
-                    pass_fds=[shared.fileno()],
-                )
+        with started_child(command, subprocess.PIPE, [shared.fileno()]) as (child, errors):
             yield from _read_frames(child, request, picture, errors, _TIMEOUT_S if timeout_s is None else timeout_s)
-        finally:
-            if child is not None:
-                child.kill()
-                with child:  # closes the pipes, and waits
-                    pass
 
 
 def _shared_file() -> IO[bytes]:
@@ -97,27 +74,18 @@ def _read_frames(
 ) -> Iterator[DecodedFrame]:
     stdin, stdout = (cast(IO[bytes], pipe).fileno() for pipe in (child.stdin, child.stdout))
     image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.square_width, 3)
-    is_started = False
-    exit_code: int | None = None
-    with suppress(TimeoutError, subprocess.TimeoutExpired):
-        is_started = _read(stdout, len(READY), timeout_s) == READY
-        while is_started and len(record := _read(stdout, FRAME.size, timeout_s)) == FRAME.size:
+    is_ready, is_ended = False, False
+    with suppress(TimeoutError):
+        is_ready = _read(stdout, len(READY), timeout_s) == READY
+        while is_ready and len(record := _read(stdout, FRAME.size, timeout_s)) == FRAME.size:
             pts, width, height, is_damaged, has_picture = FRAME.unpack(record)
             yield DecodedFrame(pts, (width, height), is_damaged, image_rgb if has_picture else None)
             if has_picture:
                 with suppress(BrokenPipeError):  # the decoder has ended after its last picture
                     os.write(stdin, b"\n")
-        exit_code = child.wait(timeout_s)
-    if exit_code == 0 and is_started:
-        return
-    if exit_code == EXIT_UNREADABLE:
-        raise UnreadableVideoError
-    if is_started and (exit_code is None or exit_code == EXIT_OUT_OF_MEMORY or is_caused_by_file(exit_code)):
-        raise LimitError
-    errors.seek(0)
-    raise child_error(
-        f"decoder of {Path(request.path).name}", exit_code, timeout_s, errors.read().decode(errors="replace")
-    )
+        is_ended = True
+    end = child_end(child, timeout_s if is_ended else None, is_ready, errors)
+    check_end(end, f"decoder of {Path(request.path).name}", timeout_s)
 
 
 def _read(pipe: int, num_bytes: int, timeout_s: float) -> bytes:

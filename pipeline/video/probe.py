@@ -1,16 +1,15 @@
-"""Examine video files, each in its own process: ``python -m pipeline.video.probe PARENT``.
+"""Examine video files, each in its own process: ``python -m pipeline.video.probe``.
 
 All packets of a file are read, but only its first pictures and one near the end are decoded. The stages decode the
 other frames later, once.
 
-The program loads the libraries once, and forks a process with limits for each file. It never opens a file itself, and
-ends with the process ``PARENT``, which started it. Stdin has a JSON list of the files' paths, each with its time limit.
+The program loads the libraries once, and forks a process with limits for each file. It never opens a file itself.
+Stdin has a JSON list of the files' paths, each with its time limit.
 For each file a JSON line is written with its number and the end of its process, followed by what that wrote: the line
 ``READY``, then the properties or the problem of the file as JSON. After a failure that no file causes the rest is left.
 """
 
 import json
-import math
 import sys
 from dataclasses import asdict, replace
 from fractions import Fraction
@@ -39,8 +38,16 @@ from pipeline.core.problems.sessions import (
     VIDEO_TRUNCATED,
     VIDEO_UNREADABLE,
 )
-from pipeline.core.runtime.parent_watch import die_with_parent
-from pipeline.video.children import READY, Fork, is_caused_by_file, run_in_forks, start_child
+from pipeline.core.runtime.confinement import (
+    READY,
+    ChildLimits,
+    Fork,
+    confine,
+    confined_arguments,
+    is_caused_by_file,
+    run_in_forks,
+    tell_ready,
+)
 from pipeline.video.container import (
     CODECS,
     DECODE_ERRORS,
@@ -49,6 +56,7 @@ from pipeline.video.container import (
     display_pts,
     first_video,
     open_container,
+    reading_s,
 )
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz
 from pipeline.video.images.files import is_sequence
@@ -67,9 +75,8 @@ _NUM_DECODED = 8
 _AVI_ORDER = "AVI can't state the times of H.264 with B-frames: export the video again as MP4 or MKV."
 _AT_ONCE = 2
 
-# Limit on the computing time for a small file. A large file gets additional time for reading its packets.
+# Limit on the computing time for a small file.
 _MAX_CPU_S = 8
-_CPU_S_PER_BYTE = 60 / 2**30
 # Encoders that round sizes write ratios such as 404:405. Real ones, from 8:9 on, differ from 1 by a tenth.
 _MAX_ROUNDING = 0.01
 # Widest and narrowest pixels of real formats are 2:1 (anamorphic film) and 8:9; others are errors of a file.
@@ -267,11 +274,6 @@ def problem_before_opening(path: Path) -> Problem | None:
     return None
 
 
-def reading_s(path: Path) -> int:
-    """Additional computing time (s) for reading a large file."""
-    return math.ceil(path.stat().st_size * _CPU_S_PER_BYTE)
-
-
 def limits_problem(name: str) -> Problem:
     """Build the problem of a file that exceeded the limits on time or memory."""
     return Problem(
@@ -289,7 +291,8 @@ def is_of_file(fork: Fork) -> bool:
 
 def main() -> None:
     """Examine the files."""
-    die_with_parent(int(sys.argv[1]))
+    confined_arguments()
+    tell_ready()
     tasks = [(partial(_answer, Path(path)), timeout_s) for path, timeout_s in json.load(sys.stdin)]
     for fork in run_in_forks(tasks, _AT_ONCE):
         end = {"number": fork.number, "exit_code": fork.exit_code, "errors": fork.errors, "size": len(fork.output)}
@@ -301,7 +304,8 @@ def main() -> None:
 
 def _answer(path: Path) -> None:
     """Print the line ``READY``, then the properties or the problem of the file as one JSON object."""
-    start_child(_MAX_CPU_S + reading_s(path))
+    confine(ChildLimits(_MAX_CPU_S + reading_s(path)))
+    tell_ready()
     try:
         result = probe(path)
     except MemoryError:

@@ -2,24 +2,18 @@
 
 import io
 import json
-import os
-import subprocess
-import tempfile
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.core.errors import Problem
-from pipeline.core.runtime.child_processes import module_command, uninterrupted
-from pipeline.video.children import READY, Fork, child_environment, child_error
+from pipeline.core.runtime.confinement import READY, ChildLimits, Fork, child_error, run_child
+from pipeline.video.container import reading_s
 from pipeline.video.info import Timecode, VideoInfo
-from pipeline.video.probe import is_of_file, limits_problem, problem_before_opening, reading_s
+from pipeline.video.probe import is_of_file, limits_problem, problem_before_opening
 
 _TIMEOUT_S = 120.0
-_LOOK_S = 0.5
 
 
 def probe_in_children(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
@@ -41,47 +35,17 @@ def _probe(paths: Sequence[Path]) -> list[VideoInfo | Problem]:
     limits_s = [_TIMEOUT_S + 2 * reading_s(path) for path in paths]
     files = [[str(path.absolute()), limit_s] for path, limit_s in zip(paths, limits_s, strict=True)]
     timeout_s = _TIMEOUT_S + sum(limits_s)
-    exit_code, output, errors = _run(json.dumps(files), timeout_s)
+    end = run_child("pipeline.video.probe", [], ChildLimits(cpu_s=None), timeout_s, json.dumps(files).encode())
     results: dict[int, VideoInfo | Problem] = {}
-    for fork in _forks(output):
+    for fork in _forks(end.output):
         path = paths[fork.number]
         if not is_of_file(fork):
             raise child_error(f"check of {path.name}", fork.exit_code, limits_s[fork.number], fork.errors)
         results[fork.number] = _result(path, fork)
     for number, path in enumerate(paths):
         if number not in results:
-            raise child_error(f"check of {path.name}", exit_code, timeout_s, errors.decode(errors="replace"))
+            raise child_error(f"check of {path.name}", end.exit_code, timeout_s, end.errors)
     return [results[number] for number in range(len(paths))]
-
-
-def _run(files: str, timeout_s: float) -> tuple[int | None, bytes, bytes]:
-    """Run the program; return its exit code, ``None`` if it was killed after the time limit, its output and its log."""
-    child: subprocess.Popen[bytes] | None = None
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as given:
-        given.write(files)
-        given.seek(0)
-        try:
-            with uninterrupted():
-                child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
-                    module_command("pipeline.video.probe", str(os.getpid())),
-                    stdin=given,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    env=child_environment(),
-                )
-            end_s = time.monotonic() + timeout_s
-            while time.monotonic() < end_s:
-                # A signal that reached another thread wakes no thread that waits; its handler runs when this one looks.
-                with suppress(subprocess.TimeoutExpired):
-                    output, errors = child.communicate(timeout=_LOOK_S)
-                    return child.returncode, output, errors
-            child.kill()
-            return None, *child.communicate()
-        finally:
-            if child is not None:
-                child.kill()
-                with child:  # closes the pipes, and waits
-                    pass
 
 
 def _forks(output: bytes) -> Iterator[Fork]:

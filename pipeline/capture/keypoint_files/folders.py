@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
-from pipeline.capture.keypoint_files.hdf5.process import read_in_child
+from pipeline.capture.keypoint_files.hdf5.tracks import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
 from pipeline.capture.pairing import MIN_CAMERAS

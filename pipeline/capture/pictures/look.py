@@ -20,9 +20,9 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.errors import ChildError, InputError
 from pipeline.core.findings import Finding, Severity, from_problem
 from pipeline.core.problems.findings import PICTURES_LEFT_OUT
+from pipeline.video.container import reading_s
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import reading_s
 
 NUM_PICTURES = 8
 """Largest number of pictures of a camera."""

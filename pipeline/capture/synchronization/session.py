@@ -20,7 +20,7 @@ from pipeline.core.findings import Finding, from_problem
 from pipeline.core.joints import JointSet
 from pipeline.core.problems.findings import CLOCK_MEASURED
 from pipeline.core.progress import OnShare, ignore
-from pipeline.video.sound.listen_process import listen_in_child
+from pipeline.video.sound import listen_in_child
 from pipeline.video.timeline import session_timebase
 
 # Largest difference of the rates of a video's own times and of the session's, as a share.

@@ -1,4 +1,4 @@
-"""Check of a stranger's ONNX file in a process of its own, with limits: ``python -m ... FILE WIDTH HEIGHT``.
+"""Check of an untrusted ONNX file: ``python -m pipeline.detection.own.check FILE WIDTH HEIGHT``, a confined program.
 
 The process prints one JSON object: ``problem``, or ``input`` (the shape, null for an open axis) and ``outputs``, the
 shapes that the network gives for a black image.
@@ -6,7 +6,6 @@ shapes that the network gives for a black image.
 
 import json
 import re
-import resource
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,9 +15,8 @@ import numpy as np
 import onnx
 import onnxruntime
 
-_MAX_MEMORY_BYTES = 6 * 2**30
-# Beside the start of the process; networks of a profile take less than a second for an image.
-_MAX_CPU_S = 10
+from pipeline.core.runtime.confinement import confined_arguments, tell_ready
+
 _DOMAINS = {"", "ai.onnx"}
 # Reasons of ONNX Runtime for models that are too new.
 _NEW_OPSET = re.compile(r"Opset (\d+) is under development.* till opset (\d+)", re.DOTALL)
@@ -33,10 +31,10 @@ _PREAMBLE = re.compile(
 _MAX_REASON = 1000
 
 
-def main(path: str, width: str, height: str) -> None:
-    """Limit this process, check a file, and print the result."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_S, _MAX_CPU_S))
+def main() -> None:
+    """Check a file, and print the result."""
+    path, width, height = confined_arguments()
+    tell_ready()
     try:
         result = check(Path(path), (int(width), int(height)))
     except Exception as error:
@@ -123,4 +121,4 @@ def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -4,8 +4,6 @@ import hashlib
 import json
 import re
 import shutil
-import signal
-import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,9 +12,8 @@ from typing import Any
 
 from pipeline.core.errors import ModelError
 from pipeline.core.layouts import LAYOUTS
-from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, run_confined
 from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
-from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.detection.own_network import OwnNetwork, decode_description, encode_description
 from pipeline.detection.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput
 
@@ -26,7 +23,9 @@ _NAME = re.compile(r"own-[a-z0-9]+(?:-[a-z0-9]+)*-[0-9a-f]{12}")
 _MAX_BYTES = 2**30
 _MAX_INPUT_PX = 2048
 _TIMEOUT_S = 60.0
-_OUT_OF_TIME = frozenset({-signal.SIGXCPU, -signal.SIGKILL})
+# Beside the start of the process; networks of a profile take less than a second for an image.
+_MAX_CPU_S = 10
+_MAX_MEMORY_BYTES = 6 * 2**30
 _NUM_NAME = 40
 
 
@@ -114,18 +113,16 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[str, Any]:
-    """Check a file in a child process, which ends with this one; returns the shapes of its input and outputs."""
-    command = tied_to_parent(module_command("pipeline.detection.own.check", str(path), *map(str, input_px)))
+    """Check a file in a child process; returns the shapes of its input and outputs."""
+    arguments = [str(path), *map(str, input_px)]
+    limits, task = ChildLimits(_MAX_CPU_S, _MAX_MEMORY_BYTES), f"check of {filename}"
     try:
-        done = subprocess.run(command, capture_output=True, check=False, timeout=_TIMEOUT_S)  # noqa: S603 (our module)
-    except subprocess.TimeoutExpired as error:
-        raise _endless(filename) from error
-    if done.returncode in _OUT_OF_TIME:
-        raise _endless(filename)
-    try:
-        answer: dict[str, Any] = json.loads(done.stdout)
-    except ValueError as error:
+        output = run_confined("pipeline.detection.own.check", arguments, limits, task=task, timeout_s=_TIMEOUT_S)
+    except BeyondLimitsError as error:
+        if error.is_time:
+            raise _endless(filename) from error
         raise ModelError(f"{filename} can't be used: its check took too much memory.") from error
+    answer: dict[str, Any] = json.loads(output)
     if "problem" in answer:
         raise ModelError(f"{filename} can't be used: {answer['problem']}.")
     return answer

@@ -1,27 +1,20 @@
 """Run OpenSim in a child process (``pipeline.export.opensim.child``) with limits, and read its log."""
 
 import json
-import os
 import re
-import select
-import subprocess
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, cast
 
 from pipeline.core.errors import printable
 from pipeline.core.progress import OnShare
-from pipeline.core.runtime.child_processes import module_command, uninterrupted
-from pipeline.core.runtime.parent_watch import tied_to_parent
-from pipeline.export.opensim.child import EXIT_FAILED, READY
-from pipeline.video.children import child_environment, child_error, is_caused_by_file
+from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, FileRefusedError, run_confined
 
 # Longest silence of the child: the scale tool loads a model in a second, and reading an hour of markers takes a minute.
 _TIMEOUT_S = 600.0
 # Computing time, as a base and for each frame; a frame takes about 10 ms.
 _MAX_CPU_S, _MAX_CPU_S_A_FRAME = 120, 0.25
-_READ_BYTES = 2**14
+_MAX_FILE_BYTES = 2**31
+_MAX_OPEN_FILES = 256
 _KEPT_CHARACTERS = 600
 _FRAME = re.compile(
     r"Frame (?P<frame>\d+) \(t = (?P<time_s>\S+)\):.*"
@@ -64,55 +57,34 @@ def run_opensim(folder: Path, num_frames: int, on_share: OnShare) -> tuple[OpenS
     ChildError
         If the child ends for a reason other than OpenSim, such as a signal from outside.
     """
-    max_cpu_s = round(_MAX_CPU_S + _MAX_CPU_S_A_FRAME * num_frames)
-    command = tied_to_parent(module_command("pipeline.export.opensim.child", str(folder.absolute()), str(max_cpu_s)))
-    child: subprocess.Popen[bytes] | None = None
-    with tempfile.TemporaryFile() as errors:
-        try:
-            with uninterrupted():
-                child = subprocess.Popen(  # noqa: S603 (our own interpreter and module)
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.PIPE,
-                    stderr=errors,
-                    bufsize=0,
-                    env=child_environment(),
-                )
-            return _follow(child, num_frames, on_share, errors)
-        finally:
-            if child is not None:
-                child.kill()
-                with child:  # closes the pipe, and waits
-                    pass
+    log, rest = OpenSimLog(), b""
 
-
-def _follow(
-    child: "subprocess.Popen[bytes]", num_frames: int, on_share: OnShare, errors: IO[bytes]
-) -> tuple[OpenSimLog, str | None]:
-    """Read the log of a child to its end, and tell how it ended."""
-    stdout = cast(IO[bytes], child.stdout).fileno()
-    poll = select.poll()
-    poll.register(stdout, select.POLLIN)
-    log, rest, is_started, is_ended = OpenSimLog(), b"", False, False
-    while not is_ended and poll.poll(1000 * _TIMEOUT_S):
-        content = os.read(stdout, _READ_BYTES)
-        is_ended = not content
+    def follow(content: bytes) -> None:
+        nonlocal rest
         *lines, rest = (rest + content).split(b"\n")
         for line in lines:
-            text = line.decode(errors="replace")
-            is_started |= text.startswith(READY)
-            _read_line(text, log)
+            _read_line(line.decode(errors="replace"), log)
         on_share(min(1.0, log.num_frames / num_frames))
-    exit_code = child.wait(_TIMEOUT_S) if is_ended else None
-    if exit_code == 0:
-        return log, None
-    errors.seek(0)
-    text = errors.read().decode(errors="replace")
-    if is_started and (exit_code is None or is_caused_by_file(exit_code)):
+
+    limits = ChildLimits(
+        cpu_s=round(_MAX_CPU_S + _MAX_CPU_S_A_FRAME * num_frames),
+        file_bytes=_MAX_FILE_BYTES,
+        open_files=_MAX_OPEN_FILES,
+    )
+    try:
+        run_confined(
+            "pipeline.export.opensim.child",
+            [str(folder.absolute())],
+            limits,
+            task="run of OpenSim",
+            timeout_s=_TIMEOUT_S,
+            on_output=follow,
+        )
+    except BeyondLimitsError:
         return log, f"OpenSim did not end within its limits on time and memory{_where(log)}."
-    if exit_code != EXIT_FAILED:
-        raise child_error("run of OpenSim", exit_code, _TIMEOUT_S, text)
-    return log, _failure(text, log)
+    except FileRefusedError as error:
+        return log, _failure(str(error), log)
+    return log, None
 
 
 def _read_line(line: str, log: OpenSimLog) -> None:

@@ -17,7 +17,7 @@ from pipeline.core.data.heads import HeadRegions
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.h264 import even_size_px
-from pipeline.video.playback.proxy_process import LONG_SIDE_PX
+from pipeline.video.playback.proxy import LONG_SIDE_PX
 from pipeline.video.playback.written import write_pictures
 
 CELLS = 4

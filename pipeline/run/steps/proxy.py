@@ -7,7 +7,7 @@ from pipeline.run.engine.stage import PROXY, Context, Output, ResultFile, Stage,
 def make_proxy(task: Task, context: Context) -> Output:
     """Make a small copy of a camera's video."""
     from pipeline.run.engine.wanted_frames import captured_videos
-    from pipeline.video.playback.proxy_process import make_proxy_in_child
+    from pipeline.video.playback.proxy import make_proxy_in_child
 
     session, camera = captured_videos(context), task.one_camera
     path = context.scratch / proxy_name(list(session.video_of).index(camera))

@@ -1,32 +1,53 @@
-"""Make a proxy of a video: ``python -m pipeline.video.playback.proxy``, with a ``ProxyRequest`` as JSON on stdin.
+"""Proxies of videos: small copies that browsers play.
 
-The file is opened in this process alone, which has limits on memory, computing time and the size of what it writes. It
-writes a byte to stdout for each encoded frame. The process ends when its parent does: nobody reads the bytes then.
+Each is made by ``python -m pipeline.video.playback.proxy``, a confined program, from a ``ProxyRequest`` as JSON on
+stdin. It writes a byte to stdout for each encoded frame.
 """
 
 import json
-import resource
 import sys
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from av.filter import Graph
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
-from pipeline.video.children import start_child
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.sessions import VIDEO_DAMAGED, VIDEO_UNREADABLE
+from pipeline.core.runtime.confinement import (
+    EXIT_OUT_OF_MEMORY,
+    EXIT_REFUSED,
+    BeyondLimitsError,
+    ChildLimits,
+    FileRefusedError,
+    confined_arguments,
+    run_confined,
+    tell_ready,
+)
 from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
-from pipeline.video.playback.h264 import TICKS_A_SECOND, add_stream, open_video
+from pipeline.video.playback.h264 import KEYFRAME_S, TICKS_A_SECOND, add_stream, even_size_px, open_video
 
-EXIT_UNREADABLE = 3
-EXIT_OUT_OF_MEMORY = 4
+if TYPE_CHECKING:  # without NumPy the program starts in half the time
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pipeline.video.info import VideoInfo
+
+LONG_SIDE_PX = 960
+"""Longest side of a proxy's pictures; smaller videos keep their size."""
 
 FRAME = b"."
 """What is written for an encoded frame."""
 
+# Longest wait for a frame, and limits on computing time and size, as a base and for each frame.
+_TIMEOUT_S = 45.0
+_MAX_CPU_S, _MAX_CPU_S_A_FRAME = 110, 1
+_MAX_BYTES, _MAX_BYTES_A_FRAME = 2**24, 2**18
 # Constant rate factor of x264.
 _CRF = 26
 _TURNS = {90: "transpose=cclock", 180: "hflip,vflip", 270: "transpose=clock"}
@@ -46,9 +67,73 @@ class ProxyRequest(NamedTuple):
     pts: Sequence[Sequence[int]]  # Timestamps of the frames in each file, ascending
     ticks: Sequence[int]  # Times of all frames in the proxy, in ticks of ``TICKS_A_SECOND``, ascending
     keyframe_frames: int  # Number of frames from a keyframe to the next one
-    # Limits on the computing time and on the size of the proxy
-    max_cpu_s: int
-    max_bytes: int
+
+
+def proxy_size_px(size_px: tuple[int, int]) -> tuple[int, int]:
+    """Size of the pictures of a proxy: even numbers, the long side at most ``LONG_SIDE_PX``.
+
+    >>> proxy_size_px((1920, 1080))
+    (960, 540)
+    """
+    return even_size_px(size_px, LONG_SIDE_PX)
+
+
+def make_proxy_in_child(
+    video: "VideoInfo", time_s: "NDArray[np.float64]", target: Path, on_frame: Callable[[], object]
+) -> None:
+    """Write a small copy of a video that browsers play: H.264 in MP4, without sound, at the true times of the frames.
+
+    Parameters
+    ----------
+    time_s
+        Times of the video's frames, ascending; in the proxy the first is 0.
+    on_frame
+        Called after each frame; an exception from it ends the child.
+
+    Raises
+    ------
+    InputError
+        If the video can't be decoded, or not within the limits on time, memory and size.
+    ChildError
+        If the child fails for a reason other than its file.
+    """
+    width, height = proxy_size_px(video.unrotated_size_px)
+    ticks = [round(tick) for tick in ((time_s - time_s[0]) * TICKS_A_SECOND).tolist()]
+    request = ProxyRequest(
+        paths=[str(path.absolute()) for path in video.paths],
+        target=str(target.absolute()),
+        width=width,
+        height=height,
+        is_mirrored=video.is_mirrored,
+        rotation_deg=video.rotation_deg,
+        pts=[part.pts.tolist() for part in video.parts or (video,)],
+        ticks=ticks,
+        keyframe_frames=max(1, round(KEYFRAME_S * video.frame_rate_hz)),
+    )
+    limits = ChildLimits(
+        cpu_s=_MAX_CPU_S + _MAX_CPU_S_A_FRAME * video.num_frames,
+        file_bytes=_MAX_BYTES + _MAX_BYTES_A_FRAME * video.num_frames,
+    )
+    try:
+        run_confined(
+            "pipeline.video.playback.proxy",
+            [],
+            limits,
+            task="making of a proxy",
+            timeout_s=_TIMEOUT_S,
+            given=json.dumps(request._asdict()).encode(),
+            on_output=lambda frames: [on_frame() for _ in frames],
+        )
+    except FileRefusedError:
+        message = "No frame of the video can be decoded for a copy that browsers play."
+        raise _bad_video(video, VIDEO_DAMAGED, message, "Copy the file again.") from None
+    except BeyondLimitsError:
+        message = "The copy that browsers play could not be made within the limits on time, memory and size."
+        raise _bad_video(video, VIDEO_UNREADABLE, message, "Convert the video to H.264 in MP4.") from None
+
+
+def _bad_video(video: "VideoInfo", code: Code, message: str, hint: str) -> InputError:
+    return InputError([Problem(code, message, file=video.path.name, hint=hint)])
 
 
 def write_proxy(request: ProxyRequest) -> int:
@@ -124,17 +209,17 @@ class _Converter:
 
 def main() -> int:
     """Make the proxy of the request and return the exit code."""
+    confined_arguments()
     request = ProxyRequest(**json.load(sys.stdin))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (request.max_bytes, request.max_bytes))
-    start_child(request.max_cpu_s)
+    tell_ready()
     try:
-        return 0 if write_proxy(request) else EXIT_UNREADABLE
+        return 0 if write_proxy(request) else EXIT_REFUSED
     except MemoryError:
         return EXIT_OUT_OF_MEMORY
     except BrokenPipeError:  # the reader is gone
         return 1
     except DECODE_ERRORS:
-        return EXIT_UNREADABLE
+        return EXIT_REFUSED
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from scipy.signal import resample_poly
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
-from pipeline.video.sound.listen import energy_of
+from pipeline.video.sound import energy_of
 from tests.cases import slow_but
 from tests.pipeline.video.test_ffmpeg_files import FFMPEG, run
 

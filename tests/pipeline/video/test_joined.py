@@ -10,7 +10,7 @@ import pytest
 from pipeline.video.decode import decode
 from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.joined import join_parts, seam_problems
-from pipeline.video.playback.proxy_process import make_proxy_in_child
+from pipeline.video.playback.proxy import make_proxy_in_child
 from pipeline.video.probe import probe
 from tests.pipeline.media import cut_at_keyframes, write_video
 

@@ -21,7 +21,7 @@ from tests.pipeline.video.children import in_children, when_opened
 from tests.waiting import wait_for
 
 
-@pytest.mark.parametrize("module", ["probe", "decoder", "sound.listen", "playback.proxy"])
+@pytest.mark.parametrize("module", ["probe", "decoder", "sound", "playback.proxy"])
 def test_a_child_imports_little(module: str) -> None:
     program = f"import sys, pipeline.video.{module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run(python_command("-c", program), capture_output=True, text=True, check=True)
@@ -121,7 +121,7 @@ def test_an_interruption_while_children_start_leaves_no_child(tmp_path: Path, mo
             super().__init__(*arguments, **named)
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("pipeline.video.probe_process.subprocess.Popen", Interrupted)
+    monkeypatch.setattr("pipeline.core.runtime.confinement.subprocess.Popen", Interrupted)
     started_s = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         probe_in_children([write_video(tmp_path / f"{k}.mp4", 3) for k in range(4)])

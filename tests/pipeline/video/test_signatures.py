@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.core.errors import Problem
+from pipeline.video.container import reading_s
 from pipeline.video.info import VideoInfo
-from pipeline.video.probe import probe, reading_s
+from pipeline.video.probe import probe
 from pipeline.video.probe_process import probe_in_children
 from pipeline.video.signatures import is_container
 from tests.pipeline.media import write_video

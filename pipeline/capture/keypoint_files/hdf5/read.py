@@ -1,6 +1,6 @@
-"""Read an HDF5 file of 2D points in its own process: ``python -m pipeline.capture.keypoint_files.hdf5.read FILE S``.
+"""Read an HDF5 file of 2D points: ``python -m pipeline.capture.keypoint_files.hdf5.read FILE``, a confined program.
 
-The second argument is the limit on computing time in seconds. The program prints what ``tracks.decoded`` reads.
+It prints what ``tracks.decoded`` reads.
 """
 
 import sys
@@ -10,7 +10,7 @@ from pipeline.capture.keypoint_files.hdf5 import deeplabcut_tables, sleap_analys
 from pipeline.capture.keypoint_files.hdf5.nodes import names_in, opened
 from pipeline.capture.keypoint_files.hdf5.tracks import Tracks, encoded, problem
 from pipeline.capture.keypoint_files.people import KeypointsError
-from pipeline.video.children import start_child
+from pipeline.core.runtime.confinement import confined_arguments, tell_ready
 
 _PROJECT = {"instances", "pred_points", "points"}
 _PROJECT_ADVICE = (
@@ -46,9 +46,9 @@ def answer(path: Path) -> bytes:
 
 
 def main() -> None:
-    """Run the child process."""
-    path, max_cpu_s = sys.argv[1:]
-    start_child(int(max_cpu_s))
+    """Print the answer about the file."""
+    (path,) = confined_arguments()
+    tell_ready()
     sys.stdout.buffer.write(answer(Path(path)))
 
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -11,9 +12,13 @@ from pipeline.capture.keypoint_files.people import KeypointsError, People, check
 from pipeline.capture.keypoint_files.points import arranged, named_layout
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import UnreadableError
+from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, run_confined
 
 MAX_POINTS = 2**24
 """Limit on the points of a file, those of people of a frame without any detected point left out."""
+
+# Far above the second or two of a file of the largest size.
+_MAX_CPU_S = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +38,20 @@ class PeopleByFrame:
     form: str  # Program, as users know it
     layout: KeypointLayout  # Layout of the points
     people: Mapping[int, Float[np.ndarray, "people points 3"]]  # People with a detected point, by frame
+
+
+def read_in_child(path: Path) -> PeopleByFrame:
+    """Read a file; one that makes HDF5 crash, hang or exhaust memory ends only its child.
+
+    Raises ``KeypointsError`` if the file can't be used, ``UnreadableError`` if it is damaged, and ``ChildError`` if the
+    child fails for a reason other than its file.
+    """
+    program, task = "pipeline.capture.keypoint_files.hdf5.read", f"reading of {path.name}"
+    limits, timeout_s = ChildLimits(_MAX_CPU_S), 4.0 * _MAX_CPU_S
+    try:
+        return decoded(run_confined(program, [str(path.absolute())], limits, task=task, timeout_s=timeout_s))
+    except BeyondLimitsError:
+        raise KeypointsError("The HDF5 file can't be read within the limits on time and memory.") from None
 
 
 def frames_of(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, np.ndarray]]:

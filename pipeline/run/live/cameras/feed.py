@@ -22,9 +22,9 @@ from pipeline.core.problems.findings import STREAM_SILENT
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
 from pipeline.core.runtime.child_processes import module_command, uninterrupted
+from pipeline.core.runtime.confinement import READY, child_environment
 from pipeline.run.live.cameras.sources import CameraSource
 from pipeline.run.live.cameras.stream_program import StreamRequest
-from pipeline.video.children import READY, child_environment
 
 _MAX_LINE_BYTES = 2**16
 

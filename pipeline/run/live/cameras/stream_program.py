@@ -33,9 +33,9 @@ from av.video.stream import VideoStream
 from pipeline.core.errors import UnusableError
 from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.problems.sessions import NO_VIDEO_STREAM, UNSUPPORTED_CODEC, VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
+from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
 from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind
-from pipeline.video.children import start_child
 from pipeline.video.container import CODECS, DECODE_ERRORS, display_pts, first_video, open_container
 from pipeline.video.decoder import rgb_converter, write_rows
 from pipeline.video.orientation import display_orientation
@@ -255,7 +255,8 @@ def _say_end(error: UnusableError) -> None:
 
 def main() -> int:
     """Decode until stdin is closed; return the exit code."""
-    start_child(None)
+    confine(ChildLimits(cpu_s=None))
+    tell_ready()
     av.logging.set_level(av.logging.PANIC)
     request = StreamRequest(**json.loads(sys.stdin.readline()))
     stream = _Stream(request)

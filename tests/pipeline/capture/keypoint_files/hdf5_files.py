@@ -9,7 +9,7 @@ from pipeline.capture.keypoint_files.hdf5.read import answer
 from pipeline.capture.keypoint_files.hdf5.tracks import decoded
 from pipeline.capture.keypoint_files.people import KeypointsError
 from pipeline.core.parsing import UnreadableError
-from pipeline.video.children import is_caused_by_file, start_child
+from pipeline.core.runtime.confinement import ChildLimits, confine, is_caused_by_file
 
 
 def ending(path: Path) -> str:
@@ -18,8 +18,7 @@ def ending(path: Path) -> str:
     child = os.fork()
     if not child:
         os.close(reading)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        start_child(30)
+        confine(ChildLimits(cpu_s=30))
         with os.fdopen(writing, "wb") as pipe:
             pipe.write(answer(path))
         os._exit(0)

@@ -13,7 +13,7 @@ from pipeline.capture.synchronization.session import listen
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.media import write_video
-from tests.pipeline.video.sound.test_listen import CLICKS_S, clicks, filmed
+from tests.pipeline.video.test_sound import CLICKS_S, clicks, filmed
 
 
 @pytest.fixture(scope="module")

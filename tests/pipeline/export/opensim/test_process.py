@@ -60,7 +60,7 @@ def test_the_frame_and_the_marker_where_it_stopped_are_named(setups: Path) -> No
 
 
 def test_a_run_beyond_its_computing_time_is_ended(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "_MAX_CPU_S", 1)
+    monkeypatch.setattr(process, "_MAX_CPU_S", 3)
     monkeypatch.setattr(process, "_MAX_CPU_S_A_FRAME", 0)
     lines = (setups / "markers.trc").read_text().splitlines()
     rows = [line.split("\t") for line in lines[6:]]
@@ -81,7 +81,7 @@ def test_an_end_from_outside_is_not_the_person_s_fault(setups: Path, monkeypatch
             super().__init__(*arguments, **options)
             started.append(self)
 
-    monkeypatch.setattr("pipeline.export.opensim.process.subprocess.Popen", Watched)
+    monkeypatch.setattr("pipeline.core.runtime.confinement.subprocess.Popen", Watched)
 
     def kill(_: float) -> None:
         os.kill(started[0].pid, signal.SIGKILL)

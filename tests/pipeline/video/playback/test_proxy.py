@@ -11,7 +11,7 @@ import pytest
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
-from pipeline.video.playback.proxy_process import make_proxy_in_child, proxy_size_px
+from pipeline.video.playback.proxy import make_proxy_in_child, proxy_size_px
 from pipeline.video.probe import probe
 from tests.pipeline.media import write_video
 

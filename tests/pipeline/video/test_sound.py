@@ -12,8 +12,7 @@ from pipeline.capture.synchronization.sound.onsets import find_lag, onset_streng
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts
 from pipeline.video.probe_process import probe_in_children
-from pipeline.video.sound.listen import _Energy
-from pipeline.video.sound.listen_process import listen_in_child
+from pipeline.video.sound import _Energy, listen_in_child
 from tests.pipeline.media import picture, write_video
 from tests.pipeline.video.children import in_children
 
@@ -176,6 +175,7 @@ def test_a_file_that_kills_its_decoder_has_no_sound(tmp_path: Path, monkeypatch:
     video = examined(filmed(tmp_path / "a.mp4", clicks(4.0, CLICKS_S)))
     faults = tmp_path / "faults"
     faults.mkdir()
-    text = "import os, sys\nif any('listen' in one for one in sys.orig_argv): print('ready', flush=True); os.abort()\n"
+    is_child = "any('pipeline.video.sound' in one for one in sys.orig_argv)"
+    text = f"import os, sys\nif {is_child}: print('ready', flush=True); os.abort()\n"
     in_children(faults, monkeypatch, text)
     assert "within the limits" in str(listen_in_child(video))

@@ -1,11 +1,11 @@
-"""Listen to the sound of a video: ``python -m pipeline.video.sound.listen PATH FIRST_PTS MAX_CPU_S``.
+"""Sound of videos: the energy of each millisecond from the first frame on.
 
-The file is opened in this process alone, which has limits on memory and computing time. After the line ``READY`` it
-writes a JSON line with the number of values, or with the reason why there are none, and then the values: the energy of
-each millisecond from the first frame of the video on, as 32-bit floats.
+Each file is opened by ``python -m pipeline.video.sound PATH FIRST_PTS``, a confined program. It writes a JSON line with
+the number of values, or with the reason why there are none, and then the values as 32-bit floats.
 """
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -14,8 +14,15 @@ from av.audio.frame import AudioFrame
 from av.audio.resampler import AudioResampler
 from numpy.typing import NDArray
 
-from pipeline.video.children import start_child
-from pipeline.video.container import DECODE_ERRORS, first_video, open_container
+from pipeline.core.runtime.confinement import (
+    BeyondLimitsError,
+    ChildLimits,
+    confined_arguments,
+    run_confined,
+    tell_ready,
+)
+from pipeline.video.container import DECODE_ERRORS, first_video, open_container, reading_s
+from pipeline.video.info import VideoInfo
 from pipeline.video.stamps import reordering_delay
 
 CODECS = frozenset({"aac", "mp3", "mp2", "ac3", "eac3", "opus", "vorbis", "flac", "alac"})
@@ -26,8 +33,53 @@ MAX_MS = 4 * 3_600_000
 
 _RATE_HZ = 8000
 _SAMPLES = _RATE_HZ // 1000
+# Decoding takes far less than a twentieth of the sound's duration.
+_BASE_CPU_S, _CPU_S_A_SECOND = 60, 0.05
 # Shorter steps in the timestamps are rounding of a container, to a millisecond at most; longer ones are gaps.
 _GAP_SAMPLES = 16
+
+
+def listen_in_child(video: VideoInfo) -> NDArray[np.float32] | str:
+    """Energy of each millisecond of a video's sound from its first frame on, or why there is none.
+
+    A file that makes FFmpeg crash, hang or exhaust memory ends only its child, and has no sound then. Raises
+    ``ChildError`` if the child fails for a reason other than its file.
+    """
+    if video.parts:
+        return _listen_to_parts(video)
+    if not len(video.pts) or video.path.is_dir() or video.path.suffix.lower() == ".zip":
+        return "Images have no sound."
+    max_cpu_s = _BASE_CPU_S + reading_s(video.path) + math.ceil(_CPU_S_A_SECOND * float(video.time_s[-1]))
+    arguments = [str(video.path.absolute()), str(int(video.pts[0]))]
+    task = f"reading of the sound of {video.path.name}"
+    try:
+        output = run_confined(
+            "pipeline.video.sound", arguments, ChildLimits(max_cpu_s), task=task, timeout_s=2.0 * max_cpu_s
+        )
+    except BeyondLimitsError:
+        return "The sound can't be read within the limits on time and memory."
+    header, _, values = output.partition(b"\n")
+    answer = json.loads(header)
+    return str(answer["reason"]) if "reason" in answer else np.frombuffer(values, np.float32)
+
+
+def _listen_to_parts(video: VideoInfo) -> NDArray[np.float32] | str:
+    """Energy of the sound of all files of a recording, each from its first frame on."""
+    energies: list[np.ndarray] = []
+    first = 0
+    for part in video.parts:
+        energy = listen_in_child(part)
+        if isinstance(energy, str):
+            return energy
+        start_ms = round(1000 * float(video.time_s[first]))
+        # The sound of a file may be some milliseconds longer or shorter than its pictures.
+        have_ms = sum(map(len, energies))
+        energies.append(np.zeros(max(0, start_ms - have_ms), np.float32))
+        energies.append(energy[max(0, have_ms - start_ms) :])
+        first += part.num_frames
+    energy = np.concatenate(energies)
+    energy.flags.writeable = False
+    return energy
 
 
 def energy_of(path: Path, first_pts: int) -> NDArray[np.float32] | str:
@@ -104,9 +156,9 @@ class _Energy:
 
 
 def main() -> None:
-    """Run the child process."""
-    path, first_pts, max_cpu_s = sys.argv[1:]
-    start_child(int(max_cpu_s))
+    """Write the energy of a file."""
+    path, first_pts = confined_arguments()
+    tell_ready()
     try:
         found = energy_of(Path(path), int(first_pts))
     except DECODE_ERRORS:

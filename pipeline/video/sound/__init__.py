@@ -1,1 +1,0 @@
-"""Sound of videos: its loudness, read in child processes with limits."""
