@@ -9,9 +9,18 @@ from defusedxml.ElementTree import fromstring
 from pipeline.calibration.advice import SUPPORTED, other_format, other_keys
 from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, scaled
 from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message, with_points
-from pipeline.calibration.readers import archive, colmap, json_formats, opencv, optitrack, qca, toml_format, vicon
+from pipeline.calibration.readers import (
+    archive,
+    colmap,
+    json_formats,
+    opencv,
+    optitrack,
+    pickles,
+    qca,
+    toml_format,
+    vicon,
+)
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
-from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.units import possible_units, question
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
@@ -78,8 +87,8 @@ _BY_ENDING: Mapping[str, Reader] = {
     ".qca": qca.read,
     ".xcp": vicon.read,
     ".mcal": optitrack.read,
-    ".pickle": pickled.read,
-    ".pkl": pickled.read,
+    ".pickle": pickles.read,
+    ".pkl": pickles.read,
     ".yml": _read_yaml,
     ".yaml": _read_yaml,
     ".zip": archive.read,

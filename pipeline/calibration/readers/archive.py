@@ -8,9 +8,8 @@ from pathlib import PurePosixPath
 from pipeline.calibration.advice import other_members
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message
-from pipeline.calibration.readers import colmap, opencv
+from pipeline.calibration.readers import colmap, opencv, pickles
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
-from pipeline.calibration.readers.pickled import cameras as pickled
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.errors import InputError, Problem
@@ -88,9 +87,9 @@ def _read_members(members: Mapping[str, bytes], file: str) -> CameraFile | None:
     if biocv:
         raw = [_raw_biocv(name, content) for name, content in biocv.items()]
         return Reading(file).contents("bioCV", raw, "mm")
-    pickles = {path.stem: members[name] for name, path in stems.items() if path.suffix in {".pickle", ".pkl"}}
-    if pickles:
-        return pickled.read_members(pickles, file)
+    pickled = {path.stem: members[name] for name, path in stems.items() if path.suffix in {".pickle", ".pkl"}}
+    if pickled:
+        return pickles.read_members(pickled, file)
     parsed = {
         path.stem: _PARSERS[path.suffix](members[name]) for name, path in stems.items() if path.suffix in _PARSERS
     }

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import h5py
 import numpy as np
 
-from pipeline.calibration.readers.pickled.interpreter import read_values
+from pipeline.calibration.readers.pickle_values import read_values
 from pipeline.capture.keypoint_files.deeplabcut import columns_of
 from pipeline.capture.keypoint_files.hdf5.nodes import attribute, dataset, names_in, node, text, texts, values
 from pipeline.capture.keypoint_files.hdf5.tracks import Tracks

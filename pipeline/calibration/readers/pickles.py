@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.fields import read_size, size_names
-from pipeline.calibration.readers.pickled.interpreter import read_values
+from pipeline.calibration.readers.pickle_values import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.calibration.vertical import AXES, nearest_axis, turned_upright, up_of_cameras

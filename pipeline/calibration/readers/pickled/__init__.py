@@ -1,1 +1,0 @@
-"""Calibrations in Python's pickle format, read without running anything that they name."""
