@@ -24,6 +24,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from api.cli.client import Client, Job, ServiceError
+    from pipeline.calibration.contents import CameraFile
+    from pipeline.calibration.formats import reader as calibration_reader
+    from pipeline.calibration.reading import Reading as CalibrationReading
+    from pipeline.calibration.validate import RawCamera
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.recordings import Recording
     from pipeline.capture.session import CaptureSession, open_session
@@ -47,6 +51,8 @@ if TYPE_CHECKING:
     from pipeline.run.live.vmc import VmcSender
 
 __all__ = [
+    "CalibrationReading",
+    "CameraFile",
     "CaptureSession",
     "CharacterSource",
     "ChildError",
@@ -62,6 +68,7 @@ __all__ = [
     "PipelineError",
     "Problem",
     "Progress",
+    "RawCamera",
     "Reconstruction",
     "ReconstructionConfig",
     "Recording",
@@ -70,6 +77,7 @@ __all__ = [
     "VmcSender",
     "Writer",
     "WrittenResults",
+    "calibration_reader",
     "install_body",
     "install_network",
     "install_networks",
@@ -88,6 +96,8 @@ __version__: str
 
 # References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
+    "CalibrationReading": "pipeline.calibration.reading:Reading",
+    "CameraFile": "pipeline.calibration.contents:CameraFile",
     "CaptureSession": "pipeline.capture.session:CaptureSession",
     "CharacterSource": "pipeline.export.character.source:CharacterSource",
     "ChildError": "pipeline.core.errors:ChildError",
@@ -103,6 +113,7 @@ _REFERENCES = {
     "PipelineError": "pipeline.core.errors:PipelineError",
     "Problem": "pipeline.core.errors:Problem",
     "Progress": "pipeline.core.progress:Progress",
+    "RawCamera": "pipeline.calibration.validate:RawCamera",
     "Reconstruction": "pipeline.core.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.core.options.config:ReconstructionConfig",
     "Recording": "pipeline.capture.recordings:Recording",
@@ -111,6 +122,7 @@ _REFERENCES = {
     "VmcSender": "pipeline.run.live.vmc:VmcSender",
     "Writer": "pipeline.export.writers.registry:Writer",
     "WrittenResults": "pipeline.export.results:WrittenResults",
+    "calibration_reader": "pipeline.calibration.formats:reader",
     "install_body": "pipeline.motion.body.installed:install",
     "install_network": "pipeline.detection.models:install",
     "install_networks": "pipeline.detection.models:install_networks",

@@ -1,26 +1,21 @@
 """Choose the reader of a calibration file, and read it."""
 
-from collections.abc import Callable, Mapping
+import importlib
+import pkgutil
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path, PurePath
 
 from defusedxml.ElementTree import fromstring
 
-from pipeline.calibration.advice import SUPPORTED, other_format, other_keys
+from pipeline.calibration import readers
+from pipeline.calibration.advice import SUPPORTED, other_format
 from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, scaled
 from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message, with_points
-from pipeline.calibration.readers import (
-    archive,
-    colmap,
-    json_formats,
-    opencv,
-    optitrack,
-    pickles,
-    qca,
-    toml_format,
-    vicon,
-)
-from pipeline.calibration.readers.file_storage import read_xml, read_yaml
+from pipeline.calibration.formats import CalibrationReader
+from pipeline.calibration.readers import colmap, qca
 from pipeline.calibration.units import possible_units, question
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
@@ -29,7 +24,6 @@ from pipeline.core.parsing import UnreadableError, in_utf_8, parse
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import CALIBRATION_UNPOSED
 from pipeline.core.problems.sessions import (
-    CALIBRATION_EMPTY,
     CALIBRATION_FORMAT,
     CALIBRATION_MISSING,
     CALIBRATION_TOO_LARGE,
@@ -37,18 +31,48 @@ from pipeline.core.problems.sessions import (
     CALIBRATION_UNITS_UNSTATED,
     CALIBRATION_UNREADABLE,
 )
+from pipeline.core.runtime.plugins import load_plugins
 
 Reader = Callable[[bytes, str], CameraFile]
 
 # 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
-
-# Start of the root element of what Qualisys's real-time protocol sends.
-_PARAMETERS = "QTM_Parameters_Ver_"
+_GROUP = "multicap.readers"
 
 
-def _read_yaml(content: bytes, file: str) -> CameraFile:
-    return _read_file_storage(read_yaml, content, file)
+@cache
+def calibration_readers() -> tuple[CalibrationReader, ...]:
+    """Readers of other packages, then those of this one.
+
+    Raises ``ImportError`` if an object of another package can't be loaded; the message names the package.
+    """
+    found = list(load_plugins(_GROUP, CalibrationReader).values())
+    for module in pkgutil.iter_modules(readers.__path__):
+        values = vars(importlib.import_module(f"{readers.__name__}.{module.name}")).values()
+        found += [value for value in values if isinstance(value, CalibrationReader)]
+    return tuple(dict.fromkeys(found))
+
+
+def reader_of_file(name: str, content: bytes, head: bytes) -> CalibrationReader | None:
+    """Choose a reader by the file's ending, or by its content; ``head`` is the content without white space before it.
+
+    Qualisys names XML files ``.txt``.
+    """
+    known, suffix = calibration_readers(), PurePath(name).suffix.lower()
+    by_suffix = [each for each in known if suffix in each.suffixes]
+    by_content = [each for each in known if each.is_content is not None and each.is_content(content)]
+    choices = [
+        *(each for each in by_content if each in by_suffix),
+        *(each for each in by_suffix if each.is_content is None),
+        *(each for each in by_content if not each.suffixes),
+        *(each for each in known if head.startswith(each.starts)),
+    ]
+    return choices[0] if choices else None
+
+
+def reader_of_root(root: str) -> CalibrationReader | None:
+    """Choose the reader of XML by its root element."""
+    return next((each for each in calibration_readers() if any(fnmatchcase(root, name) for name in each.roots)), None)
 
 
 def _read_xml(content: bytes, file: str) -> CameraFile:
@@ -57,63 +81,19 @@ def _read_xml(content: bytes, file: str) -> CameraFile:
         root = str(parse(fromstring, content).tag)
     except UnreadableError:
         root = qca.ROOT
-    if root == "opencv_storage":
-        return _read_file_storage(read_xml, content, file)
-    readers: Mapping[str, Reader] = {vicon.ROOT: vicon.read, optitrack.ROOT: optitrack.read, qca.ROOT: qca.read}
-    reader = qca.read if root.startswith(_PARAMETERS) else readers.get(root)
+    reader = reader_of_root(root)
     if reader is None:
         message = f"The XML file has the root element {root[:40]}, which no supported format has."
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=SUPPORTED)])
     return reader(content, file)
 
 
-def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> CameraFile:
-    try:
-        fields = parser(content)
-        contents = opencv.read_fields(fields, file)
-    except UnreadableError as error:
-        message = "The file is damaged, or not as OpenCV writes it."
-        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
-    if contents is None:
-        message, hint = other_keys(fields)
-        raise InputError([Problem(CALIBRATION_EMPTY, message, file=file, hint=hint)])
-    return contents
-
-
-_BY_ENDING: Mapping[str, Reader] = {
-    ".toml": toml_format.read,
-    ".json": json_formats.read,
-    ".xml": _read_xml,
-    ".qca": qca.read,
-    ".xcp": vicon.read,
-    ".mcal": optitrack.read,
-    ".pickle": pickles.read,
-    ".pkl": pickles.read,
-    ".yml": _read_yaml,
-    ".yaml": _read_yaml,
-    ".zip": archive.read,
-}
-_BY_START: Mapping[bytes, Reader] = {
-    b"PK\x03\x04": archive.read,
-    b"%YAML": _read_yaml,
-    b"<": _read_xml,
-    b"{": json_formats.read,
-}
-
-
 # Starts of files that are no text: zip archives and pickles.
 _BINARY = (b"PK\x03\x04", b"\x80")
 
 
-def _reader(name: str, content: bytes) -> Reader | None:
-    """Choose the reader by the file's ending, or by its contents (Qualisys names XML files ``.txt``)."""
-    by_ending = _BY_ENDING.get(Path(name).suffix.lower())
-    if by_ending is not None:
-        return by_ending
-    if colmap.is_text(content):
-        return colmap.read
-    head = content.lstrip(b"\xef\xbb\xbf \t\r\n")
-    return next((reader for start, reader in _BY_START.items() if head.startswith(start)), None)
+def _head(content: bytes) -> bytes:
+    return content.lstrip(b"\xef\xbb\xbf \t\r\n")
 
 
 def read_calibration(path: Path, units: Units | None = None, up: Up = "z") -> tuple[Camera, ...]:
@@ -199,7 +179,11 @@ def _read(path: Path) -> CameraFile:
     except OSError as error:
         raise _refusal(path, CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
     content = in_utf_8(content)
-    reader = _reader(path.name, content)
+    reader: Reader | None = None
+    if path.suffix.lower() != ".xml":
+        reader = reader_of_file(path.name, content, _head(content))
+    if reader is None and (path.suffix.lower() == ".xml" or _head(content).startswith(b"<")):
+        reader = _read_xml
     if reader is None:
         raise _refusal(path, CALIBRATION_FORMAT, *other_format(path.name))
     try:
@@ -208,7 +192,7 @@ def _read(path: Path) -> CameraFile:
         comma = None if content.startswith(_BINARY) else comma_in(content)
         if comma is None:
             raise
-        if colmap.is_text(content) or content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        if colmap.is_text(content) or _head(content).startswith(b"<"):
             # Spaces or quotes separate the numbers.
             return _read_with_points(reader, content, path, comma)
         raise _refusal(path, CALIBRATION_UNREADABLE, comma_message(comma), COMMA_HINT) from None

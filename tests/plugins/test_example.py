@@ -54,6 +54,25 @@ def test_format_of_package_is_written(package: Path, tmp_path: Path) -> None:
     assert "person-1.hips.csv" in names
 
 
+_READING = """
+import json, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from pipeline.calibration.registry import read_contents
+contents = read_contents(Path(sys.argv[2]))
+print(json.dumps([contents.format, [[each.name, each.size_px, each.cam_from_world.translation_m.tolist()]
+      for each in contents.cameras]]))
+"""
+
+
+def test_calibration_of_package_is_read(package: Path, tmp_path: Path) -> None:
+    path = tmp_path / "rig.studio"
+    path.write_text("left 900 1280 720 0 1.5 -4\nright 900 1280 720 1 1.5 -4\n", encoding="utf-8")
+    name, cameras = json.loads(run(_READING, str(package), str(path)))
+    assert name == "Studio"
+    assert cameras == [["left", [1280, 720], [0.0, -1.5, 4.0]], ["right", [1280, 720], [-1.0, -1.5, 4.0]]]
+
+
 def test_package_that_fails_to_load_is_named(package: Path, tmp_path: Path) -> None:
     (tmp_path / "broken-1.dist-info").mkdir()
     (tmp_path / "broken-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1\n")

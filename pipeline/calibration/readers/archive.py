@@ -1,4 +1,9 @@
-"""Calibrations of several files, in a zip: EasyMocap, COLMAP, bioCV, OpenCap, and OpenCV with a file a camera."""
+"""Calibrations of several files, in a zip: EasyMocap, COLMAP, bioCV, OpenCap, and OpenCV with a file a camera.
+
+Rows of the table of formats:
+
+| bioCV | `.zip` with a file `NAME.calib` a camera | mm | as calibrated |
+"""
 
 import io
 import zipfile
@@ -8,6 +13,7 @@ from pathlib import PurePosixPath
 from pipeline.calibration.advice import other_members
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import colmap, opencv, pickles
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml
 from pipeline.calibration.reading import Reading
@@ -24,6 +30,7 @@ _OPENCAP = frozenset({"cameraIntrinsicsExtrinsics.pickle", "cameraIntrinsics.pic
 _MIN_BIOCV_NUMBERS = 2 + 9 + 16 + 4
 
 
+@reader("Archive of several files", suffixes=(".zip",), starts=(b"PK\x03\x04",))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a zip; ``InputError`` lists all its problems."""
     try:

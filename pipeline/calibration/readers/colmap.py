@@ -2,6 +2,11 @@
 
 Each image is a camera: its name is the image's, without the ending. COLMAP's pixel (0, 0) is the outer corner of the
 first pixel, half a pixel from its centre. Scale and axes of a reconstruction are arbitrary.
+
+Rows of the table of formats:
+
+| COLMAP text | `.zip` with `cameras.txt` and `images.txt`, or both one after the other in a text file | `units` |
+arbitrary: scale and turn the model first; a camera has the name of its image, or of the image's folder |
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
@@ -45,6 +51,7 @@ def is_text(content: bytes) -> bool:
     return CAMERAS_HEAD.encode() in content and IMAGES_HEAD.encode() in content
 
 
+@reader("COLMAP text", is_content=is_text)
 def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a file with both parts; ``InputError`` lists all its problems."""
     text = content.decode("utf-8", "replace")

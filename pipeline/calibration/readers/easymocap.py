@@ -1,6 +1,11 @@
 """EasyMocap's ``intri.yml`` and ``extri.yml``, joined: one mapping, whose keys end with the name of the camera.
 
 Its documentation asks for metres.
+
+Rows of the table of formats:
+
+| EasyMocap | `.zip` with `intri.yml` and `extri.yml`, or both one after the other in a `.yml` | `units` | as calibrated
+|
 """
 
 from collections.abc import Mapping

@@ -3,6 +3,14 @@
 Panoptic: ``x = K (R X + t)``, centimetres, the world's y axis points down. VoxelPose: ``x = K R (X - T)``, so T is the
 camera's centre, millimetres, no picture sizes; Faster-VoxelPose has a list of cameras a sequence. MVOR's annotations
 hold the cameras: transforms by rows from each camera to the first one, and from that one to the room, millimetres.
+
+Rows of the table of formats:
+
+| CMU Panoptic | `.json`, cameras with `distCoef` | cm | y down, turned to Z up; videos may be called `hd_00_00` |
+| VoxelPose, Faster-VoxelPose | `.json`, cameras with `fx`, `fy`, `cx`, `cy`, `k`, `p`, or the list of one sequence | mm
+| as calibrated; `T` is the camera's centre; videos may be called `Camera0` |
+| MVOR (CAMMA) | `.json` with `cameras_info`: the annotations `camma_mvor_2018.json` | mm | Z up; cameras are called
+`cam1`, `cam2`, ...; the distortion is not applied, the pictures have none |
 """
 
 from collections.abc import Mapping, Sequence

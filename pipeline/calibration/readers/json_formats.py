@@ -1,10 +1,16 @@
-"""Calibration in JSON: Multicap's own format, and formats of other programs and data sets."""
+"""Calibration in JSON: Multicap's own format, and formats of other programs and data sets.
+
+Rows of the table of formats:
+
+| Multicap | `.json` with `schema_version` | m | Z up |
+"""
 
 from collections.abc import Mapping
 from typing import Any, get_args
 
 from pipeline.calibration.advice import other_keys
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import json_datasets, opencv
 from pipeline.calibration.readers.file_storage import with_matrices
 from pipeline.calibration.reading import Reading
@@ -20,6 +26,7 @@ _OWN = frozenset({"name", "size_px", "matrix", "distortion", "rotation", "transl
 _LENSES = get_args(LensModel)
 
 
+@reader("JSON", suffixes=(".json",), starts=(b"{",))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a JSON file; ``InputError`` lists all its problems."""
     try:

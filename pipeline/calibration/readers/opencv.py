@@ -2,23 +2,63 @@
 
 OpenCV does not determine how a rig is stored; ``fields`` has the names that are read. JARVIS has a file a camera, in
 millimetres, with transposed matrices. 4D Association and data sets like it have one JSON object, with flat matrices.
+
+Rows of the table of formats:
+
+| OpenCV FileStorage | `.yml`, `.yaml`, `.xml` (`opencv_storage`), `.json`: a mapping or a list of cameras; or `.zip`
+with a file a camera | `units` | as calibrated |
+| JARVIS | `.zip` with a file a camera, `intrinsicMatrix` | mm, or m if the numbers are as small | as calibrated;
+matrices are transposed |
+| 4D Association, and data sets with its files | `.json`, cameras with `K`, `RT` or `R` and `T`, `imgSize` | `units` |
+as calibrated |
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
 
+from pipeline.calibration.advice import other_keys
 from pipeline.calibration.contents import UNITS_M, CameraFile, scaled
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import easymocap
 from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera, size_names
+from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.units import possible_units
 from pipeline.calibration.validate import MAX_CAMERAS
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.parsing import UnreadableError
+from pipeline.core.problems.sessions import CALIBRATION_EMPTY, CALIBRATION_UNREADABLE
 
 _NAMES = ("name", "camera_name", "camera_id", "cam_id", "id", "serial")
 _JARVIS = frozenset({"intrinsicMatrix", "distortionCoefficients", "R", "T"})
 _4D_ASSOCIATION = "imgSize"
+
+
+@reader("OpenCV FileStorage", suffixes=(".yml", ".yaml"), starts=(b"%YAML",))
+def read_yaml_file(content: bytes, file: str) -> CameraFile:
+    """Read the cameras of a YAML file; ``InputError`` lists all its problems."""
+    return _read_file_storage(read_yaml, content, file)
+
+
+@reader("OpenCV FileStorage in XML", roots=("opencv_storage",))
+def read_xml_file(content: bytes, file: str) -> CameraFile:
+    """Read the cameras of an XML file; ``InputError`` lists all its problems."""
+    return _read_file_storage(read_xml, content, file)
+
+
+def _read_file_storage(parser: Callable[[bytes], Mapping[str, object]], content: bytes, file: str) -> CameraFile:
+    try:
+        fields = parser(content)
+        contents = read_fields(fields, file)
+    except UnreadableError as error:
+        message = "The file is damaged, or not as OpenCV writes it."
+        raise InputError([Problem(CALIBRATION_UNREADABLE, message, file=file, hint="Export it again.")]) from error
+    if contents is None:
+        message, hint = other_keys(fields)
+        raise InputError([Problem(CALIBRATION_EMPTY, message, file=file, hint=hint)])
+    return contents
 
 
 def read_fields(fields: Mapping[str, Any], file: str) -> CameraFile | None:

@@ -3,6 +3,11 @@
 ``IntrinsicStandardCameraModel`` holds OpenCV's lens model in pixels, ``Extrinsic`` the camera's centre c in metres and
 its orientation R from the camera to the world, with y up and z backwards: ``x_cv = diag(1, -1, -1) R^T (X - c)``.
 Motive's world has y up.
+
+Rows of the table of formats:
+
+| OptiTrack | `.mcal` of Motive 3.2 and later, root element `calibrationProfile` | m | y up, turned to Z up; the colour
+cameras (`ImagerIndex` 30) by `Serial`, or all cameras if there is none |
 """
 
 from itertools import islice
@@ -11,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.xml_files import read_number, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-
-ROOT = "calibrationProfile"
 
 _CV_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 # From a world with z up to Motive's, whose y points up.
@@ -24,6 +28,7 @@ _MOTIVE_FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0
 _COLOUR = "30"
 
 
+@reader("OptiTrack", suffixes=(".mcal",), roots=("calibrationProfile",))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the colour cameras of a file, or all cameras if none films in colour; ``InputError`` lists all problems."""
     root = read_root(content, file)

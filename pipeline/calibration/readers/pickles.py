@@ -4,6 +4,13 @@ OpenCap: ``x = K (R X + t)``, millimetres, the board's axes; ``imageSize`` is he
 upright, perhaps upside down, or lies on the floor: the cameras, which stand upright, tell its axis that is vertical. A
 file of a phone's model, ``cameraIntrinsics.pickle``, has no pose. MVPose (zju3dv): stacks ``K`` (cameras, 3, 3) and
 ``RT`` (cameras, 3, 4), world to camera, no distortion, no sizes of pictures; the unit is that of the data set.
+
+Rows of the table of formats:
+
+| MVPose (zju3dv) | `.pickle` with the stacks `K` and `RT` (`camera_parameter.pickle`) | `units` | as calibrated;
+cameras are called `0`, `1`, ..., videos may be called `Camera0` |
+| OpenCap | `.zip` with a `.pickle` a camera: `Cam0/cameraIntrinsicsExtrinsics.pickle`, or `Cam0.pickle` | mm | the
+board's, turned to Z up; the cameras, which stand upright, tell how the board stood or lay |
 """
 
 from collections.abc import Mapping
@@ -13,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.readers.pickle_values import read_values
 from pipeline.calibration.reading import Reading
@@ -32,6 +40,7 @@ _MIN_MEAN_UP = 0.5
 _BOARD_NOTE = "the cameras don't tell the vertical; OpenCap's board is taken to have stood upright"
 
 
+@reader("OpenCap and MVPose", suffixes=(".pickle", ".pkl"))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of one pickle; ``InputError`` lists all its problems."""
     try:

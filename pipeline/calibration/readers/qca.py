@@ -8,6 +8,11 @@ videos are stored without it.
 Pose2Sim converts both ways between QCA and its TOML, and counts the distortion in 64ths there, too, though it has no
 unit. The distortion is right after both ways, 64 times too large in a QCA file of a camera that a board calibrated, and
 a 64th in a TOML file of a Qualisys camera. ``is_64th`` tells by the decimals.
+
+Rows of the table of formats:
+
+| Qualisys QCA | `.qca`, `.xml`, or `<` as the first character; root element `calibration`, alone or in
+`QTM_Parameters_Ver_...` | mm | Z up; the principal point is moved to the part `fov_video` of the sensor |
 """
 
 import math
@@ -19,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.xml_files import read_number, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
@@ -35,6 +41,7 @@ _CV_FROM_QUALISYS = np.diag([1.0, -1.0, -1.0])
 _UNUSED = {"active": {"0", "false"}, "calibrated": {"0", "false"}}
 
 
+@reader("Qualisys QCA", suffixes=(".qca",), roots=(ROOT, "QTM_Parameters_Ver_*"))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the video cameras of a file; ``InputError`` lists all its problems."""
     root = read_root(content, file)

@@ -3,6 +3,14 @@
 ``x = K (R X + t)``, R as a Rodrigues vector; older versions of Caliscope write the matrix. FreeMoCap's lengths are
 millimetres; the unit of the others is that of the board. Caliscope's own ``camera_array.toml`` has a section
 ``cameras.N`` a camera, the other programs a section at the top.
+
+Rows of the table of formats:
+
+| anipose, Pose2Sim, Caliscope's export for aniposelib | `.toml` | `units` | as calibrated |
+| Caliscope | `.toml` with sections `[cameras.0]`, ... (`camera_array.toml`) | `units` | as calibrated; cameras are
+called `cam_0`, ..., videos may be called `port_0` |
+| FreeMoCap | `.toml` with FreeMoCap's `[metadata]` | mm; `units` where the size of the board's squares is missing or 1
+| as calibrated |
 """
 
 import tomllib
@@ -12,6 +20,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import qca
 from pipeline.calibration.readers.fields import flat
 from pipeline.calibration.readers.rotations import read_rotation
@@ -38,6 +47,7 @@ _NUM_OF_POSE2SIM = 4
 _NULL = "null"
 
 
+@reader("TOML of Caliscope, anipose, Pose2Sim and FreeMoCap", suffixes=(".toml",))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the cameras of a TOML file; ``InputError`` lists all its problems."""
     try:

@@ -4,6 +4,11 @@ Lengths are millimetres; ORIENTATION is the quaternion (x, y, z, w) from world t
 ``VICON_RADIAL`` (k1, k2) and the newer ``VICON_RADIAL2`` (``Vicon3Parameter``, centre, k1, k2, k3) map distorted to
 ideal pixels: ``ideal = c + (seen - c) (1 + k1 r^2 + k2 r^4 + k3 r^6)``, r in pixels. OpenCV's model has the other
 direction, so its coefficients are fitted.
+
+Rows of the table of formats:
+
+| Vicon | `.xcp`, root element `Cameras` | mm | Z up; video cameras (`SYSTEM` is `DV`, or `TYPE` has `video`) by
+`DEVICEID`, or by `NAME` |
 """
 
 from itertools import islice
@@ -12,14 +17,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.rotations import quaternion_matrix
 from pipeline.calibration.readers.xml_files import NUMBER, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
 from pipeline.core.problems.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
-
-ROOT = "Cameras"
 
 _ASPECT = Quantity(0.01, 100, "")
 # Coefficients in pixels are about 1e-8, 1e-15 and 1e-22.
@@ -33,6 +37,7 @@ _MIN_GROWTH = 0.05
 _FAR_PX = 1e6
 
 
+@reader("Vicon", suffixes=(".xcp",), roots=("Cameras",))
 def read(content: bytes, file: str) -> CameraFile:
     """Read the video cameras of an XCP file, or all cameras if none is one; ``InputError`` lists all problems."""
     root = read_root(content, file)

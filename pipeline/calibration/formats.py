@@ -1,0 +1,63 @@
+"""Calibration formats: a module of ``pipeline.calibration.readers`` each, or an object of another package.
+
+A module declares its format by ``reader`` above the function that reads it, and has its rows of the table of formats in
+``docs/formats.md`` in its docstring. Other packages add formats by entry points of the group ``multicap.readers``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pipeline.calibration.contents import CameraFile
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationReader:
+    """Reader of a calibration format; call it with the content of a file and the file's name.
+
+    Parameters
+    ----------
+    name
+        Name of the format for users.
+    read
+        Function that reads the cameras. It raises ``InputError`` with all problems of the file.
+    suffixes
+        Endings of the format's files, in lower case with their points.
+    roots
+        Root elements of its XML files; ``*`` stands for any characters.
+    starts
+        Starts of its files, after white space.
+    is_content
+        Test of a file's content, for endings that several formats have, or for files of any ending.
+    """
+
+    name: str
+    read: Callable[[bytes, str], CameraFile]
+    suffixes: tuple[str, ...] = ()
+    roots: tuple[str, ...] = ()
+    starts: tuple[bytes, ...] = ()
+    is_content: Callable[[bytes], bool] | None = None
+
+    def __call__(self, content: bytes, file: str) -> CameraFile:
+        """Read the cameras of a file."""
+        return self.read(content, file)
+
+
+def reader(
+    name: str,
+    *,
+    suffixes: tuple[str, ...] = (),
+    roots: tuple[str, ...] = (),
+    starts: tuple[bytes, ...] = (),
+    is_content: Callable[[bytes], bool] | None = None,
+) -> Callable[[Callable[[bytes, str], CameraFile]], CalibrationReader]:
+    """Declare a function as the reader of a format; see ``CalibrationReader``.
+
+    Examples
+    --------
+    >>> @reader("Studio", suffixes=(".studio",))
+    ... def read(content: bytes, file: str) -> CameraFile:
+    ...     return CameraFile("Studio", (), "m")
+    >>> read.suffixes
+    ('.studio',)
+    """
+    return lambda read: CalibrationReader(name, read, suffixes, roots, starts, is_content)
