@@ -262,7 +262,7 @@ def connect_sync(
     *,
     key: str | None = None,
 ) -> Iterator[SyncLive]:
-    """Begin a live capture at a service; parameters and errors as of ``connect``."""
+    """Begin a live capture at a service; parameters and errors are the same as for ``connect``."""
     start = _start(calibration, layout, frame_rate_hz, options)
     with _refused_as_problem():
         connection = open_sync(

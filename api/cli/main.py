@@ -25,7 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "batch": "Reconstruct many takes of one rig, and go on after an interruption.",
     "calibrate": "Make a calibration from videos or photographs of a board.",
     "calibration": "Calibration files of any supported format: show, convert.",
-    "sync": "Measure when each camera started, from the people whom the cameras see.",
+    "sync": "Measure when each camera started, from the people in view.",
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",
     "bodies": "Human body of exports: install.",

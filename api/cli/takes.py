@@ -82,7 +82,7 @@ class _Entry(BaseModel):
         if (self.videos is None) == (self.keypoints is None):
             raise ValueError("a take has either videos or keypoints")
         if self.name in {".", ".."}:
-            raise ValueError("the name can't be that of a folder")
+            raise ValueError("the name can't be a folder's")
         return self
 
 

@@ -54,7 +54,7 @@ async function navigate({ isFirst = false } = {}) {
   announce(view.title);
 }
 
-// Module of a view. A browser that could not load a module may keep that for good; the page is then loaded anew, unless it is
+// Module of a view. A browser that could not load a module may keep that for good; the page is then loaded again, unless it is
 // new itself, or has files that would have to be chosen again.
 async function load(name) {
   try {

@@ -52,7 +52,7 @@ class DataDirectory:
 
     def environment(self) -> dict[str, str]:
         """Environment of all programs: the environment of this process, with the folder and the broker."""
-        # The service's own values replace those of files, too.
+        # The service's own values replace values of files, too.
         inherited = {name: value for name, value in os.environ.items() if name not in _REPLACED_FILES}
         return {
             **inherited,

@@ -108,7 +108,7 @@ def bone_problems(tree: BoneTree, bones: Mapping[str, str]) -> list[str]:
 
 
 def add_trunk(tree: BoneTree, bones: Mapping[str, str]) -> BoneMap:
-    """Bones by joint with those of the trunk, which lie between; ``bones`` has no problem."""
+    """Bones by joint, bones of the trunk between them included; ``bones`` has no problem."""
     numbers = {joint: tree.names.index(bone) for joint, bone in bones.items()}
     arms = [numbers[f"{side}Arm"] for side in SIDES]
     chest = tree.common([*arms, numbers[HEAD]])

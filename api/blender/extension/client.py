@@ -220,7 +220,7 @@ class BlenderClient:
         return read_bones(character)
 
     def download(self, job_id: str, file: FileEntry, path: Path, watch: Watch) -> None:
-        """Download a result file to a path of ours; after a break the download goes on where it broke.
+        """Download a result file to a path of ours; after a break the download continues where it broke.
 
         ``watch`` is called with the bytes that are there.
         """
@@ -275,7 +275,7 @@ class BlenderClient:
     def send(
         self, name: str, videos: Sequence[Path], calibration: Path, spec: Mapping[str, Any], watch: Watch
     ) -> JobEntry:
-        """Send a capture in pieces, and have it reconstructed; after a break a file goes on where it broke.
+        """Send a capture in pieces, and have it reconstructed; after a break a file continues where it broke.
 
         ``watch`` is called with the bytes of all files that are there. Uploads of a capture that is stopped or refused
         are deleted.

@@ -192,7 +192,7 @@ def _download(
     *,
     has_cameras: bool,
 ) -> tuple[list[tuple[str, Path]], Path | None, GlbFacts | None]:
-    """Download in the thread the files of some people, and that of the take; return names, paths, and the timeline."""
+    """Download in the thread the files of some people, and the take's file; return names, paths, and the timeline."""
     files = client.files(job.id)
     people = [file for number, file in enumerate(_person_files(files)) if number in numbers]
     takes = [file for file in files if file.name == _TAKE] if has_cameras else []
@@ -201,7 +201,7 @@ def _download(
     wanted = [*people, *takes]
     speed, done, paths = Speed(sum(file.num_bytes for file in wanted)), 0, []
     for number, file in enumerate(wanted):
-        # Paths have names of ours: those of a service may be anything.
+        # Paths have our own names: a service may send any name.
         path = folder / f"{number}.{'fbx' if file.format == 'fbx' else 'glb'}"
 
         def watch(there: float, before: int = done) -> None:
@@ -348,7 +348,7 @@ def _put(name: str, person: str, motion: Any, bones: dict[str, str], *, has_time
 
 
 class MulticapReceive(bpy.types.Operator):
-    """Move the armature as the person whom a live capture sends to the port (VMC)"""
+    """Move the armature like the person that a live capture sends to the port (VMC)"""
 
     bl_idname, bl_label = "multicap.receive", "Receive live"
 
@@ -413,7 +413,7 @@ class MulticapSend(_FreeOperator):
 
 
 class MulticapStop(bpy.types.Operator):
-    """Stop what runs. A job that was sent goes on in the service"""
+    """Stop what runs. A job that was sent continues in the service"""
 
     bl_idname, bl_label = "multicap.stop", "Stop"
 

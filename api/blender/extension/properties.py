@@ -26,7 +26,7 @@ class MulticapPerson(bpy.types.PropertyGroup):
     """Person of the chosen job."""
 
     label: bpy.props.StringProperty()
-    number: bpy.props.IntProperty()  # Place of the file among those of the job
+    number: bpy.props.IntProperty()  # Place of the file among the job's files
     is_chosen: bpy.props.BoolProperty(name="Import", default=True)
 
 
@@ -106,7 +106,7 @@ class MulticapState(bpy.types.PropertyGroup):
         description="Bodies of humans instead of capsules, if they are installed in the service",
         default=False,
     )
-    name: bpy.props.StringProperty(name="Name", description="Name of the capture; empty: that of the folder")
+    name: bpy.props.StringProperty(name="Name", description="Name of the capture; empty: the folder's name")
 
 
 class MulticapPreferences(bpy.types.AddonPreferences):

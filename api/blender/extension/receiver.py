@@ -1,4 +1,4 @@
-"""Receiver of a live capture: an armature of the scene moves as the person whom a port of this machine gets."""
+"""Receiver of a live capture: an armature of the scene moves like the person received at a port of this machine."""
 
 import socket
 from collections.abc import Mapping
@@ -109,7 +109,7 @@ class CurrentReceiver:
             bpy.app.timers.unregister(_tick)
 
     def step(self) -> bool:
-        """Move the armature; return whether it goes on."""
+        """Move the armature; return whether it continues."""
         if self.receiver is None:
             return False
         try:

@@ -73,7 +73,7 @@ class PoseFrame:
 class Retargeting:
     """Motion of a person put on an armature, frame by frame.
 
-    Raises ``RequestError`` if the person's skeleton is not that of the service, or legs have no length.
+    Raises ``RequestError`` if the person's skeleton is not the service's, or legs have no length.
     """
 
     def __init__(self, motion: PersonMotion, armature: RestArmature, bones: BoneMap) -> None:

@@ -46,7 +46,7 @@ def between(a: Quat, b: Quat, share: float) -> Quat:
 
 
 def unit_turn(a: Quat) -> Quat:
-    """Quaternion of length 1; no turn for that of length 0."""
+    """Quaternion of length 1; no turn for length 0."""
     norm = math.sqrt(sum(x * x for x in a))
     return NO_TURN if norm == 0.0 else (a[0] / norm, a[1] / norm, a[2] / norm, a[3] / norm)
 
@@ -72,7 +72,7 @@ def length(a: Vec) -> float:
 
 
 def turn_to(a: Vec, b: Vec) -> Quat:
-    """Smallest rotation that turns the direction of a vector into that of another one; no turn without directions."""
+    """Smallest rotation that turns the direction of one vector into another's; no turn without directions."""
     product = length(a) * length(b)
     if product == 0.0:
         return NO_TURN

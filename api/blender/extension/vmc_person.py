@@ -1,7 +1,7 @@
 """Person of a live capture, from messages of the Virtual Motion Capture protocol (https://protocol.vmc.info/english).
 
 Messages have local places and rotations of the bones of Unity's humanoid, in its axes: left-handed, Y up, the rest pose
-is a T-pose that faces +Z. Here the axes are those of ``glb_motion``: right-handed, Z up, the rest pose faces -Y.
+is a T-pose that faces +Z. Here the axes are the same as in ``glb_motion``: right-handed, Z up, the rest pose faces -Y.
 
 The messages come in packets of OSC 1.0 (https://opensoundcontrol.stanford.edu/spec-1_0.html), for which Blender has no
 library. A packet comes from whoever reaches the port: each length is checked, and bundles nest a few times only.
@@ -113,7 +113,7 @@ _PARENTS = _parents()
 
 
 class VmcPerson:
-    """Latest pose of a person of whom packets tell."""
+    """Latest pose of a person described by packets."""
 
     def __init__(self) -> None:
         self._places_m: dict[str, Vec] = {}  # Of joints in their parents

@@ -71,7 +71,7 @@ def _minutes(jobs: Sequence[_Row]) -> CostTable:
     }
     about = (
         "Seconds of a core at two frame rates: the longer of two jobs that were measured, and what each further camera "
-        "frame costs from the shorter to the longer one. Shares and the largest memory are those of the longer job."
+        "frame costs from the shorter to the longer one. Shares and the largest memory belong to the longer job."
     )
     return _table("A minute of four cameras", about, columns, jobs)
 

@@ -215,7 +215,7 @@ def _report_people(as_json: bool) -> None:
     for kind, figures in returns.items():
         typer.echo(
             f"With {kind}, {figures['back']} of {figures['people']} people who came back got their numbers again, half "
-            f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got those of others. "
+            f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got numbers of others. "
             f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of somebody who had "
             "left."
         )

@@ -1,4 +1,4 @@
-"""`multicap batch`: many takes of one rig, one after the other; a run that was ended goes on where it was."""
+"""`multicap batch`: many takes of one rig, one after the other; a run that was ended continues where it was."""
 
 import contextlib
 import csv
@@ -79,11 +79,11 @@ def command(
 ) -> None:
     """Reconstruct many takes; a failure does not stop the rest. Run the command again to go on after an interruption.
 
-    A take whose files and choices are those of its results is kept.
+    A take whose files and choices equal the ones of its results is kept.
     """
     rows: list[dict[str, Any]] = []
     with reporting(
-        as_json, lambda: f"{len(rows)} takes are finished. Run the command again: it goes on with the rest."
+        as_json, lambda: f"{len(rows)} takes are finished. Run the command again: it continues with the rest."
     ):
         config = checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)

@@ -78,7 +78,7 @@ def from_board(
     timestamps: Annotated[
         Path | None,
         typer.Option(
-            help="Times of the videos' frames, if they are not those of the videos: CSV with the columns camera, frame "
+            help="Times of the videos' frames, if the videos state others: CSV with the columns camera, frame "
             "(from 0), time_s."
         ),
     ] = None,

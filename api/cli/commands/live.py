@@ -51,7 +51,7 @@ _MAX_DIGITS = 5  # of a port
 
 @with_choices("joints", "appearance")
 def command(
-    calibration: Annotated[Path, typer.Option(help="Calibration file, as of multicap reconstruct.")],
+    calibration: Annotated[Path, typer.Option(help="Calibration file, like multicap reconstruct.")],
     camera: Annotated[
         list[str],
         typer.Option(

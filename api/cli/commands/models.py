@@ -58,16 +58,14 @@ def add(
         str | None, typer.Option(help="Keypoints of your own ONNX file.", metavar="|".join(LAYOUTS))
     ] = None,
     input_size: Annotated[
-        str | None, typer.Option(help="Size of its input. Default: that of the file.", metavar="WIDTHxHEIGHT")
+        str | None, typer.Option(help="Size of its input. Default: the file's.", metavar="WIDTHxHEIGHT")
     ] = None,
     channels: Annotated[
-        str | None, typer.Option(help="Order of its colours. Default: that of the head.", metavar="rgb|bgr")
+        str | None, typer.Option(help="Order of its colours. Default: the head's.", metavar="rgb|bgr")
     ] = None,
-    mean: Annotated[
-        str | None, typer.Option(help="Mean of its colours. Default: that of the head.", metavar="A,B,C")
-    ] = None,
+    mean: Annotated[str | None, typer.Option(help="Mean of its colours. Default: the head's.", metavar="A,B,C")] = None,
     std: Annotated[
-        str | None, typer.Option(help="Standard deviation of its colours. Default: that of the head.", metavar="A,B,C")
+        str | None, typer.Option(help="Standard deviation of its colours. Default: the head's.", metavar="A,B,C")
     ] = None,
 ) -> None:
     """Install a network from your own folder, file or URL, or add a network of your own from an ONNX file."""

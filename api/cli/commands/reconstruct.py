@@ -90,7 +90,7 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is missing.")],
     source: SourceOptions,
     more_videos: Annotated[
-        list[Path] | None, typer.Argument(metavar="[VIDEOS]...", help="Videos, as of --videos.", show_default=False)
+        list[Path] | None, typer.Argument(metavar="[VIDEOS]...", help="Videos, like --videos.", show_default=False)
     ] = None,
     character: Annotated[
         Path | None,
@@ -177,6 +177,6 @@ def command(
         warn(warning)
     if bars.reused:
         parts = (f"{STAGE_BY_NAME[name].label} ({units})" for name, units in bars.reused.items())
-        typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes all anew.")
+        typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes everything again.")
     for path in written.paths:
         typer.echo(f"  {path}")

@@ -77,7 +77,7 @@ class LiveOutputs(LiveListener):
                 if not self._outputs:
                     raise
                 self.errors.append(error)
-                self.tell(f"{error} The capture goes on without it.")
+                self.tell(f"{error} The capture continues without it.")
 
 
 def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> dict[str, Any]:

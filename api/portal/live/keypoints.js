@@ -24,7 +24,7 @@ const fileExtension = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).
 /**
  * Sort dropped files: `{ views, timestamps, calibration, others }`.
  *
- * A view has `name`, as of a zip or a folder, and `frames`: functions that read the text of a frame, by its number.
+ * A view has `name`, such as a zip's or a folder's, and `frames`: functions that read the text of a frame, by its number.
  */
 export async function sortedFiles(files) {
   const views = new Map();

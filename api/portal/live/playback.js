@@ -21,7 +21,7 @@ export class Playback extends EventTarget {
   #sentMs = []; // time of each frame that was sent, as [timeS, milliseconds], of the last seconds
   #latencies = [];
 
-  /** `client` is a `LiveClient` that is ready, `recording` as of `openRecording`, `cameras` the names of `ready`. */
+  /** `client` is a `LiveClient` that is ready, `recording` comes from `openRecording`, `cameras` the names of `ready`. */
   constructor(client, recording, cameras) {
     super();
     this.#client = client;

@@ -143,7 +143,7 @@ export class LiveStore {
   }
 }
 
-// Positions of the skeleton's joints from those of a detector, for people whose bones are not learnt yet.
+// Positions of the skeleton's joints from a detector's joints, for people whose bones are not learnt yet.
 
 const both = (part) => ({ [`left_${part}`]: 0.5, [`right_${part}`]: 0.5 });
 
@@ -171,7 +171,7 @@ const WEIGHTS = {
   ])),
 };
 
-/** Function that writes positions of `bones` from those of `joints`, both lists of names; NaN where one is unknown. */
+/** Function that writes positions of `bones` from positions of `joints`, both lists of names; NaN where one is unknown. */
 function makeApproximation(bones, joints) {
   const rows = bones.map((bone) => {
     const weights = Object.entries(WEIGHTS[bone] ?? {}).map(([name, weight]) => [joints.indexOf(name), weight]);

@@ -18,7 +18,7 @@ const OF_ALL = {
 };
 const ORDER = Object.keys(OF_ALL);
 
-// Files that are made anew after edits have rested.
+// Files that are rebuilt after edits have rested.
 const VISUALS = { report: "report", overlay: "overlay videos", rerun: "recording" };
 
 // Tables of a person beside the files in a format.

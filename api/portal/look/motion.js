@@ -49,8 +49,8 @@ export class JobMotion extends EventTarget {
   }
 
   /**
-   * Show the people of edits whose files are not there yet, `{ before, after }` as of `EditedStore`: those of the files, and
-   * those of the edits. Null: show the files.
+   * Show the people of edits whose files are not there yet, `{ before, after }` like `EditedStore`: the people of the files, and
+   * the people of the edits. Null: show the files.
    */
   preview(edited) {
     if (edited?.before === this.#edited?.before && edited?.after === this.#edited?.after) return;

@@ -89,7 +89,7 @@ class Look {
     const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.links.people !== null;
     if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
     await this.#panel?.follow(job);
-    // The files of an earlier revision can be read until those of the present one are there.
+    // The files of an earlier revision can be read until the files of the present one are there.
     if (!hasFiles(job) || this.session === null) return;
     await this.#list(job);
     if (job.kind !== "reconstruction" || this.#shown === job.results_revision) return;
@@ -107,7 +107,7 @@ class Look {
     }
   }
 
-  // List the files, unless they are listed: those of a revision, and the visuals, which follow.
+  // List the files, unless they are listed: the files of a revision, and the visuals, which follow.
   async #list(job) {
     const listed = `${job.results_revision} ${job.visuals_job?.id} ${job.visuals_job?.state}`;
     if (this.#listed === listed) return;

@@ -1,7 +1,7 @@
 // Clock of the service, measured by messages that go there and back.
 
 const MAX_SAMPLES = 240;
-const BEST_SHARE = 0.25; // of the samples: those of the shortest round trips
+const BEST_SHARE = 0.25; // of the samples: the ones with the shortest round trips
 const MIN_BEST = 4;
 const MIN_DRIFT_SPAN_S = 60; // over less time the noise of round trips looks like drift
 const MAX_STEP_S = 0.5; // a clock that was set, in place of one that drifts

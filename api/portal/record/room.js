@@ -40,7 +40,7 @@ export class RoomConnection extends EventTarget {
     if (this.isOpen && this.#socket.bufferedAmount < MAX_WAITING_BYTES) this.#socket.send(blob);
   }
 
-  /** Connect anew. */
+  /** Connect again. */
   again() {
     this.#numFailures = 0;
     this.#socket.close();

@@ -141,7 +141,7 @@ export async function addFiles(draft, chosen, { notes, forget, isOver }) {
   return calibrations[0] ?? null;
 }
 
-// A file goes on with its own upload, and takes the place of another file of its name.
+// A file continues with its own upload, and takes the place of another file of its name.
 function addRow(draft, file, known, { notes, forget }) {
   // A file that is chosen again may come without its folders.
   const isAgain = (row) => row.file === null && isSame(row, file) && row.name.endsWith(`_${file.name}`);

@@ -160,7 +160,7 @@ function describeEvidence({ code, camera, evidence }, cameras) {
   </figure>`)}</div>`;
 }
 
-// `wrap` puts the list where it belongs; nothing without findings. `cameras` are those of the check, with their pictures.
+// `wrap` puts the list where it belongs; nothing without findings. `cameras` come from the check, with their pictures.
 export function findingList(findings, cameras = [], wrap = (list) => list) {
   if (findings.length === 0) return nothing;
   return wrap(html`<ul class="findings">${findings.map((finding) => html`<li data-tone=${TONES[finding.severity] ?? "note"}>

@@ -1,4 +1,4 @@
-// State of the view Send: the draft, its uploads, the check of its files. It outlives the view, so that an upload goes on
+// State of the view Send: the draft, its uploads, the check of its files. It outlives the view, so that an upload continues
 // while another view is open.
 
 import { call, persistently } from "../shared/api.js";
@@ -52,7 +52,7 @@ class Sending extends EventTarget {
     if (this.rig.problem?.status === 404) this.rig.choose(null);
   }
 
-  // A capture that was checked before the page was loaded anew.
+  // A capture that was checked before the page was reloaded.
   async #recall() {
     try {
       this.session = await persistently(() => call(`/v1/sessions/${this.draft.sessionId}`), { away: (problem) => this.#show(problem) });
@@ -82,7 +82,7 @@ class Sending extends EventTarget {
     return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [`the calibration ${this.rig.name ?? ""}`] : [])])];
   }
 
-  // Time that the reconstruction will take, with some choices in place of those of the page; null if it can't be told.
+  // Time that the reconstruction will take, with some choices in place of the page's; null if it can't be told.
   estimate(choices = {}) {
     const { spec, views } = this.capture;
     if (!spec || views.some(({ kind }) => kind !== "video")) return null;
@@ -391,7 +391,7 @@ class Sending extends EventTarget {
     this.problem = problem;
     this.draft.wasSending = false;
     this.draft.request = null;
-    // An upload that the service no longer has is sent anew.
+    // An upload that the service no longer has is sent again.
     const isGone = (problem.items ?? []).some(({ code }) => code === "upload_unknown");
     if (isGone) for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
     this.#go("draft");

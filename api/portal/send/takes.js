@@ -7,7 +7,7 @@ import { isSame, detectKind } from "./files.js";
 import { takesIn } from "./matching.js";
 import { sending } from "./sending.js";
 
-const KEY = "multicap.takes"; // jobs of takes that were sent, so that a folder that is chosen again goes on
+const KEY = "multicap.takes"; // jobs of takes that were sent, so that a folder that is chosen again continues
 const MOST_KNOWN = 2000;
 
 // The same files in a folder of the same name have the same text, which is short enough to keep many.
@@ -62,7 +62,7 @@ class Takes {
     sending.changed();
   }
 
-  // The folders are those of one capture.
+  // The folders belong to one capture.
   decline() {
     const { files } = this.offered;
     this.offered = null;
@@ -85,7 +85,7 @@ class Takes {
     return this.#ready;
   }
 
-  // Put a take into the draft. An upload of the same files goes on.
+  // Put a take into the draft. An upload of the same files continues.
   async #fill(take, beside) {
     const isInterrupted = sending.rows.length > 0 && sending.rows.every((row) => row.file === null && take.files.some((file) => isSame(row, file)));
     if (!isInterrupted) sending.clear();

@@ -10,7 +10,7 @@ const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 const STEADY_S = 2; // before that a rate says little
 
 export const hasEnded = (job) => ENDED.has(job.state);
-// Whether files of a job can be read: also those of earlier edits, while newer ones are made.
+// Whether files of a job can be read: also files of earlier edits, while newer ones are made.
 export const hasFiles = (job) => job.results_revision !== null && job.state !== "expired";
 // Whether something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
 export const isAtWork = (job) => !hasEnded(job) || (job.visuals_job !== null && !ENDED.has(job.visuals_job.state));
@@ -65,9 +65,9 @@ function cameraFrameS(spec, options) {
   return profile?.joints.find((entry) => entry.joints === joints)?.camera_frame_s ?? null;
 }
 
-// Ratio of the time of a job here to that of the measurements; null of a job that tells nothing.
+// Ratio of the time of a job here to the time of the measurements; null of a job that tells nothing.
 function measurePace(job, options) {
-  // The stage of most frames looks at those of all cameras.
+  // The stage of most frames looks at the frames of all cameras.
   const [detection] = job.stages.filter(({ unit }) => unit === "frames").sort((one, other) => other.total - one.total);
   const isWhole = job.kind === "reconstruction" && job.state === "succeeded" && job.revision === 0 && job.attempt === 1;
   if (!hasEnded(job) || !isWhole || !detection || detection.reused || detection.total < FEWEST_FRAMES) return null;

@@ -9,7 +9,7 @@ export function announce(text) {
   place.textContent = last;
 }
 
-// Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay those of its API.
+// Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay its API's.
 
 export function currentRoute() {
   const [path, query = ""] = location.hash.replace(/^#\/?/, "").split("?");

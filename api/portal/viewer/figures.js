@@ -8,7 +8,7 @@ import { Plots } from "./plots.js";
 export class FigureTabs {
   #plots;
 
-  /** `shown` is that of the figures before these, for the same tab and plot. */
+  /** `shown` is the tab of the figures before these, for the same tab and plot. */
   constructor({ store, player, strips }, { tab = null, kind } = {}) {
     const { description } = store;
     this.#plots = new Plots(store, player, { kind });

@@ -75,8 +75,8 @@ function linkOrbits(viewers) {
 
 /**
  * A source has
- * - `description()`: promise of the description of the motion, as of GET /v1/jobs/{id}/motion/description;
- * - `frames(from, to, signal)`: promise of an `ArrayBuffer` as of GET /v1/jobs/{id}/motion;
+ * - `description()`: promise of the description of the motion, from GET /v1/jobs/{id}/motion/description;
+ * - `frames(from, to, signal)`: promise of an `ArrayBuffer` from GET /v1/jobs/{id}/motion;
  * - `video(camera)`: promise of `{ url, startS }`, the address of a camera's video that a browser can play and the time of
  *   its first frame on the video's own clock; null if there is none;
  * - `characters(signal)`, if it has files of a character in motion: promise of those, one a person, `{ id, name, numBytes, read }`.
@@ -87,7 +87,7 @@ export class ApiSource {
   #hasCharacter;
 
   /**
-   * `cameras` are those of the session, which link their videos; `addressed` completes addresses, as by the secret of a link;
+   * `cameras` are the session's cameras, which link their videos; `addressed` completes addresses, as by the secret of a link;
    * `hasCharacter`: the job moves a character.
    */
   constructor(jobId, cameras = [], addressed = (address) => address, { hasCharacter = false } = {}) {

@@ -43,7 +43,7 @@ export class Viewer {
   }
 
   /**
-   * Show another store of the same capture, such as that of an edited take: its people in the 3D view, over the videos, in the
+   * Show another store of the same capture, such as an edited take's: its people in the 3D view, over the videos, in the
    * time line and in the figures. Videos, view and play head stay. The earlier store is not closed.
    */
   replace(store) {

@@ -183,7 +183,7 @@ export function captureCard(view, session) {
 // Choices that a session states for its jobs.
 const OF_SESSION = ["sync", "timeline"];
 
-// Choices of a job that differ from the defaults; without a job those of its session.
+// Choices of a job that differ from the defaults; without a job from its session's.
 export function specOf(job, options, session) {
   const stated = job?.spec ?? Object.fromEntries(OF_SESSION.map((name) => [name, session[name]]));
   const differs = ({ name, default: usual }) => (job || OF_SESSION.includes(name))

@@ -41,7 +41,7 @@ export function waitingBox(job) {
   return outage ? warningList([`${outage.detail} ${outage.hint}`], "Waiting") : nothing;
 }
 
-// `number`: that of the job among those of its capture, from 1; null if it is the only one.
+// `number`: place of the job among its capture's jobs, from 1; null if it is the only one.
 export function jobRow(view, job, number) {
   const { words, tone } = stateOf(job);
   const name = number === null ? job.session_name : `${job.session_name}, run ${number}`;

@@ -97,7 +97,7 @@ class Captures {
     this.#timer = setTimeout(load, delayMs);
   }
 
-  // Jobs that are older than those of the feed.
+  // Jobs that are older than the feed's.
   async #loadJobs(session) {
     if (this.#asked.has(session.id) || feed.ofSession(session.id).length >= session.num_jobs) return;
     const { jobs } = await call(session.links.jobs);

@@ -1,7 +1,7 @@
 """Attachment of hands to people: fingers of the detections that belong to each person, located in 3D.
 
 Bodies are associated without fingers. Then the hands of a person's detections are attached where two views agree, and
-their joints are triangulated as those of the body.
+their joints are triangulated like the body's.
 """
 
 from collections.abc import Sequence
@@ -81,8 +81,8 @@ def attach_hands(
 
     Returns
     -------
-        People with all joints. A finger is observed by a camera if its hand agrees with that of another camera at the
-        person's wrist. The joints of the body are unchanged.
+        People with all joints. A finger is observed by a camera if its hand agrees with the hand of another camera at
+        the person's wrist. The joints of the body are unchanged.
     """
     body = without_hands(joints)
     columns = _columns(joints, body.names), _columns(joints, _FINGERS)
@@ -207,7 +207,7 @@ def _joined(columns: Sequence[Int[np.ndarray, " _"]], body: np.ndarray, hands: n
 def owners(people: People, bodies: Detections2D, timebase: Timebase) -> Int[np.ndarray, " detections"]:
     """Find the person of each detection: the one whose observations in the camera have the detection's joints.
 
-    People and bodies have the same joints, those of the body. Returns the person's position in ``people.tracks`` for
+    People and bodies have the same joints, the body's. Returns the person's position in ``people.tracks`` for
     each detection, ``NOBODY`` if it has nobody's joints.
     """
     nearest = np.rint((bodies.time_s - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)

@@ -1,8 +1,8 @@
 """People seen by one camera alone, beyond the first and the last frame in which two cameras located them.
 
-One camera does not tell the distance. But for a while the motion is predictable: the body goes on from its last place,
-and its joints are on the rays of the camera, about as far away as before. These places are predictions; the fit adjusts
-them to the ray, to the lengths of the bones and to the motion before.
+One camera does not tell the distance. But for a while the motion is predictable: the body continues from its last
+place, and its joints are on the rays of the camera, about as far away as before. These places are predictions; the fit
+adjusts them to the ray, to the lengths of the bones and to the motion before.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from pipeline.geometry.undistortion import undistort_px
 
 # Longest time for which one camera alone is followed, and longest time without any body in it.
 _LONGEST_S, _LONGEST_GAP_S = 1.0, 0.2
-# Time over which places and speed at the end of a track are taken, and time for which the speed goes on.
+# Time over which places and speed at the end of a track are taken, and time for which the speed is kept.
 _RECENT_S, _GOES_ON_S = 0.2, 0.25
 # Largest mean distance of a body's joints from the expected ones, at the person's distance.
 _REACH_M = 0.2
@@ -186,7 +186,7 @@ def _belongs_to_nobody(left: Leftovers, persons: Sequence[Person]) -> Bool[np.nd
 def _alike(
     theirs_px: Float[np.ndarray, "n joints 2"], bodies_px: Float[np.ndarray, "n joints 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Bodies whose joints are on average where those of an observation are, for its size."""
+    """Bodies whose joints are on average where an observation's joints are, for its size."""
     known = np.isfinite(theirs_px)
     size_px = np.where(known, theirs_px, -np.inf).max(1, initial=-np.inf) - np.where(known, theirs_px, np.inf).min(1)
     limit_px = _SAME_SHARE * np.linalg.norm(np.maximum(size_px, 0.0), axis=-1)

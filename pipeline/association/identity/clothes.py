@@ -99,8 +99,8 @@ def measure_clothes(
 ) -> Clothes:
     """Average the colours of some frames of a person.
 
-    ``detection`` has those frames of ``Observations.detection``, no rows if it was not recorded; ``colour`` is that of
-    all detections, ``observations.Detections2D.colour``.
+    ``detection`` has those frames of ``Observations.detection``, no rows if it was not recorded; ``colour`` is the
+    colour of all detections, ``observations.Detections2D.colour``.
     """
     frames, cameras = np.nonzero(detection >= 0)
     return mean_clothes(colour[detection[frames, cameras]], cameras, num_cameras)

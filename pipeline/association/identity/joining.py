@@ -1,9 +1,9 @@
 """Join tracklets to people: the partition with the greatest likelihood over the whole session.
 
-A person is a chain of tracklets, one after the other in time. Its log-likelihood is that of its body proportions
-(``proportions``) plus the log-likelihood ratios of its links (``links``). The search starts from the best links by
-pairs of tracklets, an assignment that is solved exactly, and then changes pairs of chains while the likelihood of the
-whole session grows.
+A person is a chain of tracklets, one after the other in time. Its log-likelihood is the log-likelihood of its body
+proportions (``proportions``) plus the log-likelihood ratios of its links (``links``). The search starts from the best
+links by pairs of tracklets, an assignment that is solved exactly, and then changes pairs of chains while the likelihood
+of the whole session grows.
 """
 
 from collections.abc import Iterator, Sequence

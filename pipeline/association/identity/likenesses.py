@@ -265,7 +265,7 @@ class Likenesses:
         return frozenset([*(person.number for person in self.still), *(image.number for image in self.images)])
 
     def others(self, num_people: int) -> Sequence[int]:
-        """Positions of the tracks of all others, by whom floor and cameras are judged; everybody's without any."""
+        """Positions of the tracks of all others, used to judge floor and cameras; everybody's without any."""
         return [number for number in range(num_people) if number not in self.numbers] or list(range(num_people))
 
 

@@ -19,10 +19,10 @@ from pipeline.geometry.camera import center_in_world, project
 # Shortest time without a person before the end of the take, and between two moments of the person: shorter gaps are
 # filled by the fit.
 _SHORTEST_S, _SHORTEST_GAP_S = 0.5, 1.0
-# Time before the loss that tells pose and velocity, and time after it for which the person goes on so.
+# Time before the loss that tells pose and velocity, and time after it for which the person continues so.
 _RECENT_S, _GOES_ON_S = 0.2, 0.5
-# Distance from all cameras and people at which a person has left, who goes on for a second as in the second before; and
-# directions that are looked into.
+# Distance from all cameras and people at which a person has left, who continues for a second as in the second before;
+# and directions that are looked into.
 _LEFT_M, _LEAVES_S = 0.25, 1.0
 _DIRECTIONS = np.stack([np.cos(angles := np.linspace(0.0, 2 * np.pi, 72, endpoint=False)), np.sin(angles)], axis=-1)
 # Distance at which another person, there or soon after, is the same one under another number.

@@ -237,7 +237,7 @@ class _View:
     def expected_m(
         self, affected: Bool[np.ndarray, "people people frames"], rows: slice, frame_rate_hz: float
     ) -> Float[np.ndarray, "people frames joints 3"]:
-        """Places at which the other views expect the people at stake; NaN for the others."""
+        """Places at which the other views expect the affected people; NaN for the others."""
         involved = affected.any((1, 2)) | affected.any((0, 2))
         expected_m = np.full((len(self.window), rows.stop - rows.start, *self.window.xyz_m.shape[2:]), np.nan)
         for row in np.flatnonzero(involved).tolist():

@@ -1,6 +1,6 @@
 """Phantoms and spurious tracks: tracks without a body of their own.
 
-A person who has left, or whom no camera shows, may be followed on by limbs that belong to neighbours. Each of these
+A person who has left, or who is in no picture, may be followed on by limbs that belong to neighbours. Each of these
 observations lies where a neighbour's own joint is in this picture, while a person's own limbs rarely do, even in a hug.
 
 Bodies of different cameras that do not belong together agree by chance now and then. How often follows from geometry

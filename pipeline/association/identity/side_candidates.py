@@ -25,7 +25,7 @@ class SideCandidates(NamedTuple):
     """SideCandidates in each frame, from the best one on."""
 
     exchanged: Bool[np.ndarray, "frames candidates cameras"]  # Views whose labels are exchanged
-    # Sum over the pairs of views against that of no exchange, in observations with score 1; infinite where there is no
+    # Sum over the pairs of views against no exchange, in observations with score 1; infinite where there is no
     # further candidate
     cost: Float[np.ndarray, "frames candidates"]
 

@@ -173,7 +173,7 @@ _FASTEST_LINK_M_S, _FASTEST_NOISE_M = 6.0, 0.6
 # Time after which the place says little of the person, and share of bodies that are anywhere even at once.
 _FORGOTTEN_S, _ANYWHERE = 2.0, 1e-3
 _SMALLEST_AREA_M2 = 10.0
-# Log-odds, before any measurement, that a track that goes on at a moment of doubt is of one person (two tracks at an
+# Log-odds, before any measurement, that a track that continues at a moment of doubt is of one person (two tracks at an
 # encounter count twice); that a person who is lost is found again at once; and that a person who went away is the one
 # who comes later.
 _STRAIGHT, _FOUND, _RETURNED = 3.0, 2.0, -1.0

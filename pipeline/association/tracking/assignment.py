@@ -16,7 +16,7 @@ _NEVER = -1e3
 _MAX_PROGRAMME_NODES = 16
 # Detections of all programmes of a partition together.
 _MAX_NODES = 32
-# Branches of the search tree of a programme; those of the simulated scenes are solved at the root.
+# Branches of the search tree of a programme; programmes of the simulated scenes are solved at the root.
 _MAX_BRANCHES = 1000
 
 

@@ -28,7 +28,7 @@ _MOST_BODIES = 128
 _LONGEST_S = 1e11
 # Instants without frames are left out, except those in a pause up to this long.
 _LONGEST_PAUSE_S = 1.0
-# Bones are learnt in steps at instants that are this far apart, so that those of several people delay no instant: a
+# Bones are learnt in steps at instants that are this far apart, so that several people's bones delay no instant: a
 # step takes about as long as a pose. Less than the distance of two instants at 60 Hz, rounded.
 _LEARNING_STEP_S = 0.03
 
@@ -110,7 +110,7 @@ class LiveCapture:
         Raises
         ------
         InputError
-            If the camera is unknown, or a value is not allowed; the capture goes on without the frame.
+            If the camera is unknown, or a value is not allowed; the capture continues without the frame.
         """
         number = self._names.get(camera, -1) if isinstance(camera, str) else camera
         points_px, score = _as_numbers(points_px), _as_numbers(score)

@@ -122,7 +122,7 @@ _MOST_KEPT = 25
 # Standard deviation of a limb measured for a second, before a capture tells, and its weight in pairs of seconds.
 _USUAL_M, _USUAL_SECONDS = 0.03, 0.5
 # Log-likelihood ratio from which on somebody is a person who was there before (odds of 55), and by how much it is above
-# those of others. Whoever is announced is expected.
+# others. Whoever is announced is expected.
 _CLEAR, _CLEAR_IF_ANNOUNCED = 4.0, 2.0
 # Fewest positions of a second that are compared.
 _FEWEST_KEPT = 5

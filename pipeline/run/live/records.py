@@ -13,7 +13,7 @@ from pipeline.core.data.detections import Detections
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveSkeleton:
-    """Pose of a person's animation skeleton at an instant; joints are those of ``skeleton.model:SKELETON``."""
+    """Pose of a person's animation skeleton at an instant; joints are in the order of ``skeleton.model:SKELETON``."""
 
     root_m: Float[np.ndarray, " 3"]  # World position of the root
     parent_from_joint: Float[np.ndarray, "bones 4"]  # Quaternions (x, y, z, w); the root's parent is the world, Z up
@@ -79,7 +79,7 @@ def recorded_frames(
 def detected_frames(
     cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]
 ) -> list[DetectedFrame]:
-    """Frames as of ``recorded_frames``, with the colours that the detections have."""
+    """Frames like ``recorded_frames``, with the colours that the detections have."""
     frames = []
     for number, camera in enumerate(cameras):
         of_camera = detections[camera.name]

@@ -34,7 +34,7 @@ from pipeline.run.live.packing import described_camera, instant_json, pack_insta
 from pipeline.run.live.records import LiveInstant
 from pipeline.run.live.settings import LiveSettings
 
-# Lowest score of a point that was found, as of keypoint files.
+# Lowest score of a point that was found, as in keypoint files.
 _MIN_SCORE = 1e-9
 
 

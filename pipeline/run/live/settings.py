@@ -39,7 +39,7 @@ class LiveSettings:
     frame_rate_hz
         Rate of the cameras; of the fastest, if they differ.
     output_rate_hz
-        Rate of the instants; ``None``: that of the cameras.
+        Rate of the instants; ``None``: the cameras' rate.
     window_s
         Longest time that a frame waits for earlier frames of other cameras. An instant is final as soon as all cameras
         have sent a frame at or behind it, and at the latest when the newest frame is this long behind it.

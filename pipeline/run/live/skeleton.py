@@ -1,8 +1,8 @@
 """Skeleton of a person while the person moves: bones learnt from the first seconds, then one pose after the other.
 
-The energy of a pose is that of the finished fit (``skeleton.fitting``) with the instants before it held: rays of all
+The energy of a pose is the finished fit's (``skeleton.fitting``) with the instants before it held: rays of all
 views, priors of the articulation, and Cauchy's function of each landmark's distance from its place by the motion so
-far. This place and its uncertainty are those of a Kalman filter with usual accelerations as noise (Bar-Shalom, Li and
+far. This place and its uncertainty come from a Kalman filter with usual accelerations as noise (Bar-Shalom, Li and
 Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.3.2), for each landmark.
 """
 
@@ -43,8 +43,8 @@ _LONGEST_GAP_S = 0.5
 _COASTING_S = 0.15
 # Speeds at the first pose are unknown: a brisk walk.
 _FIRST_SPEED_M_S = 2.0
-# Noise of accelerations over the usual ones: the filter takes those of one instant as independent of those before, but
-# they last. Of 0.35 to 2.5 this is best or nearly so in the simulated room, at 25 and at 60 Hz.
+# Noise of accelerations over the usual ones: the filter takes accelerations of one instant as independent of earlier
+# ones, but they last. Of 0.35 to 2.5 this is best or nearly so in the simulated room, at 25 and at 60 Hz.
 _MANOEUVRE = 1.6
 # Uncertainty of the place of a foot that stands.
 _STANDING_M = 0.005
@@ -167,8 +167,8 @@ def learn_bones(
 ) -> LearntBones:
     """Learn a person's bones from located joints (metres, NaN where unknown), by medians as the finished fit begins.
 
-    With known lengths only the landmarks of head and feet are learnt. ``offsets`` are those of the detector's marks
-    from the joints' centres.
+    With known lengths only the landmarks of head and feet are learnt. ``offsets`` are the offsets of the detector's
+    marks from the joints' centres.
     """
     steps = _learning_steps(learnt_m, joints, length_m, offsets)
     while True:

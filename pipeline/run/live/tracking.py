@@ -50,7 +50,7 @@ class Sighting:
 class LiveTracker:
     """Numbers of people for detections, and positions of people at instants.
 
-    ``rate_hz`` is that of the cameras.
+    ``rate_hz`` is the cameras' rate.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class LiveTracker:
         self._frame_s = np.full(len(cameras), -np.inf)  # time of each camera's latest frame
         self._targets: dict[int, _Target] = {}
         self._num_people = 0
-        # Detections that may start a target with those of later frames.
+        # Detections that may start a target with detections of later frames.
         self._carried_px, self._carried_score = np.empty((0, num_joints, 2)), np.empty((0, num_joints))
         self._carried_camera, self._carried_s = np.empty(0, np.int64), np.empty(0)
         self._carried_colours: list[UInt8[np.ndarray, "parts bins"] | None] = []
@@ -78,7 +78,7 @@ class LiveTracker:
         return len(self._targets) + len(self._carried_score)
 
     def advance(self, frames: Sequence[LiveFrame]) -> Int[np.ndarray, " detections"]:
-        """Process frames in time order, none before those of earlier calls.
+        """Process frames in time order, none before the frames of earlier calls.
 
         Returns the number of the person in each of their detections as far as it is known by now; ``NOBODY`` for
         detections of targets that are not confirmed, some of which are confirmed by later frames.

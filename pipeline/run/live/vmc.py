@@ -106,7 +106,7 @@ class VmcSender:
     Raises
     ------
     InputError
-        If the address is unknown, or that of another machine and not allowed; or if a port is wrong.
+        If the address is unknown, or another machine's and not allowed; or if a port is wrong.
     """
 
     def __init__(self, host: str = "127.0.0.1", ports: Iterable[int] = (PORT,), *, allow_network: bool = False) -> None:

@@ -104,7 +104,7 @@ class PairDisagreement:
         """Test for a disagreement of pairs of cameras that has no other reason than that something is wrong.
 
         Cameras of a right calibration that see different people disagree about these, but agree exactly about the
-        others, however few they are: distances of different people are spread evenly, those of the same people are
+        others, however few they are: distances of different people are spread evenly, distances of the same people are
         nearly 0.
         """
         known = [self.pair_agreement(*pair, hypothesis) for pair in pairs]
@@ -114,7 +114,8 @@ class PairDisagreement:
         num_sure = sum(agreement.sure_share * agreement.num_pairs for agreement in known if agreement.num_pairs)
         if not self._is_enough(known) or num_exact >= _MAX_EXACT * num_compared:
             return False
-        # Probability that of so many near pairs of different people so many, or more, are as near as the same person.
+        # Probability that, among so many near pairs of different people, so many or more are as near as the same
+        # person.
         chance = bdtrc(round(num_sure) - 1, round(num_near), SURE / FAR) if round(num_sure) else 1.0
         return bool(chance > _MAX_CHANCE)
 

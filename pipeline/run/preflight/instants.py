@@ -72,7 +72,7 @@ def _detect(
     on_frame: Callable[[], None],
     turn_deg: float,
 ) -> NumberedBodies:
-    """Detect bodies in frames of a camera; only those of one turn are counted."""
+    """Detect bodies in frames of a camera; only bodies of one turn are counted."""
     detector, count = open_turned(turn_deg), on_frame if turn_deg == counted_deg else lambda: None
     num_frames = session.video_of[camera.name].num_frames
     spans = [range(num_frames)] if num_frames <= _DECODED_WHOLE else [range(k, k + 1) for k in wanted]

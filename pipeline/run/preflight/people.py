@@ -1,4 +1,4 @@
-"""Check a session by the people whom its cameras see at a few instants: ``check_people`` is the whole way."""
+"""Check a session by the people in view at a few instants. Entry point: ``check_people``."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

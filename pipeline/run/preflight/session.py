@@ -153,7 +153,7 @@ def with_clocks(
 ) -> SessionCheck:
     """Add the findings about declared times to a check, unless cameras are wrong or nobody is located.
 
-    Arguments are as of ``check_detections``; the detections are whole bodies.
+    Arguments are the same as for ``check_detections``; the detections are whole bodies.
     """
     if has_error(check.findings) or not check.num_located:
         return check

@@ -40,7 +40,7 @@ class SimultaneousPeople:
     time_s: tuple[float, ...]  # Times of the instants, ascending
 
     def num_people(self, camera: int) -> int:
-        """Number of people whom a camera sees, at all instants together."""
+        """Number of people seen by a camera, at all instants together."""
         return sum(len(people) for people in self.points_px[camera] if people is not None)
 
     def moved(self, camera: int, move: Callable[[Points], Points]) -> "SimultaneousPeople":
@@ -92,7 +92,7 @@ def collect_sightings(
 ) -> SimultaneousPeople:
     """Select the people in frames of each camera.
 
-    Detections of other frames, and fingers, are left out; ``frames`` are those of each camera at the instants, see
+    Detections of other frames, and fingers, are left out; ``frames`` are the frames of each camera at the instants, see
     ``frames_at``, and ``time_s`` are the times of the instants.
     """
     kept = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]
@@ -151,7 +151,7 @@ class PeopleAgreement:
 def compare(
     fundamental: Float[np.ndarray, "3 3"], left: Sequence[Points | None], right: Sequence[Points | None]
 ) -> PeopleAgreement:
-    """Compare the people whom two cameras see at the same instants by their epipolar distances.
+    """Compare the people seen by two cameras at the same instants by their epipolar distances.
 
     At each instant the people are paired so that the sum of their distances is least. The distance of a pair is the
     median over its joints, as a share of the people's extents in the pictures; above 0.1 it counts as 0.1, and the mean

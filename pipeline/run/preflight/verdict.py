@@ -21,7 +21,7 @@ _MENDABLE = frozenset({CAMERA_DISAGREES, CALIBRATION_OF_ANOTHER_RIG, NOT_UPRIGHT
 
 
 def session_findings(cameras: Sequence[Camera], of_people: Sequence[Finding]) -> list[Finding]:
-    """Findings about cameras alone and about the people whom they see at a few instants, joined."""
+    """Findings about cameras alone and about people in view at a few instants, joined."""
     return join_findings(check_cameras(cameras), of_people)
 
 
@@ -76,7 +76,7 @@ def _is_mendable(error: Finding, config: ReconstructionConfig) -> bool:
 
 
 def _has_results(config: ReconstructionConfig) -> bool:
-    """Whether a job works on results that are there: edits of people, or visuals made anew."""
+    """Whether a job works on results that are there: edits of people, or rebuilt visuals."""
     return bool(config.edits) or config.making is not None
 
 

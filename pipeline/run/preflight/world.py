@@ -33,7 +33,7 @@ _MIN_POSES, _MIN_FACES = 6, 20
 _NUM_NEXT = 3
 # No person is smaller or taller, whatever the error of the estimate: the unit is another one.
 _POSSIBLE_M = (0.4, 3.0)
-# Heights are less exact than those of a reconstruction, which has its own check.
+# Heights are less exact than a reconstruction's, which has its own check.
 _MAX_FLOOR_M = 0.3
 # Bodies at one place, and the least number of instants at which a body that never moves is there.
 _SAME_PLACE_M, _MIN_INSTANTS_AT_PLACE = 0.04, 4
@@ -46,7 +46,7 @@ _ANKLES = ("left_ankle", "right_ankle")
 def locate(
     cameras: Sequence[Camera], located: LocatedPeople
 ) -> tuple[Sequence[int], Float[np.ndarray, "poses joints 3"]]:
-    """Locate people from pairs of cameras; a person whom several pairs see has several poses.
+    """Locate people from pairs of cameras; a person seen by several pairs has several poses.
 
     Returns the place of the instant of each pose, and the poses: joints in metres, NaN where not both cameras see a
     joint. Of a person seen by many cameras, each camera is paired with the next three alone.
@@ -68,7 +68,7 @@ def locate(
 def check_world(
     cameras: Sequence[Camera], poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet, is_certain: bool = True
 ) -> list[Finding]:
-    """Check the world by located people. ``poses_m`` are those of ``locate``.
+    """Check the world by located people. ``poses_m`` come from ``locate``.
 
     Nothing is an error unless ``is_certain``: the people were seen at enough instants.
     """
@@ -87,7 +87,7 @@ def select_movers(
 ) -> Float[np.ndarray, "moving joints 3"]:
     """Poses of people who are not at one place at half of the instants, as pictures on walls are; all without any.
 
-    ``instants`` and ``poses_m`` are those of ``locate``.
+    ``instants`` and ``poses_m`` come from ``locate``.
     """
     is_located = np.isfinite(poses_m[..., 0]).any(-1)
     number, poses_m = np.asarray(instants, int)[is_located], poses_m[is_located]
@@ -100,7 +100,7 @@ def select_movers(
 
 
 def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:
-    """Poses as frames of a track, whose medians are those of all people."""
+    """Poses as frames of a track, whose medians are the medians of all people."""
     known = np.isfinite(poses_m[..., 0])
     source = np.where(known, Source.MEASURED, Source.ABSENT)
     return Track3D(1, 0, poses_m, known.astype(np.float64), source, np.where(known, 0.0, np.nan), 2 * known)

@@ -1,7 +1,7 @@
 """Blur heads: find them in the frames of each camera, and make a small blurred copy of its video for browsers.
 
-The output of *Find heads* are ``HeadRegions``, and that of *Blur videos* the index of its files. Edits of people change
-nothing: whoever was found or detected once has a head, and the copies of a job are made once.
+The output of *Find heads* are ``HeadRegions``, and the output of *Blur videos* is the index of its files. Edits of
+people change nothing: whoever was found or detected once has a head, and the copies of a job are made once.
 """
 
 from typing import TYPE_CHECKING
@@ -95,7 +95,7 @@ HEADS_STAGE = Stage(
     "Find heads",
     find_heads,
     cut="whole",
-    # It reads the detections too, by whose keys those of the people are made. Colours are not read, so that detection
+    # It reads the detections too, whose keys are part of the people's keys. Colours are not read, so that detection
     # need not run again for them.
     follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD),
     choices=("blur_faces",),

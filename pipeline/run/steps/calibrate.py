@@ -1,6 +1,6 @@
 """Calibrate cameras: find the board in the videos, then make a calibration from its views or from people.
 
-The output of *Find the board* is a ``BoardViews`` a camera, and that of *Calibrate cameras* the calibration.
+The output of *Find the board* is a ``BoardViews`` a camera, and the output of *Calibrate cameras* is the calibration.
 """
 
 import json

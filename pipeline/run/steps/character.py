@@ -3,7 +3,7 @@
 from pipeline.run.engine.stage import RETARGET, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 
 KIND = "character"
-"""Kind of the files among those of a job."""
+"""Kind of the files among a job's files."""
 
 _MEDIA_TYPES = {"glb": "model/gltf-binary", "bvh": "text/plain; charset=utf-8", "fbx": "application/octet-stream"}
 

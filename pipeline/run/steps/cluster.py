@@ -1,7 +1,7 @@
 """Find people by clustering: everybody's bones first, then the people at each instant by itself.
 
-The output of *Measure bones* is a ``MeasuredBones``, from frames all over the session, and that of *Find people* a
-``Poses3D`` for a range of output frames.
+The output of *Measure bones* is a ``MeasuredBones``, from frames all over the session, and the output of *Find people*
+a ``Poses3D`` for a range of output frames.
 """
 
 from collections.abc import Iterator

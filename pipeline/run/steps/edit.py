@@ -1,6 +1,6 @@
-"""Edit people: put together the people whom edits change, and fit each of them by themselves on the take's floor.
+"""Edit people: put together the people changed by edits, and fit each of them by themselves on the take's floor.
 
-The output of *Edit people* is stored people, and that of a task of *Fit edited people* an ``Animation``.
+The output of *Edit people* is stored people, and the output of a task of *Fit edited people* an ``Animation``.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ _ANYBODY = 0
 
 
 def edit(task: Task, context: Context) -> Output:
-    """Put the people together whom the edits change."""
+    """Put the people together that the edits change."""
     from pipeline.run.engine.edited_people import changed_people, edited_take
     from pipeline.run.engine.stored_people import found_people, write_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -40,7 +40,7 @@ def edit(task: Task, context: Context) -> Output:
 
 
 def refit(task: Task, context: Context) -> Output:
-    """Animate a part of the people whom edits changed, unless an earlier task has animated the same frames."""
+    """Animate a part of the people changed by edits, unless an earlier task has animated the same frames."""
     from pipeline.core.data.animation import Animation, Floor
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import animate

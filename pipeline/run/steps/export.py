@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pipeline.core.data.reconstruction import Reconstruction
     from pipeline.export.results import ReportOf
 
-# People whom a warning names.
+# People named by a warning.
 _MAX_NAMED = 10
 
 
@@ -96,7 +96,7 @@ def _with_opensim(report: "ReportOf", context: Context, take: "Reconstruction") 
 
 
 def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
-    """Result file by its path; ``names`` are those of people, by their numbers in names of files.
+    """Result file by its path; ``names`` are people's names, by their numbers in names of files.
 
     A file of a format that is no person's is of the whole take.
     """

@@ -9,7 +9,7 @@ from functools import cache
 from pipeline.run.engine.stage import FIT, HOLD, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
 
 CHOICES = ("smoothing", "cutoff_hz", "joint_centers")
-"""Choices of a fit, and of the fit of people whom edits changed."""
+"""Choices of a fit, and of the fit of people changed by edits."""
 
 
 def fit(task: Task, context: Context) -> Output:
@@ -28,7 +28,7 @@ def fit(task: Task, context: Context) -> Output:
     fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, joint_offsets(context))
     on_floor = None
     if task.index == 0:
-        # Observations stay in their file: those of one person at a time are in memory.
+        # Observations stay in their file: one person's at a time are in memory.
         sees = cache(seen_in(people.observations))
         likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, session.timebase.frame_rate_hz)
         on_floor = tuple(likenesses.others(len(people.tracks)))

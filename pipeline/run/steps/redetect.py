@@ -1,6 +1,6 @@
 """Detect leaning bodies again where detectors miss them or call left right: expect them, then read them in crops.
 
-The output of *Find leaning bodies* is a ``Detections`` a camera, and that of *Detect leaning bodies again* a
+The output of *Find leaning bodies* is a ``Detections`` a camera, and the output of *Detect leaning bodies again* a
 ``Detections`` for a range of a camera's frames.
 """
 

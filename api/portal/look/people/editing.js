@@ -8,7 +8,7 @@ import { describe } from "./words.js";
 
 // Event `change`: something that is shown has changed.
 export class Editing extends EventTarget {
-  people = null; // as of GET /v1/jobs/{id}/people
+  people = null; // from GET /v1/jobs/{id}/people
   problem = null;
   conflict = null; // changes that were refused because of somebody else's: { words, changes }
   notice = null; // of somebody else's change

@@ -11,7 +11,7 @@ import { Editing } from "./editing.js";
 import { colorOf, describe, isNumbering, nameOf } from "./words.js";
 
 export class PeoplePanel {
-  selected = null; // id of the person whom actions are for
+  selected = null; // id of the person that actions are for
   other = null; // id of the second person of a merge or an exchange
   #isOpen = true;
 

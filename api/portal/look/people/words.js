@@ -2,7 +2,7 @@
 
 const HUE_STEP = 0.618034; // as in pipeline/export/scene.py
 
-// Colour of a person by number, that of the 3D view and of the exported models.
+// Colour of a person by number, as in the 3D view and of the exported models.
 export function colorOf(id) {
   const hue = ((id * HUE_STEP) % 1) * 6;
   const part = (shift) => {
@@ -12,7 +12,7 @@ export function colorOf(id) {
   return `#${[5, 3, 1].map((shift) => part(shift).toString(16).padStart(2, "0")).join("")}`;
 }
 
-// Name of a person; people whom a later edit has taken away have the name that an edit gave them last.
+// Name of a person; people taken away by a later edit have the name that an edit gave them last.
 export function nameOf(id, { people, edits }) {
   const given = edits.findLast(({ action, person }) => action === "rename" && person === id)?.name;
   return people.find((person) => person.id === id)?.name ?? given ?? `person-${id}`;

@@ -20,7 +20,7 @@ export function readJoin(hash) {
 /**
  * Identity of the phone: `{ recording, secret, phoneId, name, isKnown }`; null if no link was opened here yet.
  *
- * A page that is opened again without the link goes on with the last one.
+ * A page that is opened again without the link continues with the last one.
  */
 export function readIdentity(hash) {
   const entries = kept();

@@ -119,7 +119,7 @@ export function partOf({ key, facts, numBytes, isOpen }) {
 /**
  * Times of a take without pictures, `[{ from_s, to_s }]` by the key of the part before them.
  *
- * `parts` are those of a take, in order; `stopS` is its stop, null while it is recorded.
+ * `parts` are a take's parts, in order; `stopS` is its stop, null while it is recorded.
  */
 export function lossesOf(parts, stopS) {
   return new Map(parts.map((part, place) => {

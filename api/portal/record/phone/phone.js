@@ -129,7 +129,7 @@ export class PhoneCamera extends EventTarget {
     await this.openCamera();
   }
 
-  /** Remove parts that no host asks for any more, such as those of earlier recordings. */
+  /** Remove parts that no host asks for any more, such as parts of earlier recordings. */
   async remove(parts) {
     for (const { key } of parts) await this.#remove(key);
     await this.#readParts();
@@ -156,7 +156,7 @@ export class PhoneCamera extends EventTarget {
     this.#changed();
   }
 
-  // A link that has ended is the end. Other refusals may pass, such as an outage: what is recorded goes on meanwhile.
+  // A link that has ended is the end. Other refusals may pass, such as an outage: recording continues meanwhile.
   #refused({ code, detail, hint, close_code: closeCode, retryable }) {
     if (closeCode === null) {
       // A message that was not taken, such as that an upload is complete: after the next welcome all is told again.

@@ -24,7 +24,7 @@ export class BodyPose {
   #turns; // matrix of each joint, rest to world, row by row
   #middleTwist; // middle of the range of a hand's turns about the arm
 
-  /** `body` and `joint_names` are those of a description. */
+  /** `body` and `joint_names` are a description's. */
   constructor({ body, joint_names: marks }) {
     this.numJoints = body.joints.length;
     this.#joints = Object.fromEntries(body.joints.map((name, number) => [name, number]));
@@ -37,7 +37,7 @@ export class BodyPose {
   /**
    * Write the transforms of all joints to `out`, from the place `start` on.
    *
-   * `rest` are positions of all joints of the body at rest, `positions` those of the skeleton's joints, `marks` those of the
+   * `rest` are positions of all joints of the body at rest, `positions` of the skeleton's joints, `marks` of the
    * detector's joints, three numbers each, NaN for unknown ones.
    */
   write(rest, positions, marks, out, start) {

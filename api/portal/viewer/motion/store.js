@@ -122,7 +122,7 @@ export class MotionStore extends EventTarget {
   }
 }
 
-// Frames of a take that are in the page itself, as those of a report are.
+// Frames of a take that are in the page itself, as in a report.
 
 /** Store of a report's data (pipeline/export/report); it has the methods of `MotionStore` that views and time line need. */
 export class EmbeddedStore extends EventTarget {
@@ -168,7 +168,7 @@ export class EmbeddedStore extends EventTarget {
   close() {}
 }
 
-// Preview of edits: a take whose people are put together from those of another take, until the files of the edits are there.
+// Preview of edits: a take whose people are put together from the people of another take, until the files of the edits are there.
 
 // Bytes of strips where a person is absent; other columns have 0.
 const EMPTY = { error: UNKNOWN_ERROR };
@@ -177,10 +177,10 @@ const EMPTY = { error: UNKNOWN_ERROR };
  * Store of a take after edits, from the store of the take before them; it has the methods of `MotionStore`.
  *
  * `before` and `after` are lists of the people of both, `{ id, name, color, pieces }`, and the kept frames, `start_frame`
- * and `stop_frame`. A piece, `{ person, start_frame, stop_frame }`, are frames of a person as found. All frames are those of
- * the whole reconstruction. Skeletons are those of the earlier fit.
+ * and `stop_frame`. A piece, `{ person, start_frame, stop_frame }`, are frames of a person as found. All frames count in
+ * the whole reconstruction. Skeletons come from the earlier fit.
  *
- * Events: those of the other store.
+ * Events: the other store's.
  */
 export class EditedStore extends EventTarget {
   #base;
@@ -290,7 +290,7 @@ function describePerson(base, { id, name, color }, parts, shift) {
   const about = { id, name, color, start_frame: parts[0].from, num_frames: parts.at(-1).to - parts[0].from, contacts: findContacts(base, parts, shift) };
   const source = base.people[parts[0].source];
   const isWhole = parts.length === 1 && parts[0].from + shift === source.start_frame && about.num_frames === source.num_frames;
-  // Figures of a person who is put together anew come with the files.
+  // Figures of a person who is put together again come with the files.
   if (!isWhole) return { ...source, coverage: null, stature_m: null, reprojection_error_px: null, identity: { confidence: NaN, doubts: [] }, ...about };
   const doubts = source.identity.doubts.map((doubt) => ({ ...doubt, frame: doubt.frame - shift }));
   return { ...source, identity: { ...source.identity, doubts }, ...about };
@@ -303,7 +303,7 @@ function findContacts(base, parts, shift) {
   }));
 }
 
-/** Strips of a person: each bucket is that of the earlier person in its middle. */
+/** Strips of a person: each bucket comes from the earlier person in its middle. */
 function encodeStrips(base, parts, shift, numFrames) {
   const { columns, frames_per_bucket: length } = base.strips;
   const sources = new Map(parts.map(({ source }) => [source, decodeStrips(base, source)]));

@@ -1,4 +1,4 @@
-// Decoder of a video that is fed by the page: picture after picture, without the seeking of a player, which decodes anew from
+// Decoder of a video that is fed by the page: picture after picture, without the seeking of a player, which decodes again from
 // the last key for each picture.
 
 import { readIndex } from "../../shared/mp4.js";
@@ -95,7 +95,7 @@ export class Film {
     return new Promise((resolve) => { this.#wake = resolve; });
   }
 
-  /** Whether a frame comes sooner, or at all, if decoding begins anew at the key before it. */
+  /** Whether a frame comes sooner, or at all, if decoding restarts at the key before it. */
   #mustBegin(frame) {
     return this.#next === null || frame <= this.#shown || this.#keyBefore(frame) > this.#next;
   }

@@ -21,7 +21,7 @@ export class SkeletonDrawing {
     this.#pixels = new Float64Array(2 * description.joint_names.length);
   }
 
-  /** Size of the canvas in pixels: that of its place in the page, as measured by `measure`. */
+  /** Size of the canvas in pixels: the size of its place in the page, as measured by `measure`. */
   get size() {
     return [this.canvas.width, this.canvas.height];
   }

@@ -103,7 +103,7 @@ export const canShrink = (format) => format in CHROMA;
  * Write a frame in a smaller size.
  *
  * `frame` has `format` (I420 or NV12), `data` (bytes), `layout` (`offset` and `stride` of each plane), `width` and `height`
- * in pixels, and `colorSpace` as of a `VideoFrame`; `out` is an `ImageData`.
+ * in pixels, and `colorSpace` like a `VideoFrame`'s; `out` is an `ImageData`.
  */
 export function shrink({ format, data, layout, width, height, colorSpace }, out) {
   const { step, planes: [blue, red] } = CHROMA[format];

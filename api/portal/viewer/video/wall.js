@@ -36,7 +36,7 @@ export class Wall {
     for (const tile of this.tiles) tile.follow();
   }
 
-  /** Draw the skeletons anew: others are shown, or frames have come. */
+  /** Draw the skeletons again: others are shown, or frames have come. */
   redraw() {
     for (const tile of this.tiles) tile.draw(true);
   }
@@ -162,7 +162,7 @@ export class Tile {
     this.#drawn = "";
   }
 
-  /** Time on the session's clock of what the tile shows: that of the video's picture, or the play head without a video. */
+  /** Time on the session's clock of what the tile shows: the time of the video's picture, or the play head without a video. */
   get shownS() {
     return this.#shown ?? this.#player.timeS;
   }

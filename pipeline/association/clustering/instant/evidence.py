@@ -25,8 +25,8 @@ class JointPoints(NamedTuple):
 
     joint: np.ndarray  # Number of the joint in the skeleton, (points,)
     xyz_m: np.ndarray  # World positions, (points, 3)
-    # Detection behind a point in each view, else that of its nearest ancestor with a detection, (points, cameras);
-    # ``NOWHERE`` if unknown
+    # Detection behind a point in each view, else the detection of its nearest ancestor with a detection, (points,
+    # cameras); ``NOWHERE`` if unknown
     body: np.ndarray
 
 

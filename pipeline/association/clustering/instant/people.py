@@ -100,7 +100,7 @@ def match_people(
 ) -> MatchedPeople:
     """Find people from bodies that agree in several views; nobody for candidates without bodies.
 
-    A joint counts for the person with whom it agrees in space, whatever body it is part of.
+    A joint counts for the person that it agrees with in space, whatever body it is part of.
     """
     bodies = collect_bodies(candidates, len(skeleton.names))
     matched = match_bodies(image_from_world, candidates, bodies, skeleton, lengths, parameters, limits)

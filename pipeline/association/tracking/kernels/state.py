@@ -44,7 +44,7 @@ def target_dtype(lanes: int) -> np.dtype:
         ("decay_3d", np.float64, (lanes,)),  # w3D exp(-lambda_a (t - t'))
         ("low_m", np.float64, (3, LANES)),  # least and largest offset_m, by lane
         ("high_m", np.float64, (3, LANES)),
-        ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, as of sum_s
+        ("normal_sum", np.float64, (NUM_NORMAL, lanes)),  # normal equations of all views, like sum_s
         ("views", np.float64, (lanes,)),  # number of views in normal_sum
         ("recent_m", np.float64, (NUM_RECENT, 3, lanes)),
         ("recent_s", np.float64, (NUM_RECENT,)),

@@ -45,7 +45,7 @@ def clear(targets, slot, target_id):
 @inlined
 @no_type_check
 def _drop_old_views(targets, slot, time_s, limits):
-    """Subtract views that are too old from the normal equations; set those of a joint without views to zero."""
+    """Subtract views that are too old from the normal equations; set the equations of a joint without views to zero."""
     target = targets.state[slot]
     if time_s - target.oldest_s < limits.velocity_window_s:
         return

@@ -86,8 +86,8 @@ def detect_bodies(job: DetectionJob) -> DetectedBodies:
 class PictureSize:
     """Size of a camera's pictures in the network's input, by the people in the latest pictures.
 
-    The rule is that of finished sessions, but for one pass that is at most as large as the usual one: what is found out
-    about people must not make the detection slower than it was measured at the start.
+    The rule is the same as for finished sessions, but for one pass that is at most as large as the usual one: what is
+    found out about people must not make the detection slower than it was measured at the start.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class PictureSize:
         self.sizes: CameraSizes | None = None
 
     def add(self, spans_px: Float[np.ndarray, " bodies"]) -> None:
-        """Take the bodies of a picture; choose the size by the first one, and anew after many."""
+        """Take the bodies of a picture; choose the size by the first one, and again after many."""
         self._spans_px.append(spans_px)
         self._num_until_choice -= 1
         if self._num_until_choice == 0 and self._rule is not None:

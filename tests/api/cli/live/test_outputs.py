@@ -128,7 +128,7 @@ def test_capture_full_disk_leaves_a_session_and_continues(tmp_path: Path) -> Non
     assert num_kept == 200 < len(frames)
     assert [str(error) for error in outputs.errors] == ["kept can't be written: No space left on device."]
     _, notice, ended = map(json.loads, lines.getvalue().splitlines())
-    assert "No space left on device. The capture goes on without it." in notice["message"]
+    assert "No space left on device. The capture continues without it." in notice["message"]
     assert ended["type"] == "ended"
 
 
