@@ -1,11 +1,13 @@
 """Multicap from Python: markerless motion capture of several people from calibrated cameras.
 
-Reconstruct a capture in this process:
+Reconstruct keypoints in this process; ``open_session`` takes videos in their place:
 
 >>> import multicap
->>> session = multicap.open_session(Path("videos"), Path("Calib.qca.txt"))  # doctest: +SKIP
->>> config = multicap.ReconstructionConfig(frame_range=(0, 100))  # doctest: +SKIP
->>> multicap.reconstruct_to_files(session, Path("results"), config)  # doctest: +SKIP
+>>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+>>> config = multicap.ReconstructionConfig(exports=("bvh",))
+>>> written = multicap.reconstruct_to_files(session, folder / "results", config)
+>>> sorted({path.suffix for path in written.paths})
+['.bvh', '.json']
 
 or send it to a service:
 

@@ -1,13 +1,9 @@
 """Client of live captures: keypoints to a service, people and their skeletons back, while it happens.
 
-``connect`` is asynchronous, ``connect_sync`` is for loops and threads::
+``connect`` is asynchronous, ``connect_sync`` is for loops and threads. Instants come as ``LiveInstant``, whose people
+have located joints and, once their bones are learnt, a skeleton. ``docs/live_service.md`` describes the protocol.
 
-    with multicap.live.connect_sync("http://127.0.0.1:8000", "calibration.json", "coco-17", 60.0) as capture:
-        capture.send("cam_1", time_s, points_px, score)  # people x points x 2, people x points
-        while (instant := capture.receive(timeout_s=0.0)) is not None:
-            print(instant.time_s, [person.id for person in instant.people])
-
-Instants come as ``LiveInstant``, whose people have located joints and, once their bones are learnt, a skeleton.
+The examples of this module run against a service at ``address`` with a ``calibration`` of two cameras.
 """
 
 import contextlib
@@ -51,8 +47,16 @@ class LiveError(Exception):
     ----------
     code
         Code of docs/problems.md.
+    detail
+        Sentence for the user.
     problem
-        The whole problem, with ``errors`` and ``hint``.
+        The whole problem, with ``errors`` and ``hint``; empty if the service did not send one.
+
+    Examples
+    --------
+    >>> error = LiveError("live_too_fast", "Too many messages came.", {"hint": "Send fewer."})
+    >>> str(error), error.code, error.problem["hint"]
+    ('live_too_fast: Too many messages came.', 'live_too_fast', 'Send fewer.')
     """
 
     def __init__(self, code: str, detail: str, problem: Mapping[str, Any]) -> None:
@@ -62,7 +66,35 @@ class LiveError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Choices of a capture; docs/live_service.md describes them."""
+    """Choices of a capture; docs/live_service.md describes them.
+
+    Parameters
+    ----------
+    output_rate_hz
+        Rate of the instants; ``None``: the frame rate of the cameras.
+    window_s
+        Longest time that a frame waits for earlier frames of other cameras.
+    is_ordered
+        Whether each camera sends its frames in the order of their times; if not, every frame waits for ``window_s``.
+    learn_s
+        Time in sight after which the bones of a person are learnt.
+    bodies
+        Lengths of the bones of people of earlier takes, in metres, as ``multicap.read_bodies`` reads them.
+    joint_centers
+        Detector whose marks are moved to the centres of the joints, such as ``movenet-multipose``; ``off``: none.
+    keep
+        Whether the service keeps the keypoints as a session.
+    name
+        Name of that session.
+    packed
+        Whether instants come as packets, which are shorter than JSON.
+
+    Examples
+    --------
+    >>> options = LiveOptions(window_s=0.2, keep=True, name="Take 3")
+    >>> options.output_rate_hz is None, options.learn_s
+    (True, 3.0)
+    """
 
     output_rate_hz: float | None = None
     window_s: float = 0.1
@@ -72,12 +104,30 @@ class LiveOptions:
     joint_centers: str = "off"
     keep: bool = False
     name: str = "live"
-    packed: bool = True  # Whether instants come as packets, which are shorter than JSON
+    packed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureEnd:
-    """End of a capture: numbers of frames, and the session of what was kept."""
+    """End of a capture: numbers of frames, and the session of what was kept.
+
+    Parameters
+    ----------
+    counts
+        Numbers of frames by what became of them: ``received``, ``taken``, ``late``, ``too_late``.
+    dropped
+        Frames and instants that were dropped because a side was too slow.
+    session_id
+        Session of the kept keypoints; ``None`` without ``LiveOptions.keep``.
+    kept_frames
+        Number of frames in that session.
+
+    Examples
+    --------
+    >>> end = CaptureEnd({"received": 2, "taken": 2, "late": 0, "too_late": 0}, Dropped(), None, 0)
+    >>> end.counts["taken"], end.dropped.output, end.session_id
+    (2, 0, None)
+    """
 
     counts: Mapping[str, int]
     dropped: Dropped
@@ -119,7 +169,29 @@ class _Messages:
 
 
 class AsyncLive(_Messages):
-    """Live capture of an asynchronous program."""
+    """Live capture of an asynchronous program, made by ``connect``.
+
+    It is an iterator of instants. Frames are sent by another task, such as one of a group.
+
+    Attributes
+    ----------
+    cameras, joints, bones
+        Names of the cameras, of the located joints, and of the skeleton's bones, in the order of the arrays.
+    end
+        End of the capture; ``None`` until the last instant has come.
+
+    Examples
+    --------
+    >>> import asyncio
+    >>> import numpy as np
+    >>> async def capture_frames():
+    ...     async with connect(address, calibration, "coco-17", 25.0) as capture:
+    ...         await capture.send("left", 0.0, np.zeros((0, 17, 2)), np.zeros((0, 17)))
+    ...         await capture.finish()
+    ...         return [instant.time_s async for instant in capture], capture.end.counts["taken"]
+    >>> asyncio.run(capture_frames())
+    ([0.0], 1)
+    """
 
     def __init__(self, connection: AsyncConnection, ready: Mapping[str, Any]) -> None:
         super().__init__(ready)
@@ -133,7 +205,26 @@ class AsyncLive(_Messages):
         points_px: Float[np.ndarray, "people points 2"],
         score: Float[np.ndarray, "people points"],
     ) -> None:
-        """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
+        """Send a camera's frame.
+
+        Parameters
+        ----------
+        camera
+            Name of the camera, or its number in ``cameras``.
+        time_s
+            Time of the frame on the cameras' clock.
+        points_px
+            Points of the layout in pixels of the distorted image, NaN where a point was not found.
+        score
+            Confidence of the detector in each point, 0 to 1.
+
+        Raises
+        ------
+        LiveError
+            If the service has ended the capture.
+        ValueError
+            If there is no such camera.
+        """
         with _closed_as_problem():
             try:
                 await self._connection.send(self.keypoints(camera, time_s, points_px, score))
@@ -144,12 +235,12 @@ class AsyncLive(_Messages):
                 raise
 
     async def finish(self) -> None:
-        """Say that the capture is over; its last instants still come, and ``end`` is set behind them."""
+        """End the capture; its last instants still come, and ``end`` is set after them. Raises ``LiveError``."""
         with _closed_as_problem():
             await self._connection.send(json.dumps({"type": "end"}))
 
     async def __aiter__(self) -> AsyncIterator[LiveInstant]:
-        """Instants until the end of the capture; raises ``LiveError``."""
+        """Yield instants until the end of the capture; raises ``LiveError`` if the service ends it by a problem."""
         while self.end is None:
             with _closed_as_problem():
                 message = self.read(await self._connection.recv())
@@ -160,7 +251,22 @@ class AsyncLive(_Messages):
 
 
 class SyncLive(_Messages):
-    """Live capture of a program without an event loop."""
+    """Live capture of a program without an event loop, made by ``connect_sync``.
+
+    Attributes
+    ----------
+    cameras, joints, bones
+        Names of the cameras, of the located joints, and of the skeleton's bones, in the order of the arrays.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> with connect_sync(address, calibration, "coco-17", 25.0) as capture:
+    ...     capture.send("left", 0.0, np.zeros((0, 17, 2)), np.zeros((0, 17)))
+    ...     instants, end = capture.finish()
+    >>> [(instant.time_s, len(instant.people)) for instant in instants], end.counts["taken"]
+    ([(0.0, 0)], 1)
+    """
 
     def __init__(self, connection: SyncConnection, ready: Mapping[str, Any]) -> None:
         super().__init__(ready)
@@ -173,7 +279,26 @@ class SyncLive(_Messages):
         points_px: Float[np.ndarray, "people points 2"],
         score: Float[np.ndarray, "people points"],
     ) -> None:
-        """Send a camera's frame: the points of the layout in pixels, NaN where not found, and their scores, 0 to 1."""
+        """Send a camera's frame.
+
+        Parameters
+        ----------
+        camera
+            Name of the camera, or its number in ``cameras``.
+        time_s
+            Time of the frame on the cameras' clock.
+        points_px
+            Points of the layout in pixels of the distorted image, NaN where a point was not found.
+        score
+            Confidence of the detector in each point, 0 to 1.
+
+        Raises
+        ------
+        LiveError
+            If the service has ended the capture.
+        ValueError
+            If there is no such camera.
+        """
         with _closed_as_problem():
             try:
                 self._connection.send(self.keypoints(camera, time_s, points_px, score))
@@ -184,7 +309,22 @@ class SyncLive(_Messages):
                 raise
 
     def receive(self, timeout_s: float | None = None) -> LiveInstant | None:
-        """Next instant; ``None`` if none comes in time (``timeout_s`` ``None``: waits). Raises ``LiveError``."""
+        """Receive the next instant.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest time to wait; ``None``: as long as it takes.
+
+        Returns
+        -------
+            The instant, whose positions are metres and NaN where unknown; ``None`` if none came in time.
+
+        Raises
+        ------
+        LiveError
+            If the service has ended the capture.
+        """
         try:
             with _closed_as_problem():
                 message = self.read(self._connection.recv(timeout_s))
@@ -193,7 +333,17 @@ class SyncLive(_Messages):
         return message if isinstance(message, LiveInstant) else None
 
     def finish(self) -> tuple[list[LiveInstant], CaptureEnd]:
-        """End the capture; return the instants that were still to come, and the end. Raises ``LiveError``."""
+        """End the capture.
+
+        Returns
+        -------
+            Instants that were still to come, and the end.
+
+        Raises
+        ------
+        LiveError
+            If the service has ended the capture by a problem.
+        """
         instants = []
         with _closed_as_problem():
             self._connection.send(json.dumps({"type": "end"}))
@@ -212,7 +362,7 @@ async def connect(
     *,
     key: str | None = None,
 ) -> AsyncIterator[AsyncLive]:
-    """Begin a live capture at a service.
+    """Begin a live capture at a service, for asynchronous programs.
 
     Parameters
     ----------
@@ -224,8 +374,14 @@ async def connect(
         Layout of the keypoints, such as ``coco-17``.
     frame_rate_hz
         Frame rate of the fastest camera.
+    options
+        Choices of the capture.
     key
         Key of the service, if it asks for one.
+
+    Yields
+    ------
+        The open capture; see ``AsyncLive`` for an example.
 
     Raises
     ------
@@ -235,6 +391,18 @@ async def connect(
         If the service refuses the capture.
     OSError
         If the service can't be reached.
+    ValueError
+        If the address does not begin with ``http://`` or ``https://``.
+
+    Examples
+    --------
+    >>> import asyncio
+    >>> async def camera_names():
+    ...     async with connect(address, calibration, "coco-17", 25.0) as capture:
+    ...         await capture.finish()
+    ...         return capture.cameras
+    >>> asyncio.run(camera_names())
+    ('left', 'right')
     """
     start = _start(calibration, layout, frame_rate_hz, options)
     with _refused_as_problem():
@@ -262,7 +430,20 @@ def connect_sync(
     *,
     key: str | None = None,
 ) -> Iterator[SyncLive]:
-    """Begin a live capture at a service; parameters and errors are the same as for ``connect``."""
+    """Begin a live capture at a service, for loops and threads.
+
+    It has the parameters and errors of ``connect``.
+
+    Yields
+    ------
+        The open capture; see ``SyncLive`` for an example.
+
+    Examples
+    --------
+    >>> with connect_sync(address, calibration, "coco-17", 25.0) as capture:
+    ...     capture.cameras
+    ('left', 'right')
+    """
     start = _start(calibration, layout, frame_rate_hz, options)
     with _refused_as_problem():
         connection = open_sync(

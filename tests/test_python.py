@@ -1,16 +1,20 @@
 """The package `multicap`: names load lazily and are the same for type checkers and the interpreter."""
 
 import ast
+import doctest
 import importlib.metadata
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import hatch_build
 import multicap
+from pipeline.validation.simulation.scenes import find_scene, record
+from tests.pipeline.simulations import write_simulation
 
 SOURCE = Path(multicap.__file__)
 
@@ -37,6 +41,13 @@ def test_every_name_is_there_and_documented(name: str) -> None:
     assert name in dir(multicap)
 
 
+def test_example_of_the_package_runs(tmp_path: Path) -> None:
+    write_simulation(record(replace(find_scene("room"), duration_s=0.4), 0, 3), tmp_path)
+    results = doctest.testmod(multicap, extraglobs={"folder": tmp_path})
+    assert results.attempted > 4
+    assert results.failed == 0
+
+
 def test_unknown_names_are_refused_as_of_any_module() -> None:
     with pytest.raises(AttributeError, match="module 'multicap' has no attribute 'missing'"):
         multicap.missing  # noqa: B018
@@ -48,11 +59,11 @@ def loaded_by(statement: str) -> set[str]:
     return {name.partition(".")[0] for name in done.stdout.split()}
 
 
-def test_the_import_alone_loads_nothing_else() -> None:
+def test_import_alone_loads_nothing_else() -> None:
     assert loaded_by("import multicap") - sys.stdlib_module_names - {"__mp_main__"} == {"multicap"}
 
 
-def test_the_client_loads_no_science() -> None:
+def test_client_loads_no_science() -> None:
     loaded = loaded_by("import multicap; multicap.Client")
     assert "httpx2" in loaded
     assert not loaded & {"numpy", "celery", "sqlalchemy", "typer", "worker"}
@@ -70,7 +81,7 @@ def test_the_client_loads_no_science() -> None:
         (b"x = 'worker.process.pool', 'workers.pool:Pool'\n", b"x = 'worker.process.pool', 'workers.pool:Pool'\n"),
     ],
 )
-def test_modules_of_the_wheel_import_each_other_inside_of_multicap(source: bytes, nested: bytes | None) -> None:
+def test_modules_of_wheel_import_each_other_inside_of_multicap(source: bytes, nested: bytes | None) -> None:
     expected = nested or source.replace(b"worker", b"multicap.worker")
     assert hatch_build.nest(source) == expected
 

@@ -1,5 +1,6 @@
 """Live captures: the way of a capture, and what each wrong message gets."""
 
+import doctest
 import json
 import math
 import struct
@@ -7,9 +8,10 @@ from typing import Any
 
 import pytest
 
+import multicap.live
 from tests.api.conftest import Live
 from tests.api.web.live.conftest import LiveSocket, opened
-from tests.api.web.live.messages import CAMERAS, keypoints_message, packet, start_message
+from tests.api.web.live.messages import CALIBRATION, CAMERAS, keypoints_message, packet, start_message
 
 NAN = float("nan")
 
@@ -175,3 +177,10 @@ def test_oldest_instants_are_dropped_and_counted(live_service: Live) -> None:
         sequences = [message["sequence"] for message in messages]
         assert sequences == sorted(set(sequences))
         assert sequences[-1] == 199
+
+
+def test_examples_of_the_client_run(live_service: Live) -> None:
+    names = {"address": f"http://127.0.0.1:{live_service.address[1]}", "calibration": CALIBRATION}
+    results = doctest.testmod(multicap.live, extraglobs=names)
+    assert results.attempted > 15
+    assert results.failed == 0
