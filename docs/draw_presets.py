@@ -37,7 +37,7 @@ def standing() -> SkeletonMotion:
 
 
 def read_rest(preset: Preset) -> tuple[dict[str, np.ndarray], list[tuple[str, str]], list[str]]:
-    """Where the file's joints are in its rest pose, its bones as pairs of names, and the channels of its root."""
+    """Places of the file's joints in its rest pose, its bones as pairs of names, and the channels of its root."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rest.bvh"
         path.write_bytes(b"".join(bvh.encode(standing(), PRESETS[preset])))

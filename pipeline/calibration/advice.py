@@ -18,8 +18,8 @@ _COLMAP = "Convert it by `colmap model_converter --output_type TXT`, and send a 
 # Files of other formats by their endings: what they are, and what to do.
 _OTHERS: Mapping[str, tuple[str, str]] = {
     ".cal": ("a calibration of Motive before 3.2", "Open it in a newer Motive, and export it as .mcal."),
-    ".bin": ("a binary model, as of COLMAP", _COLMAP),
-    ".db": ("a database, as of COLMAP", _COLMAP),
+    ".bin": ("a binary model, like COLMAP's", _COLMAP),
+    ".db": ("a database, like COLMAP's", _COLMAP),
     ".mat": ("a file of MATLAB", _AS_OPENCV),
     ".npz": ("a file of NumPy", _AS_OPENCV),
     ".npy": ("a file of NumPy", _AS_OPENCV),

@@ -42,7 +42,7 @@ _GROUP = "multicap.readers"
 
 @cache
 def calibration_readers() -> tuple[CalibrationReader, ...]:
-    """Readers of other packages, then those of this one.
+    """Readers of other packages, then this one's.
 
     Raises ``ImportError`` if an object of another package can't be loaded; the message names the package.
     """
@@ -114,7 +114,7 @@ def read_contents(path: Path, units: Units | None = None, up: Up = "z") -> Camer
     ----------
     units
         Unit of the lengths in the file, for formats that don't determine it; ``None``: metres, if the cameras are then
-        as far apart as those of a rig can be.
+        as far apart as in a rig.
     up
         Axis that points up, of the world to which the format's own axes are turned; it becomes Z.
 

@@ -23,8 +23,8 @@ _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def guessed_camera(name: str, size_px: tuple[int, int]) -> Camera:
     """Guess the intrinsics of a camera from the size of its picture; its pose is the identity.
 
-    The focal length is the longer side, a horizontal field of view of 53 degrees, between those of phones and of action
-    cameras without a wide lens.
+    The focal length is the longer side, a horizontal field of view of 53 degrees, between the fields of phones and of
+    action cameras without a wide lens.
     """
     width, height = size_px
     focal_px = float(max(size_px))

@@ -196,7 +196,7 @@ def build_camera(raw_camera: RawCamera, position: int, file: str) -> Camera | li
 
 
 def _coefficients(distortion: np.ndarray, lens: LensModel) -> np.ndarray:
-    """Coefficients of a camera: without those of a tilted sensor; four of a fisheye lens, zeros if it has none."""
+    """Coefficients of a camera, without a tilted sensor's; four of a fisheye lens, zeros if it has none."""
     if lens == "fisheye" and not distortion.size:
         return np.zeros(NUM_COEFFICIENTS)
     return distortion[:_MAX_UNTILTED].copy()

@@ -1,4 +1,4 @@
-"""The vertical: the direction in which people stand upright, that of cameras, and rotations that turn it to Z."""
+"""The vertical of people and of cameras, and rotations that turn it to Z."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -101,7 +101,7 @@ def cameras_lean_deg(cameras: Sequence[Camera]) -> float | None:
 def possible_up_axes(cameras: Sequence[Camera]) -> tuple[str, ...]:
     """Axes that may point up where the cameras' up directions do not tell, the likeliest first; all if none fits.
 
-    Cameras of a rig look level or down at people, and an edge of their picture is level, as of a camera on its side.
+    Cameras of a rig look level or down at people, and an edge of their picture is level, as in a camera on its side.
     """
     right, down, forward = np.moveaxis(np.array([camera.cam_from_world.rotation for camera in cameras]), 1, 0)
     rising = {name: forward @ axis for name, axis in AXES.items()}

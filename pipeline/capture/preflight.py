@@ -10,7 +10,7 @@ other and a few pictures of each video, for ``--pictures-s SECONDS``; their smal
 ``thumbnail_name`` says.
 
 Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
-without ``--calibration``, or with ``--intrinsics`` in its place, are those of a calibration that is to be made.
+without ``--calibration``, or with ``--intrinsics`` in its place, belong to a calibration that is to be made.
 """
 
 import argparse

@@ -76,7 +76,7 @@ class PreflightTimebase:
 
 @dataclass(frozen=True, slots=True)
 class PreflightRecording:
-    """Facts about a camera's video that the client stated; fields as of ``pipeline.capture.session.Recording``."""
+    """Facts about a camera's video that the client stated; fields as in ``pipeline.capture.session.Recording``."""
 
     camera: str
     file: str | None = None

@@ -58,7 +58,7 @@ class CaptureSession:
     frames
         Range of the output frames to reconstruct; ``None``: all.
     whole_timebase
-        Output frames of the session, if the times were corrected afterwards; ``None``: those of the times.
+        Output frames of the session, if the times were corrected afterwards; ``None``: the frames of the times.
     offset_std_s
         Standard deviation of a camera's declared offset, by camera name, where it is stated.
     """

@@ -1,4 +1,4 @@
-"""Slow motion: videos that last a whole number of times as long as those of the other cameras."""
+"""Slow motion: videos that last a whole number of times as long as the other cameras' videos."""
 
 from collections.abc import Mapping
 

@@ -54,7 +54,7 @@ def find_videos(videos: Path | Sequence[Path]) -> VideoFiles:
 
 
 def footage_in(folder: Path) -> Sequence[Path]:
-    """Videos in a folder, as of ``find_videos``; without any, its folders and zips of images."""
+    """Videos in a folder, like ``find_videos``; without any, its folders and zips of images."""
     return _in_folder(folder).paths
 
 

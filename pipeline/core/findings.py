@@ -65,12 +65,12 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class SessionCheck:
-    """Check of a session by the people whom its cameras see at a few instants."""
+    """Check of a session by the people in view at a few instants."""
 
     findings: tuple[Finding, ...] = ()  # What is wrong
     people: Mapping[str, int] = field(default_factory=dict)  # Number of people by camera, at all instants together
     num_instants: int = 0  # Number of instants
-    num_located: int = 0  # Number of people whom pairs of cameras that agree locate, at all instants together
+    num_located: int = 0  # Number of people located by pairs of cameras that agree, at all instants together
     forced: tuple[Code, ...] = ()  # Codes of the errors in spite of which the session is reconstructed
 
 
@@ -89,7 +89,7 @@ def from_problem(problem: Problem) -> Finding:
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Findings by severity, errors first; those of a severity keep their order."""
+    """Findings by severity, errors first; findings of a severity keep their order."""
     return sorted(findings, key=lambda finding: _SEVERITIES.index(finding.severity))
 
 

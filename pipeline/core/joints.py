@@ -29,7 +29,7 @@ class JointOffset:
     """
 
     # Component away from the body's middle, 0 for joints without a side; to the front; and up along the body. Axes are
-    # those of the part of the body; see ``pipeline.motion.skeleton.marks``.
+    # the axes of the part of the body; see ``pipeline.motion.skeleton.marks``.
     outwards: float = 0.0
     forward: float = 0.0
     up: float = 0.0

@@ -76,7 +76,7 @@ LAYOUTS: Mapping[str, KeypointLayout] = {
                 *_both("ear"),
                 *(None, None),  # corners of the mouth
                 *_both("shoulder", "elbow", "wrist"),
-                *_both(None, None, None),  # pinky, index and thumb of the pose, less exact than those of the hands
+                *_both(None, None, None),  # pinky, index and thumb of the pose, less exact than the hands'
                 *_both("hip", "knee", "ankle", "heel", "big_toe"),
             ),
             BODY_FEET,

@@ -1,7 +1,7 @@
 """Colours of detected bodies: histograms of the clothes on torso and legs.
 
 Pixels are taken at a fixed number of places in each part, so that the cost depends neither on the size of the image
-nor on that of the body. Bins of hue and saturation change little with the light; clothes without a hue, black, grey
+nor on the body's. Bins of hue and saturation change little with the light; clothes without a hue, black, grey
 and white, have bins of brightness. A pixel is shared among the bins around its colour, so that a small change of the
 light changes a histogram little.
 """

@@ -110,7 +110,7 @@ def measure_colours(
 ) -> Detections:
     """Decode a range of frames once more, and measure the colours of the bodies that were detected in them.
 
-    ``detections`` are those of ``detect_chunk`` in the same range. They get the colours that it would have measured,
+    ``detections`` come from ``detect_chunk`` in the same range. They get the colours that it would have measured,
     zeros in frames that are missing now.
     """
     colour = np.zeros((len(detections.frame), len(PARTS), NUM_BINS), np.uint8)
@@ -165,8 +165,8 @@ def camera_images(
 ) -> Generator[tuple[int, UInt8[np.ndarray, "height width 3"]], None, None]:
     """Decode frames of a camera with their numbers.
 
-    ``frames``, ``on_damaged`` and ``only`` are as of ``decode``, and so are the errors; problems name the camera.
-    ``on_frame`` is called when the frame after each frame is requested.
+    ``frames``, ``on_damaged`` and ``only`` are the same as for ``decode``, and so are the errors; problems name the
+    camera. ``on_frame`` is called when the frame after each frame is requested.
     """
     give_pictures_back()
     video = session.videos[[known.name for known in session.cameras].index(camera)]
@@ -230,7 +230,7 @@ def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints
     of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
     for chunk in chunks:
         of_camera[chunk.camera].append(chunk)
-    # The chunks of a camera are freed before those of the next camera are joined.
+    # The chunks of a camera are freed before the chunks of the next camera are joined.
     return {camera: _join(camera, of_camera.pop(camera), num_joints) for camera in cameras}
 
 

@@ -56,7 +56,7 @@ class ChangeMeter:
 
 
 def join_changes(parts: Sequence[PictureChanges]) -> PictureChanges:
-    """Join the changes of ranges of a camera, in order of time: the same as those of one range."""
+    """Join the changes of ranges of a camera, in order of time: the same as for one range."""
     parts = [part for part in parts if len(part.frame)]
     if not parts:
         return PictureChanges()

@@ -36,9 +36,9 @@ class OwnNetwork:
 
 
 def usual_network(head: OwnHead, layout: str, input_px: tuple[int, int] | None = None) -> OwnNetwork:
-    """Describe a network as those of its kind are usually trained.
+    """Describe a network as networks of its kind are usually trained.
 
-    Without ``input_px``, width and height of the input are those of the smallest published networks.
+    Without ``input_px``, width and height of the input are the same as in the smallest published networks.
     """
     if head == "rtmo":
         return OwnNetwork(head, layout, input_px or (640, 640), "bgr", *_AS_IT_IS)

@@ -25,8 +25,8 @@ _QUARTERS_DEG = (0.0, 90.0, 180.0, 270.0)
 # Joints that count, and the share of the bodies, weighted by their confidence, whose trunks point up in an upright
 # picture. Measured in 12 cameras: 0.76 to 1.0 in upright pictures, at most 0.35 in those turned by quarters.
 _MIN_SCORE, _UPRIGHT_DEG, _MIN_UPRIGHT_SHARE = 0.2, 45.0, 0.6
-# Another turn is taken if the confidence in it is so much higher. Upright pictures had 1.2 to 1.8 times that of quarter
-# turns.
+# Another turn is taken if the confidence in it is so much higher. Upright pictures had 1.2 to 1.8 times the confidence
+# of quarter turns.
 _CLEARLY_MORE = 1.1
 # A known turn with so much more confidence than the picture as it is needs no further look. Networks that do not show
 # how people lean had at most a fifth in quarter turns.

@@ -161,7 +161,7 @@ def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, view
 @kernel
 @no_type_check
 def reproject_all(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views):
-    """Reproject several frames; the parameters are those of ``reproject_frame`` with a leading axis of frames."""
+    """Reproject several frames; the parameters of ``reproject_frame`` have a leading axis of frames."""
     for n in range(len(weights)):
         reproject_frame(lenses, xyz_m[n], flat_px[n], weights[n], error_px[n], mean_weight[n], views[n])
 

@@ -40,7 +40,7 @@ def epipolar_distance_px(
 ) -> Float[np.ndarray, "*batch"]:
     """Mean distance in pixels of two points to each other's epipolar line (Chen et al. 2020, eq. 13).
 
-    ``fundamental`` is that of ``fundamental_matrices`` for the two cameras. Pixels are undistorted; the distance is NaN
+    ``fundamental`` comes from ``fundamental_matrices`` for the two cameras. Pixels are undistorted; the distance is NaN
     where a point is.
     """
     ones = np.ones_like(left_px[..., :1])

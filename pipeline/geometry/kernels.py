@@ -154,8 +154,8 @@ def _fill_rows(solver, flat_px, weights, start, stop):
 def _reweigh(views, point, scale_m, far_m):
     """Weight views by Geman-McClure, ``(c^2 / (c^2 + d^2))^2``.
 
-    The distance d is that of the current point to both planes of a view, to first order the distance to its ray. Its
-    square is stored in ``off2``, the number of views farther than ``far_m`` in ``num_far``. Computing the largest
+    The distance d is measured from the current point to both planes of a view, to first order the distance to its ray.
+    Its square is stored in ``off2``, the number of views farther than ``far_m`` in ``num_far``. Computing the largest
     distance instead would need masked stores, which are slow.
     """
     num_lanes = VECTOR_JOINTS * point.num_vectors
@@ -412,7 +412,7 @@ def settle_frame(solver, flat_px, weights, disputed, guess_m, xyz_m):
 @kernel
 @no_type_check
 def triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m):
-    """Triangulate consecutive frames; the parameters are those of the functions above with a leading axis of frames."""
+    """Triangulate consecutive frames; the parameters are the same as above, with a leading axis of frames."""
     for frame in range(len(flat_px)):
         triangulate_frame(solver, flat_px[frame], weights[frame], xyz_m[frame], disputed[frame])
     guess_from_neighbours(solver, xyz_m, disputed, guess_m)

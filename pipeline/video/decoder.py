@@ -50,7 +50,7 @@ class Request(NamedTuple):
     last_pts: int
     to_the_end: bool  # Whether to decode the frames after the range too, without their pictures
     max_cpu_s: int  # Limit on the computing time of the process
-    # Timestamps of the frames whose pictures are wanted; ``None``: those of all frames of the range
+    # Timestamps of the frames whose pictures are wanted; ``None``: all frames of the range
     only_pts: Sequence[int] | None = None
     only_keyframes: bool = False  # Whether ``only_pts`` are keyframes, so that no other frame needs to be decoded
 

@@ -53,7 +53,7 @@ class VideoInfo:
     browser_media_type: str | None = None
     media_start_s: float = 0.0  # Time of the first frame on the clock of the file, which players show
     tick_s: float = 1.0  # Duration of a tick of the stream's time base, in seconds
-    # Files of a recording in several, in order; empty for one file. The path is that of the first, and the timestamps
+    # Files of a recording in several, in order; empty for one file. The path is the first file's, and the timestamps
     # are numbered through: ``joined`` makes them, and ``decode`` knows of them.
     parts: tuple["VideoInfo", ...] = ()
 

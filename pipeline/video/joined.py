@@ -14,7 +14,7 @@ from pipeline.video.info import VideoInfo
 
 # Share by which measured rates of parts may differ.
 _SAME_RATE = 0.002
-# Clocks of files: timecode counts frames, times of creation have whole seconds and may be those of the end of a file.
+# Clocks of files: timecode counts frames, times of creation have whole seconds and may be the end of a file.
 _MAX_TIMECODE_GAP_S, _MAX_CREATION_GAP_S = 0.2, 2.5
 
 
@@ -59,7 +59,7 @@ def join_parts(parts: Sequence[VideoInfo]) -> VideoInfo:
 
 
 def seam_problems(parts: Sequence[VideoInfo]) -> Iterator[Problem]:
-    """Report parts that can't be of one recording: other pictures than those of the first part, or a gap before."""
+    """Report parts that can't be of one recording: other pictures than in the first part, or a gap before."""
     for before, part in pairwise(parts):
         if differences := _differences(parts[0], part):
             message = f"This file can't be a part of the recording of {parts[0].path.name}: {'; '.join(differences)}."

@@ -216,7 +216,7 @@ def _moved(early_s: float) -> Problem:
 
 
 def _metadata(container: InputContainer) -> dict[str, str]:
-    """Entries of the streams and of the container; those of the container have precedence."""
+    """Entries of the streams and of the container; the container's have precedence."""
     found: dict[str, str] = {}
     for stream in container.streams:
         found |= stream.metadata

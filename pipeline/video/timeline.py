@@ -53,7 +53,7 @@ def recorded_stretches(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " 
 
 
 def num_recorded(timebase: Timebase, time_s: Iterable[Float[np.ndarray, " frames"]]) -> int:
-    """Count the output frames at which a camera took a frame; times are as of ``recorded_stretches``."""
+    """Count the output frames at which a camera took a frame; times are the same as for ``recorded_stretches``."""
     return len(_recorded_frames(timebase, time_s))
 
 

@@ -1,4 +1,4 @@
-"""Standard deviations of adjusted cameras from observations whose errors last, such as those of a detector's joints.
+"""Standard deviations of adjusted cameras from observations whose errors last, such as a detector's joints.
 
 The inverse of the normal matrix holds for independent errors. A detector marks a joint of a person beside its place in
 all pictures of a camera, and for some instants by more: the more observations there are, the less of the truth it
@@ -86,7 +86,7 @@ def _variances(
     """Variances of the errors of each level in units of the noise, the last one of single observations.
 
     The mean square of the clusters' mean residuals is the variance of the level and of coarser ones, and a share of
-    that of finer ones. Points take three of the freedoms of a subject, the cameras those of their parameters.
+    the freedom of finer ones. Points take three freedoms of a subject, the cameras the freedoms of their parameters.
     """
     num_levels, num_free = len(clusters), rows.scores.shape[2]
     moments, shares = np.zeros(num_levels), np.zeros((num_levels, num_levels))

@@ -30,7 +30,7 @@ class Deviations:
     scale: Float[np.ndarray, " 2"]  # Standard deviations of a rotation about an axis, and of a shift along one
     weight: Float[np.ndarray, " bodies"]  # Variances of a body are smaller by this factor
     speed: Float[np.ndarray, "bodies 6"]  # Steps a second by which each body moves; 0 where that is not known
-    # Time of each view after that of its body, as clocks tell, and what each camera is late beyond that
+    # Time of each view after its body's time, as clocks tell, and what each camera is late beyond that
     late_s: Float[np.ndarray, "cameras bodies"]
     delay_s: Float[np.ndarray, " cameras"]
 

@@ -50,7 +50,7 @@ class State:
 class _OfDeviations:
     """Equations of a camera's deviations, solved for them: ``step = -(by_camera x + by_body y + constant)``."""
 
-    own: slice  # The camera's free parameters x among those of all cameras; y is the step of the body
+    own: slice  # The camera's free parameters x among all cameras' parameters; y is the step of the body
     by_camera: Float[np.ndarray, "bodies 6 parameters"]
     by_body: Float[np.ndarray, "bodies 6 6"]
     constant: Float[np.ndarray, "bodies 6"]
@@ -156,7 +156,7 @@ class Normal:
 
 
 def build(problem: AdjustmentProblem, state: State, sigma_px: float) -> Normal:
-    """Build the normal equations of a state for the noise of the observations; weights are those of the loss."""
+    """Build the normal equations of a state for the noise of the observations; weights come from the loss."""
     has_delay = _has_delay(problem, state)
     starts = np.concatenate([[0], np.cumsum(problem.free.sum(1) + has_delay)])
     num_blocks, size = state.structure.num_blocks, state.structure.block_size
@@ -284,7 +284,7 @@ def observation_rows(
 ) -> ObservationRows:
     """Rows of all observations for a state without deviations.
 
-    ``eliminated`` is that of the normal equations of the state.
+    ``eliminated`` belongs to the normal equations of the state.
     """
     starts = np.concatenate([[0], np.cumsum(problem.free.sum(1))])
     num_blocks, size = state.structure.num_blocks, state.structure.block_size

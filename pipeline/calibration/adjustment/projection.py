@@ -19,7 +19,7 @@ class Projection(NamedTuple):
 
 
 def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projection:
-    """Project points and differentiate; the model is that of ``geometry.camera.project``."""
+    """Project points and differentiate; the model is the same as in ``geometry.camera.project``."""
     rotation = camera.cam_from_world.rotation
     in_cam = camera.cam_from_world.apply(xyz_m)
     depth_m = np.where(in_cam[:, 2] > 1e-6, in_cam[:, 2], np.nan)

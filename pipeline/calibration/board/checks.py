@@ -30,7 +30,7 @@ _FEW_VIEWS, _POOR_COVERAGE, _FEW_SHARED = 10, 0.4, 10
 _FAR_ABOVE, _FAR_ABOVE_PX = 3.0, 0.3
 # A camera is late by at least this time, and by this share of the differences.
 _LATE_S, _LATE_SHARE = 0.004, 0.3
-# Differences of a moving board are larger than those of one that lies still by this factor if time is the cause.
+# Differences of a moving board are larger by this factor than differences of a still one if time is the cause.
 _MOVING = 2.0
 # Offsets that are tried for cameras that disagree.
 _MAX_OFFSET_S = 2.0
@@ -104,7 +104,7 @@ def _unlinked(rig: BoardRig, number: int, pairs: Sequence[BoardPair], frame_rate
 
 
 def _offset_s(rig: BoardRig, number: int, other: int, frame_rate_hz: float) -> float | None:
-    """Offset of a camera with which its views agree with those of another one; ``None`` if none is found."""
+    """Offset of a camera with which its views agree with another camera's; ``None`` if none is found."""
     if frame_rate_hz <= 0:
         return None
     most, best_s = 0.0, None

@@ -106,7 +106,7 @@ def _is_wide(views: BoardViews, board: Board) -> bool:
 
 
 def _held_out_error_px(views: BoardViews, board: Board, model: DistortionModel) -> float:
-    """Cross-validated error of a model: a view's pose is fitted to it, its intrinsics are those of other views."""
+    """Cross-validated error of a model: a view's pose is fitted to it, its intrinsics come from other views."""
     num_folds = min(_NUM_FOLDS, len(views))
     number = np.arange(len(views))
     squares: list[Float[np.ndarray, " corners"]] = []

@@ -1,1 +1,1 @@
-"""Checks of a calibration alone, without people: ``check_cameras`` is the whole way."""
+"""Checks of a calibration alone, without people. Entry point: ``check_cameras``."""

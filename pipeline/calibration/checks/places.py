@@ -94,7 +94,7 @@ def _unit(extent_m: float) -> Iterator[Finding]:
 
 
 def _hint_of_unit(extent_m: float) -> str:
-    """Guess the unit in which the cameras would be as far apart as those of a usual rig."""
+    """Guess the unit in which the cameras would be as far apart as in a usual rig."""
     in_range = {
         unit: extent_m * metres
         for unit, metres in UNITS_M.items()

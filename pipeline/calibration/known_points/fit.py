@@ -47,7 +47,7 @@ class PlacedRig:
 def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], keeps_scale: bool) -> PlacedRig:
     """Move cameras as a whole into the world of known points.
 
-    ``keeps_scale``: the size of the rig is known, by a board; else it is that of the points. Raises ``InputError`` if
+    ``keeps_scale``: the size of the rig is known, by a board; else the points state it. Raises ``InputError`` if
     fewer than three points are seen by two cameras, if they are on a line, or if they don't fit.
     """
     if problems := point_problems(points, {camera.name: camera.size_px for camera in cameras}):

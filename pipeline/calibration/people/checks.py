@@ -36,7 +36,7 @@ _MIN_INSTANTS, _FEW_INSTANTS = 50, 150
 _MAX_FOCAL_PERCENT, _MAX_ROTATION_DEG = 2.0, 0.3
 # Ratio of a camera's reprojection error to the median of all above which it is doubtful.
 _POOR_FIT = 1.4
-# Share of the observations that fit, over that of the median camera, below which a camera may have taken one person for
+# Share of the observations that fit, over the median camera's share, below which a camera may have taken one person for
 # another one, and stand elsewhere.
 _MIN_FITTING = 0.9
 # Logarithm of the ratio of a person's stature to the stated one above which it is somebody else's: the segments of
@@ -134,7 +134,7 @@ def people_warnings(
 
 
 def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[Problem]:
-    """Statures that are not those of the people."""
+    """Statures that differ from the people's."""
     hint = "State the stature of each person, or one for all."
     given = ", ".join(f"{height_m:.2f}" for height_m in stature_m)
     if -1 in world.statures:

@@ -1,4 +1,4 @@
-"""Relative poses of two cameras from people whom both see, without knowing who is who.
+"""Relative poses of two cameras from people in both views, without knowing who is who.
 
 Each pair of tracklets proposes an essential matrix, with RANSAC (Nister 2004, "An efficient solution to the five-point
 relative pose problem"). The one to which most of all pairs of tracklets fit, one to one at each instant, decides who is

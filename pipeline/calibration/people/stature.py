@@ -86,7 +86,7 @@ def match_statures(
 ) -> StatureMatch:
     """Find the scale at which estimated statures are closest to known ones, and the stature of each group.
 
-    One stature is that of all people. Several belong to one person each: people who are seen at once have different
+    One stature holds for all people. Several belong to one person each: people who are seen at once have different
     ones, and the taller one of two has the larger one. Closeness is the sum of absolute logarithms of ratios.
     """
     known = np.log(np.array(stature_m))
@@ -124,7 +124,7 @@ def _chosen(
 
 
 def _largest_party(are_others: Bool[np.ndarray, "groups groups"]) -> Int[np.ndarray, " party"]:
-    """Groups of different people of whom every two are seen at once: the largest set that grows from any group."""
+    """Groups of different people any two of which are seen at once: the largest set that grows from any group."""
     best = np.empty(0, int)
     for start in range(len(are_others)):
         party = [start]

@@ -43,7 +43,7 @@ def find_people_world(
 ) -> PeopleWorld | None:
     """Put cameras into the world of the people; ``None`` if nobody is seen from shoulders to ankles.
 
-    The cameras are adjusted, in any frame and scale; statures are in any order. ``rate_hz`` is that of the instants.
+    The cameras are adjusted, in any frame and scale; statures are in any order. ``rate_hz`` is the instants' rate.
     """
     xyz = bodies.triangulated(cameras)
     found = statures(xyz, bodies.group)

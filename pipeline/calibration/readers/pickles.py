@@ -3,7 +3,7 @@
 OpenCap: ``x = K (R X + t)``, millimetres, the board's axes; ``imageSize`` is height, then width. The board stands
 upright, perhaps upside down, or lies on the floor: the cameras, which stand upright, tell its axis that is vertical. A
 file of a phone's model, ``cameraIntrinsics.pickle``, has no pose. MVPose (zju3dv): stacks ``K`` (cameras, 3, 3) and
-``RT`` (cameras, 3, 4), world to camera, no distortion, no sizes of pictures; the unit is that of the data set.
+``RT`` (cameras, 3, 4), world to camera, no distortion, no sizes of pictures; the unit is the data set's.
 
 Rows of the table of formats:
 

@@ -1,7 +1,7 @@
 """Calibration of Caliscope, anipose, Pose2Sim and FreeMoCap (TOML): one section a camera.
 
 ``x = K (R X + t)``, R as a Rodrigues vector; older versions of Caliscope write the matrix. FreeMoCap's lengths are
-millimetres; the unit of the others is that of the board. Caliscope's own ``camera_array.toml`` has a section
+millimetres; the unit of the others is the board's. Caliscope's own ``camera_array.toml`` has a section
 ``cameras.N`` a camera, the other programs a section at the top.
 
 Rows of the table of formats:

@@ -39,13 +39,13 @@ def adjust_to_sightings(
     given
         Cameras as calibrated, means of the prior.
     start
-        Cameras with which the search begins; parameters that may not change are those of ``given``.
+        Cameras with which the search begins; parameters that may not change are taken from ``given``.
     free
         Parameters that may change: of rotations, positions and focal lengths.
 
     Returns
     -------
-        Standard deviations are those with the world's position, orientation and scale held; those of ``PRIOR_SIGMA``
+        Standard deviations hold the world's position, orientation and scale; deviations of ``PRIOR_SIGMA``
         where the sightings say nothing.
     """
     steps = offsets(given, start) * free

@@ -56,7 +56,7 @@ def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: Join
     cameras
         Cameras of the given world, by which the feet are located.
     poses
-        Poses of people, such as those of ``sightings.sampled_poses``; only their 2D joints are used.
+        Poses of people, such as from ``sightings.sampled_poses``; only their 2D joints are used.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def _rotation(up: Float[np.ndarray, " 3"], ankles_m: Float[np.ndarray, "poses 2 
 
 
 def _lower(ankles_m: Float[np.ndarray, "poses 2 3"]) -> Float[np.ndarray, "poses 3"]:
-    """The lower ankle of each pose: that of the standing foot."""
+    """The lower ankle of each pose: the standing foot's."""
     return np.asarray(ankles_m[np.arange(len(ankles_m)), np.argmin(ankles_m[..., 2], axis=1)])
 
 

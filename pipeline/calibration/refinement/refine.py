@@ -69,7 +69,7 @@ def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSig
 
     Fitted cameras are taken if the cross-validated reprojection error falls by more than a quarter. The world stays:
     most cameras are as close to their given poses as the sightings allow. ``given`` are the cameras as calibrated. The
-    search begins with ``start``: the given ones, or those of an earlier refinement.
+    search begins with ``start``: the given ones, or an earlier refinement's.
     """
     unchanged = RefinedCameras(tuple(given), "few_people", (), np.nan, np.nan, (), len(sightings))
     if len(sightings) < _MIN_POINTS:

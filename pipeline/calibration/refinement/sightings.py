@@ -56,7 +56,7 @@ def choose_sightings(
     """Choose joints of people all over the take and the volume.
 
     Every square of 0.5 m of the floor gives equally many poses, evenly spread over time, as far as it has as many.
-    Views with a score below 0.3 are left out, and fingers. The poses are such as those of ``sampled_poses``;
+    Views with a score below 0.3 are left out, and fingers. The poses are like the ones from ``sampled_poses``;
     ``max_points`` is about the largest number of points.
     """
     index = [number for number, name in enumerate(joints.names) if name not in FINGER_JOINTS]

@@ -1,6 +1,6 @@
 """Reader of AlphaPose's JSON: a list of the people of all images, or an object of all images.
 
-A person of the list has ``image_id``, the name of the image, whose number is that of the frame, and ``keypoints`` with
+A person of the list has ``image_id``, the name of the image, whose number is the frame's, and ``keypoints`` with
 x, y and score of 17 (COCO), 26 or 136 (Halpe) or 133 (COCO-WholeBody) points. With ``--format cmu`` or ``open``
 images have ``bodies`` or ``people`` of 18 joints; with PoseFlow each image has a list of people. Formats:
 https://github.com/MVIG-SJTU/AlphaPose (docs/output.md, PoseFlow)

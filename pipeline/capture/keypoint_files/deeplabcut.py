@@ -51,7 +51,7 @@ def is_table(content: bytes) -> bool:
 def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
     """Split the rows by the number of their frame.
 
-    Raises ``KeypointsError`` if the headers can't be used, or if a row has no number, or that of another one;
+    Raises ``KeypointsError`` if the headers can't be used, or if a row has no number, or another row's;
     ``UnreadableError`` if the content is no text.
     """
     try:

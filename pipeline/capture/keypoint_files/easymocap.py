@@ -1,7 +1,7 @@
 """Reader of EasyMocap's JSON: an object a frame with ``annots``, or the list of these alone.
 
 A person has ``keypoints``, x, y and score of each point: 25 in OpenPose's order, to which EasyMocap brings other
-networks' points, or those of another layout; and ``handl2d`` and ``handr2d`` of 21 points each, the wrist first. A
+networks' points, or another layout's; and ``handl2d`` and ``handr2d`` of 21 points each, the wrist first. A
 score below 0 means that the point was not found. Format: https://github.com/zju3dv/EasyMocap
 (easymocap/annotator/file_utils.py, doc/dataset.md)
 """

@@ -36,7 +36,7 @@ _NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
 _LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
 _HDF5 = frozenset({".h5", ".hdf5"})
 CAPTURES = frozenset({".json", ".csv", ".npy"}) | _HDF5
-"""Endings of files of all frames, in lower case; those of JSON may be of a single frame."""
+"""Endings of files of all frames, in lower case; JSON files may be of a single frame."""
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -111,7 +111,7 @@ def stated_folders(
 ) -> Mapping[str, Source]:
     """Folders by the cameras that they are stated to belong to; report those that can't be right.
 
-    ``cameras`` are those of the calibration; none if it can't be read.
+    ``cameras`` are the calibration's cameras; none if it can't be read.
     """
     folders = {camera: Path(folder) for camera, folder in stated.items()}
     names = [camera.name for camera in cameras]
@@ -291,7 +291,7 @@ def _read_file(path: Path, form_in: _FormOf) -> People:
 def _read_capture(
     path: Path, camera: str, form_in: _FormOf, content: Any = None
 ) -> Iterator[tuple[int, People | Problem]]:
-    """Read a file of all frames, in order of the numbers; ``content`` is that of the file if it is known."""
+    """Read a file of all frames, in order of the numbers; ``content`` is the file's content if it is known."""
     split = _attempt(partial(_split, path, form_in, content), path, camera, None, _FILE_HINT)
     if isinstance(split, Problem):
         yield 0, split

@@ -99,7 +99,7 @@ def _poses_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _people_of(landmarks: Any) -> list[Any]:
-    """Landmarks of each person: of several, of one, or as the older solutions in Python give those of one."""
+    """Landmarks of each person: of several, of one, or as the older solutions in Python give one person's."""
     if isinstance(landmarks, dict):
         landmarks = landmarks["landmark"]
     if not landmarks:

@@ -1,7 +1,7 @@
 """Reader of OpenPose's JSON: an object a frame with ``people``, which other programs write, too.
 
 ``pose_keypoints_2d`` of a person has x, y and score of 25 (BODY_25, BODY_25B), 18 (COCO-18) or 17 (COCO-17) points;
-``hand_left_keypoints_2d`` and ``hand_right_keypoints_2d`` have those of 21 points, the wrist first, or nothing.
+``hand_left_keypoints_2d`` and ``hand_right_keypoints_2d`` have 21 points, the wrist first, or nothing.
 Pose2Sim puts the points of RTMPose in ``pose_keypoints_2d``, in their own order: 17, 26 (Halpe) or 133
 (COCO-WholeBody, with hands); a person that a camera does not see is an empty object or has an empty list. Formats:
 https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html,

@@ -26,15 +26,15 @@ REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SI
 
 
 def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:
-    """Layout of points with names; raises ``KeypointsError`` if they are not those of a body."""
+    """Layout of points with names; raises ``KeypointsError`` if they are not a body's."""
     return _WHOLE.get(len(names)) or named_layout(names, field)
 
 
 def arranged(points: People, layout: KeypointLayout) -> People:
     """Points of people as the joints of their layout; joints without a point, and hands of nobody, are not detected.
 
-    Axes are people, points of the layout, and x, y and score; those of the result people, joints of ``layout.joints``
-    (without fingers if nobody has a finger), and x, y and score.
+    Axes are people, points of the layout, and x, y and score; axes of the result are people, joints of
+    ``layout.joints`` (without fingers if nobody has a finger), and x, y and score.
     """
     joints, taken = _chosen(layout)
     people = np.zeros((len(points), len(layout.joints.names), 3))

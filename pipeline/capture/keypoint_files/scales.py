@@ -93,7 +93,8 @@ def _misplaced(
 ) -> Iterator[Finding]:
     """Report cameras whose positions are often outside of the picture, or fill a corner of it.
 
-    Of a single camera a small corner is doubtful, as of percent; of all cameras a larger one, as of smaller pictures.
+    Of a single camera a small corner is doubtful, as it is with percent; of all cameras a larger one, as with smaller
+    pictures.
     """
     reaches_px = {camera: np.percentile(xy, _HIGH, axis=0, method="nearest") for camera, xy in positions.items()}
     filled = {camera: (reach_px / sizes_px[camera]).max() for camera, reach_px in reaches_px.items()}

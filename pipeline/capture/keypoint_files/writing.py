@@ -14,7 +14,7 @@ _MIDDLES = {"neck": ("left_shoulder", "right_shoulder"), "mid_hip": ("left_hip",
 def encode_frame(
     keypoints_px: Float[np.ndarray, "n joints 2"], score: Float[np.ndarray, "n joints"], joints: JointSet
 ) -> bytes:
-    """Encode the bodies of a frame: those of COCO-17 as they are, others as BODY_25 with hands of 21 points.
+    """Encode the bodies of a frame: bodies of COCO-17 as they are, others as BODY_25 with hands of 21 points.
 
     Parameters
     ----------

@@ -10,8 +10,8 @@ from pipeline.capture.pictures.figures import DETAIL_MIN, PictureFigures, correl
 from pipeline.core.findings import Finding
 from pipeline.core.problems.findings import SAME_VIDEO
 
-# Correlation of the detail of two views: that of a camera with itself at other times is 0.7 to 1, since people cover
-# parts of it; that of two cameras is 0 up to chance, unless the place is symmetric.
+# Correlation of the detail of two views: a camera with itself at other times is 0.7 to 1, since people cover
+# parts of it; two cameras have 0 up to chance, unless the place is symmetric.
 _SAME_VIEW = 0.5
 # Correlation of the changes between the same instants.
 _SAME_MOTION = 0.6

@@ -24,7 +24,7 @@ def solve_offsets(curves: Sequence[PairCurve], num_cameras: int) -> Int[np.ndarr
     """Offsets with the largest sum of agreement over all pairs, in grid steps.
 
     The best lags of pairs span a tree, the best pairs first (Kruskal 1956). Then cameras, and halves of the tree, are
-    shifted while the sum grows. Returns the offset of each camera's own time from that of camera 0; 0 for cameras that
+    shifted while the sum grows. Returns the offset of each camera's own time from camera 0's; 0 for cameras that
     no pair links.
     """
     tree = _tree(curves, num_cameras)

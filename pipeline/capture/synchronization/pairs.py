@@ -30,7 +30,7 @@ class PairCurve:
     second: int
     # Grid steps by which the second camera's own time is late: ``own time of first = own time of second + lag``
     lags: Int[np.ndarray, " lags"]
-    # Weight of the joints that agree less that of the joints that don't, over the best matching of people
+    # Weight of the joints that agree less the weight of the joints that don't, over the best matching of people
     gain: Float[np.ndarray, " lags"]
     cost: Float[np.ndarray, " lags"]  # Mean truncated cost of the matched joints, in 0 to 1; NaN without a match
     weight: Float[np.ndarray, " lags"]  # Weight of the matched joints: joints in motion times instants
@@ -98,7 +98,7 @@ def _compare_all(
 def match_motions(
     left: Sequence[BodyMotion], right: Sequence[BodyMotion], value: Float[np.ndarray, "left right"], lag: int
 ) -> list[tuple[int, int]]:
-    """Match motions one to one at each instant, those of the largest value first."""
+    """Match motions one to one at each instant, the largest value first."""
     chosen: list[tuple[int, int]] = []
     rows, columns = np.nonzero(value > 0)
     for number in np.argsort(-value[rows, columns], kind="stable"):

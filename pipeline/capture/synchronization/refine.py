@@ -37,7 +37,7 @@ _RATE_SIGMA = 3e-4
 class FineClocks:
     """Clocks of all cameras: ``session time = offset_s + own + drift * (own - pivot_s)``."""
 
-    # Of each camera; those of the reference are 0
+    # Of each camera; the reference's are 0
     offset_s: Float[np.ndarray, " cameras"]
     drift: Float[np.ndarray, " cameras"]
     pivot_s: float  # Own time at which an offset holds
@@ -71,7 +71,7 @@ def refine_clocks(
     """Refine clocks.
 
     ``matches`` are motions of two cameras that are one person. Offsets start from ``offset_s``; without ``has_drift``
-    rates are 1. The session's clock is that of camera ``reference``.
+    rates are 1. The session's clock is the clock of camera ``reference``.
     """
     offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
     begin, end = (

@@ -42,7 +42,7 @@ def remaining_offsets(
     Parameters
     ----------
     times, detections
-        Declared frame times and bodies by camera name, such as of ``pipeline.run.engine.local.detect_people`` or of
+        Declared frame times and bodies by camera name, such as from ``pipeline.run.engine.local.detect_people`` or of
         ``KeypointSession``. A few seconds in which people move are enough; a take of five minutes costs half a minute.
 
     Returns

@@ -44,7 +44,7 @@ def synchronize(
     on_share: OnShare = ignore,
     near_s: Mapping[str, float] = NOTHING_KNOWN,
 ) -> Synchronization:
-    """Measure the cameras' clocks from the motion of people whom several cameras see.
+    """Measure the cameras' clocks from the motion of people seen by several cameras.
 
     Bodies are followed in each camera by itself. Two cameras agree at a lag of their clocks if joints in motion lie on
     each other's epipolar lines. The coarse offsets maximise the agreement of all pairs; Gauss-Newton on the epipolar

@@ -57,7 +57,7 @@ class FootContact:
 class SkeletonMotion:
     """One person's skeleton animation: constant bone lengths, a root path and joint rotations.
 
-    Joints are those of ``pipeline.motion.skeleton.model``; a joint's position is its parent's position plus the
+    Joints are the joints of ``pipeline.motion.skeleton.model``; a joint's position is its parent's position plus the
     parent's rotation applied to the joint's rest offset.
     """
 

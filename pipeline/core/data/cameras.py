@@ -10,7 +10,7 @@ from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import Problem
 
 LensModel = Literal["standard", "fisheye"]
-"""OpenCV's distortion models: that of ``calib3d``, and that of its module ``fisheye`` (Kannala and Brandt)."""
+"""OpenCV's distortion models: of ``calib3d``, and of its module ``fisheye`` (Kannala and Brandt)."""
 
 Refusal = Literal["few_people", "undetermined", "no_better"]
 """Why a calibration was not refined: the joints that cameras share are too few, they determine no camera, or cameras
@@ -125,7 +125,7 @@ class CameraClock:
     rate: float
     # Standard deviation of the camera's session times, relative to the reference, where it is largest over the take
     sigma_s: float
-    # Declared time at which the camera's own time is 0: of a video that of its first frame, of keypoints 0
+    # Declared time at which the camera's own time is 0: of a video its first frame's, of keypoints 0
     start_s: float = 0.0
 
     @property

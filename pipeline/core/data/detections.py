@@ -1,4 +1,4 @@
-"""What was seen in the pictures of one camera: bodies, or peaks and fields, and damage of its frames."""
+"""Detections in the pictures of one camera: bodies, or peaks and fields, and damage of its frames."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -18,7 +18,7 @@ class SeenHeads:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadRegions:
-    """Ellipses around the heads in the frames of one camera, sorted by frame; their axes are those of the picture."""
+    """Ellipses around the heads in the frames of one camera, sorted by frame; their axes are the picture's."""
 
     camera: str  # Name of the camera
     size_px: tuple[int, int]  # Width and height of the pictures whose pixels are meant

@@ -70,7 +70,7 @@ class FileFormat(Value):
     # stages of their own make
     writer: str | None = None
     has_body: bool = False  # Whether it holds a body that follows the skeleton
-    has_presets: bool = False  # Whether names, axes, unit and rest pose are those of a preset
+    has_presets: bool = False  # Whether names, axes, unit and rest pose come from a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
     package: OptionalPackage | None = (
         None  # Package that writes and reads the files, beside those that all formats need

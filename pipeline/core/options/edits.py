@@ -1,7 +1,7 @@
 """Edits of people: who is who, put right by hand. Standard library only: the web API imports this module.
 
-Edits are data. Each one is applied to the people whom the earlier edits leave, and the list of all of them says what a
-take is; without the list it is what the reconstruction found. Frames are those of the reconstruction, also after a cut.
+Edits are data. Each one is applied to the people that the earlier edits leave, and the list of all of them says what a
+take is; without the list it is what the reconstruction found. Frames count in the reconstruction, also after a cut.
 """
 
 import unicodedata
@@ -334,7 +334,7 @@ def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
 
 
 def _united(first: Sequence[Piece], second: Sequence[Piece]) -> Iterator[Piece]:
-    """Pieces of both, ascending; where they overlap, those of the first."""
+    """Pieces of both, ascending; where they overlap, the first list's."""
     return merge(first, _outside(first, second), key=_START)
 
 

@@ -36,7 +36,7 @@ from pipeline.core.problems.requests import (
 from pipeline.core.problems.sessions import TOO_MANY_FRAMES
 
 CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
-"""Choices of a reconstruction on this machine by name: those of jobs, and others."""
+"""Choices of a reconstruction on this machine by name: the choices of jobs, and others."""
 SAME_INSTANT = 1e-9
 """Part of a frame by which two instants differ that are the same but for rounding."""
 INSTALL_BODY = "Run: multicap bodies install"
@@ -67,7 +67,7 @@ def collecting() -> Iterator[Callable[[Callable[[], Any]], Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """What is installed where a reconstruction runs, by name; ``None`` where it is unknown, or not needed."""
+    """Installed parts where a reconstruction runs, by name; ``None`` where it is unknown, or not needed."""
 
     networks: Collection[str] | None = None
     bodies: Collection[str] | None = None

@@ -84,7 +84,7 @@ def prefetch_row(
 def as_compiled(values: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Floats in the kind of array that kernels are compiled for in advance: contiguous and writable.
 
-    Of another kind it is a copy; a kernel that gets a read-only array, or a view with steps, is compiled anew.
+    Of another kind it is a copy; a kernel that gets a read-only array, or a view with steps, is compiled again.
     """
     return np.require(values, float, ("C", "W"))
 

@@ -39,8 +39,8 @@ class Layer:
 def read_ir(xml: bytes, weights: bytes) -> dict[str, Layer]:
     """Read the layers of a network, by number.
 
-    The contents are those of the XML file and of the binary file. Raises ``ModelError`` if they are damaged, are not an
-    IR, or do not belong together.
+    The contents are the bytes of the XML file and of the binary file. Raises ``ModelError`` if they are damaged, are
+    not an IR, or do not belong together.
     """
     try:
         root = ElementTree.fromstring(xml)

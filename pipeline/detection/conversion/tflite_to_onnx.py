@@ -23,7 +23,7 @@ def convert(model: bytes, inputs: Mapping[str, str], outputs: Mapping[str, str],
     inputs, outputs
         Names in ONNX by names in TensorFlow Lite, up to the first semicolon.
     is_fixed
-        Whether height and width are those of the model; otherwise they are open.
+        Whether height and width are the model's; otherwise they are open.
 
     Raises
     ------

@@ -22,7 +22,7 @@ def decode_simcc(
 
     Returns
     -------
-        Pixels of the input, and confidences in [0, 1]: those of the less certain axis.
+        Pixels of the input, and confidences in [0, 1]: of the less certain axis.
     """
     columns, rows = bins_x.argmax(1), bins_y.argmax(1)
     points_px = np.stack([columns * (input_px[0] / bins_x.shape[1]), rows * (input_px[1] / bins_y.shape[1])], axis=-1)

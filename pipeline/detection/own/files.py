@@ -35,11 +35,12 @@ def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> st
     Parameters
     ----------
     has_chosen_size
-        Whether the size of the input must be that of the description; otherwise a fixed size of the file counts.
+        Whether the size of the input must be the description's; otherwise a fixed size of the file counts.
 
     Returns
     -------
-        Name of the network as a detector: ``own-NAME-DIGEST``. The digest is that of the file and its description.
+        Name of the network as a detector: ``own-NAME-DIGEST``. The digest is computed from the file and its
+        description.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def _endless(filename: str) -> ModelError:
 
 
 def _with_size(network: OwnNetwork, shape: Sequence[int | None], has_chosen_size: bool, filename: str) -> OwnNetwork:
-    """Network with the size of its input; ``shape`` is that of the file, with ``None`` for open axes."""
+    """Network with the size of its input; ``shape`` is the file's, with ``None`` for open axes."""
     batch, channels, height, width = shape
     if batch not in {None, 1} or channels not in {None, 3}:
         raise ModelError(f"{filename} can't be used: its input must be (1, 3, height, width), it is {list(shape)}.")

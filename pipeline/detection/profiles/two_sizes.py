@@ -49,8 +49,8 @@ def merge_passes(coarse: ImageBodies, fine: ImageBodies, border_px: float, turn_
 
     Tall bodies come from the coarse pass. Bodies of the fine pass follow, unless they repeat a tall body or a part of
     it. The other bodies of the coarse pass are kept if the fine pass lacks them. A body is tall from a span of joints
-    of ``border_px`` on, and not if its span is unknown; ``turn_deg`` is as of ``body_spans_px``. The bodies are in
-    descending order of confidence.
+    of ``border_px`` on, and not if its span is unknown; ``turn_deg`` is the same as for ``body_spans_px``. The bodies
+    are in descending order of confidence.
     """
     is_tall = np.asarray(body_spans_px(coarse, turn_deg) >= border_px)
     tall, small = _select(coarse, is_tall), _select(coarse, ~is_tall)

@@ -11,7 +11,7 @@ import onnxruntime
 
 from pipeline.core.options.providers import PACKAGES, ProviderName
 
-# Outputs are those of the CPU: in the reduced precisions that providers choose by themselves (TF32 on NVIDIA's cards,
+# Outputs equal the CPU's: in the reduced precisions that providers choose by themselves (TF32 on NVIDIA's cards,
 # bfloat16 on Intel's processors) landmarks are off by up to some pixels.
 _OPENVINO = {"load_config": json.dumps({"CPU": {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": 1}})}
 _OPTIONS: dict[ProviderName, dict[str, str]] = {

@@ -54,7 +54,7 @@ class DetectionSchedule:
         return bisect_left(self.detected, frame)
 
     def share(self, before: int, frame: int, after: int) -> float:
-        """Place of a frame's time between those of two frames, from 0 to 1."""
+        """Place of a frame's time between the times of two frames, from 0 to 1."""
         start_s, time_s, end_s = self.time_s[[before, frame, after]]
         return float((time_s - start_s) / (end_s - start_s)) if end_s > start_s else 0.5
 

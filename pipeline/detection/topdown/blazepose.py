@@ -131,7 +131,7 @@ def body_region(
     A body whose trunk has no certain direction is taken as upright in the image turned counterclockwise by
     ``turn_deg``.
 
-    Joints are those of ``COCO_17`` in pixels of the image, NaN where missing, with their scores. ``None`` for a body
+    Joints are ``COCO_17`` in pixels of the image, NaN where missing, with their scores. ``None`` for a body
     that is too small or has too few joints.
     """
     seen = (score >= _MIN_SCORE) & np.isfinite(keypoints_px).all(-1)

@@ -1,7 +1,7 @@
 """Fusion of a body's joints with BlazePose's heatmaps, read near these joints.
 
 Two networks that learnt from different annotations mark the same joint at different places. Before their joints are
-averaged, both are moved to one common mark: to that of the network whose mark is nearer to the centre of the joint.
+averaged, both are moved to one common mark: to the mark of the network whose mark is nearer to the centre of the joint.
 The offsets were learnt from rendered people with known joints (docs/detectors.md). They are measured in the image: up
 along the trunk, in lengths of the trunk; outwards along the line through the shoulders, in widths of the shoulders.
 """
@@ -62,7 +62,7 @@ _HIPS = COCO_17.indices(("left_hip", "right_hip"))
 def landmark_offsets_px(keypoints_px: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "shared 2"]:
     """Offsets of the landmarks from the joints of a body, for ``SHARED_JOINTS``.
 
-    Joints are those of ``COCO_17`` as MultiPose marks them in pixels of the image, NaN where missing. Offsets are NaN
+    Joints are ``COCO_17`` as MultiPose marks them in pixels of the image, NaN where missing. Offsets are NaN
     where they are not 0 and a shoulder or hip is missing.
     """
     return _offsets_px(*_LANDMARK_SHARES, keypoints_px)
@@ -111,7 +111,7 @@ def fuse(
     Returns
     -------
         Common marks of both networks in pixels of the image. A joint without a sure heatmap near it is the detector's
-        alone. And scores: those of the surer network, 0 where the detector found no joint.
+        alone. And scores of the surer network, 0 where the detector found no joint.
     """
     if pose is None:
         return common_marks_px(keypoints_px), score

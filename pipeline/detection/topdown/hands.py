@@ -1,6 +1,6 @@
 """Hands: crops from BlazePose's hand landmarks, and the fingers that the hand network reads in them.
 
-The regions are those of MediaPipe's holistic pipeline (Grishchenko and Bazarevsky, 2020) without its network that
+The regions follow MediaPipe's holistic pipeline (Grishchenko and Bazarevsky, 2020) without its network that
 recrops.
 """
 

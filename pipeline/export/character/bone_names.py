@@ -143,7 +143,7 @@ def bone_name(name: str) -> BoneName:
 def joints_by_name(rig: NamedBones, humanoid: Mapping[str, int]) -> dict[str, int]:
     """Bones of limbs, fingers and the head that their names, or the table of a VRM, tell: nodes by joint.
 
-    Joints are those of the skeleton, with ``LeftToeBase`` and ``RightToeBase``.
+    Joints are the skeleton's, with ``LeftToeBase`` and ``RightToeBase``.
     """
     found = _by_table(humanoid)
     if found:

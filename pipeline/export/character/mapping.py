@@ -1,7 +1,7 @@
 """Bones of a character by the joints of the skeleton, recognised or stated by a table.
 
-The joints are those of ``pipeline.motion.skeleton.model``, with toes (``LeftToeBase``), and without the trunk's joints:
-all bones between hips and arms are the spine, those between arms and head the neck.
+The joints are the joints of ``pipeline.motion.skeleton.model``, with toes (``LeftToeBase``), and without the trunk's
+joints: all bones between hips and arms are the spine, those between arms and head the neck.
 
 Names count before the shape of the tree: the shape may complete the named bones, but never contradicts them. In rigs
 made for inverse kinematics hands and feet hang on the root; ``connected`` hangs them on their limbs.

@@ -15,7 +15,7 @@ from pipeline.motion.gait.movements import MovementKind
 from pipeline.motion.gait.strides import Stride
 
 MAX_PEOPLE = 10
-"""Largest number of people whose angles are in a report; ``metrics.json`` has those of all."""
+"""Largest number of people whose angles are in a report; ``metrics.json`` has everybody's."""
 
 # Angles of limbs that have a plot, and its title.
 _PLOTS = {
@@ -39,7 +39,7 @@ class PersonAngles:
     name: str
     angles: JointAngles
     ranges: Mapping[str, Mapping[str, Any]]  # ``angles`` of the person in ``metrics.json``
-    strides: Sequence[Stride] = ()  # Strides of the person's gait; rows are those of the angles
+    strides: Sequence[Stride] = ()  # Strides of the person's gait; rows are the angles'
 
 
 def angle_parts(people: Sequence[PersonAngles], frame_rate_hz: float) -> Iterable[Markup]:
@@ -189,7 +189,7 @@ def _figure(
 ) -> Markup:
     """Plot with its scale.
 
-    ``ends`` are the words at both ends of the axis across, ``keys`` those of the colours by side.
+    ``ends`` are the words at both ends of the axis across, ``keys`` the words for the colours by side.
     """
     ticks_deg = scale.ticks_deg()
     marks = [

@@ -94,7 +94,7 @@ def gather_contents(
 
 
 def _person_angles(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
-    """Joint angles of the first people of whom any is known."""
+    """Joint angles of the first people with any known angle."""
     ranges = {person["id"]: person["angles"] for person in metrics["people"]}
     people = zip(take.tracks, take.motions, strict=True)
     known = [(track, motion) for track, motion in people if ranges[track.track_id]]

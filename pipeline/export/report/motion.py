@@ -57,7 +57,7 @@ def embed_motion(
 def choose_stride(num_frames: Sequence[int], record_bytes: int, max_bytes: int) -> int:
     """Choose the smallest stride with which records are at most as large as wanted, or one for each person.
 
-    ``num_frames`` are those of the people.
+    ``num_frames`` are the people's numbers of frames.
 
     >>> choose_stride([300, 300], 100, 20_000)
     3

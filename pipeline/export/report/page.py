@@ -35,7 +35,7 @@ class ReportContents:
     metrics: Mapping[str, Any]  # Content of ``metrics.json``
     angles: Sequence[PersonAngles]  # Joint angles of the first people
     findings: Sequence[Finding]  # Warnings of the result
-    pictures: Sequence[Picture]  # Pictures of the cameras, those of a moment together
+    pictures: Sequence[Picture]  # Pictures of the cameras, pictures of a moment together
     notes: Sequence[str]  # Sentences about the report itself, such as pictures that are missing
     settings: Rows  # Choice and value of each choice of the reconstruction, and whether it is the usual one
     # Name and version of each program and network; name and SHA-256 of each file

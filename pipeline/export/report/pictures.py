@@ -47,7 +47,7 @@ def presence(
 ) -> tuple[Int[np.ndarray, " frames"], Float[np.ndarray, " frames"]]:
     """Number of people in each output frame, and mean reprojection error in pixels of the worst of them.
 
-    The error is that of the body's joints; NaN where no camera sees anybody.
+    The error is the error of the body's joints; NaN where no camera sees anybody.
     """
     num_people = np.zeros(take.timebase.num_frames, int)
     error_px = np.full(take.timebase.num_frames, np.nan)

@@ -41,7 +41,7 @@ _ROOT = SKELETON[0].name
 def encode(motion: SkeletonMotion, convention: Convention, frames: range | None = None) -> Iterator[bytes]:
     """Write a motion as BVH, piece by piece.
 
-    Equal motions give equal bytes. ``frames`` are the output frames of the file, ``None`` those of the motion.
+    Equal motions give equal bytes. ``frames`` are the output frames of the file, ``None`` the motion's.
     """
     own = motion.frames
     frames = own if frames is None else frames

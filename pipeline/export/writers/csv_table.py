@@ -21,7 +21,7 @@ from pipeline.export.writers.registry import Writer, joint_positions
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:
     """Write a track's positions as CSV (RFC 4180), piece by piece.
 
-    ``frames`` are the output frames of the file, ``None`` those of the track.
+    ``frames`` are the output frames of the file, ``None`` the track's.
     """
     frames = track.frames if frames is None else frames
     names = [f"{name}_{axis}_m" for name in joints.names for axis in "xyz"]

@@ -102,7 +102,7 @@ def encode(
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file, ``None`` those of the motion.
+        Output frames of the file, ``None`` the motion's.
     is_present
         Frames of the file in which the person is there, ``None`` for all of them.
     """

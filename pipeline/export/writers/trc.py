@@ -26,7 +26,7 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a track's positions as TRC, piece by piece.
 
-    ``file_name`` is part of the header. ``frames`` are the output frames of the file, ``None`` those of the track.
+    ``file_name`` is part of the header. ``frames`` are the output frames of the file, ``None`` the track's.
     """
     frames = track.frames if frames is None else frames
     num_frames, num_joints = len(frames), track.xyz_m.shape[1]

@@ -23,7 +23,7 @@ _Y = 1
 _ZXY, _YXZ, _YXY, _YZX = (2, 0, 1), (1, 0, 2), (1, 0, 1), (1, 2, 0)
 
 # Axes of segments as columns, in the axes of the skeleton's rest pose (world axes of a T-pose, palms down). Arms of the
-# T-pose are those of the anatomical position raised aside, and hands are turned over.
+# T-pose are the axes of the anatomical position raised aside, and hands are turned over.
 _UPRIGHT = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
 _ARMS = {
     "left": ((0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),

@@ -28,7 +28,7 @@ from pipeline.motion.angles.definitions import (
 from pipeline.motion.skeleton.rotations import unit
 
 _STEP_RAD = 1e-4
-# Shortest lever of a rotation: twists of straighter limbs are those of the model, about a radian off at worst.
+# Shortest lever of a rotation: twists of straighter limbs are the model's, about a radian off at worst.
 _SHORTEST_M = 0.01
 
 

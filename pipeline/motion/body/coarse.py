@@ -2,7 +2,7 @@
 
 Edges are collapsed in the order of their quadric errors (Garland and Heckbert, "Surface simplification using quadric
 error metrics", 1997), always into one of their own vertices: it keeps its positions at all ages, and its joints. The
-error is that of several poses together (DeCoro and Rusinkiewicz, "Pose-independent simplification of articulated
+error is the error of several poses together (DeCoro and Rusinkiewicz, "Pose-independent simplification of articulated
 meshes", 2005), so that joints keep the vertices that bends need.
 
 All sums are of numbers of Python, one after the other: every machine makes the same mesh.

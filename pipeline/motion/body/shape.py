@@ -17,7 +17,7 @@ from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.motion.body.joints import BODY_INDEX, BODY_JOINTS, TWIST_JOINTS, about, blend, placed, world_from_joints
 from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, joint_pose, parents_of, rest_offsets_m
 
-# Stature from which on people have the shape of adults. It is less than that of the adult shape: small adults are not
+# Stature from which on people have the shape of adults. It is less than the adult shape's: small adults are not
 # children.
 _ADULT_STATURE_M = 1.5
 # Axes along which a joint stretches by the ratio of a bone: the axis, and the joint at the bone's end. Fingers and feet

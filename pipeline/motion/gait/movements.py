@@ -6,7 +6,7 @@ lands in the pose of the take-off (Bosco et al. 1983, doi:10.1007/BF00422166), a
 above standing.
 
 Squats and seats are dips of the hips while both feet stand. On a seat the body's centre of mass is behind the feet,
-where nothing but the seat holds it; its position is that of segments after Winter 2009 (table 4.1).
+where nothing but the seat holds it; its position is computed from segments after Winter 2009 (table 4.1).
 """
 
 from collections.abc import Sequence

@@ -65,7 +65,7 @@ def animate(
     tracks
         Tracks with the joints located by association.
     observations
-        Observations of the tracks, in the same order. Each is asked for twice, and only those of one person are kept at
+        Observations of the tracks, in the same order. Each is asked for twice, and only one person's are kept at
         a time: they may be read from a file.
     config
         Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are the skeleton's.

@@ -166,7 +166,7 @@ def _both(kind: str) -> tuple[str, str]:
 def bone_lengths_m(landmarks: Landmarks) -> Float[np.ndarray, " joints"]:
     """Length of every bone of ``SKELETON``, constant in time.
 
-    Lengths in metres are medians over the frames in which both ends were measured; those of limbs are
+    Lengths in metres are medians over the frames in which both ends were measured; lengths of limbs are
     ``limb_lengths_m``. Bones that were never measured get adult proportions, scaled to the measured bones.
     """
     shoulders, hips = _both("shoulder"), _both("hip")

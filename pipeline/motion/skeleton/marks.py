@@ -58,7 +58,7 @@ def centers_from_marks(
 ) -> np.ndarray:
     """Centres of joints from marks, each frame by itself.
 
-    Marks are NaN where unknown; lengths are those of bones between marks. World positions are in metres, (frames,
+    Marks are NaN where unknown; lengths are measured between marks. World positions are in metres, (frames,
     joints, 3); joints of a face that is not known as a whole stay at their marks.
     """
     # Between the marks, the trunk is longer than the skeleton's by the difference of their heights.

@@ -50,7 +50,7 @@ _OTHER_RIG = "Check that the calibration belongs to these videos, and that the v
 
 @dataclass(frozen=True, slots=True)
 class PeopleCheck:
-    """What people at a few instants tell of cameras."""
+    """Evidence about cameras from people at a few instants."""
 
     findings: tuple[Finding, ...]
     num_located: int = 0  # Number of poses that pairs of agreeing cameras locate

@@ -331,7 +331,7 @@ def count_backward_bends(tracks: Sequence[Track3D], joints: JointSet) -> int | N
 def bends_deg(hand_m: Float[np.ndarray, "frames 21 3"], side: Side) -> Float[np.ndarray, "frames 14"]:
     """Bends of a hand's hinges in degrees, positive into the palm.
 
-    ``hand_m`` are world positions of the wrist and of ``finger_joints``, NaN where unknown. The bends are those of two
+    ``hand_m`` are world positions of the wrist and of ``finger_joints``, NaN where unknown. The bends are at two
     hinges of the thumb, four knuckles, and two hinges of each finger; NaN beside unknown joints.
     """
     wrist_m, thumb_m, *fingers_m = np.split(hand_m, [1, *range(5, 21, 4)], axis=1)

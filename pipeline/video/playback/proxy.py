@@ -42,7 +42,7 @@ LONG_SIDE_PX = 960
 """Longest side of a proxy's pictures; smaller videos keep their size."""
 
 FRAME = b"."
-"""What is written for an encoded frame."""
+"""Record written for an encoded frame."""
 
 # Longest wait for a frame, and limits on computing time and size, as a base and for each frame.
 _TIMEOUT_S = 45.0

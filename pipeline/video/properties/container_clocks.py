@@ -32,7 +32,7 @@ def read_timecode(path: Path, metadata: Mapping[str, str], frame_rate: Fraction 
     """Read the timecode of the first frame; ``None`` if there is none, or a malformed one.
 
     ``metadata`` are entries of the container and of its streams; ``frame_rate`` counts where the container does not
-    state that of its timecode.
+    state the clock of its timecode.
     """
     text = metadata.get("timecode") or metadata.get("TIMECODE")
     if not text or (rate := timecode_rate(path) or frame_rate) is None:

@@ -27,7 +27,7 @@ class Packets(NamedTuple):
 
     pts: NDArray[np.int64]  # Timestamps of all frames to show, in ticks of the stream's time base
     keyframe_pts: NDArray[np.int64]  # Timestamps of the keyframes, ascending
-    num_read: int  # Number of packets, also of those of frames that are not shown
+    num_read: int  # Number of packets, also of frames that are not shown
 
 
 def list_packets(container: InputContainer, stream: VideoStream) -> Packets:

@@ -21,7 +21,7 @@ def refusal(path: Path, content: bytes) -> Problem:
     ("name", "what", "advice"),
     [
         ("System.cal", "a calibration of Motive before 3.2", "export it as .mcal"),
-        ("cameras.bin", "a binary model, as of COLMAP", "model_converter"),
+        ("cameras.bin", "a binary model, like COLMAP's", "model_converter"),
         ("stereo.MAT", "a file of MATLAB", "OpenCV's YAML"),
         ("calib.npz", "a file of NumPy", "OpenCV's YAML"),
     ],

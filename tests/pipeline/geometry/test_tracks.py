@@ -1,4 +1,4 @@
-"""Triangulation of many instants: whatever kind of array comes in, no kernel is compiled anew."""
+"""Triangulation of many instants: whatever kind of array comes in, no kernel is compiled again."""
 
 import numpy as np
 import pytest

@@ -24,7 +24,8 @@ _SMOOTHING_PX = 1.6
 _MIN_CONTRAST, _MAX_SADDLES = 12.0, 600
 # Strongest saddles from which grids are grown.
 _NUM_SEEDS = 48
-# Strength of a corner, as a share of that of the corner from which the grid grows: corners of a board are alike.
+# Strength of a corner, as a share of the strength of the corner from which the grid grows: corners of a board are
+# alike.
 _MIN_STRENGTH = 0.4
 # Grids of a picture, the largest: one is the board, others are of bits or of the background.
 _MAX_GRIDS = 3
@@ -73,7 +74,7 @@ class SquareGrid:
 
 
 def find_grids(gray: UInt8[np.ndarray, "height width"]) -> Iterator[SquareGrid]:
-    """Find grids of corners, at least three each way: those of large pictures first, of each the largest first."""
+    """Find grids of corners, at least three each way: grids of large pictures first, of each the largest first."""
     for shrunk in _SHRUNK:
         factor = min(1.0, _LARGEST_PX / max(gray.shape)) * shrunk
         small = cv2.resize(gray, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1.0 else gray

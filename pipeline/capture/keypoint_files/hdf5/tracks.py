@@ -15,7 +15,7 @@ from pipeline.core.parsing import UnreadableError
 from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, run_confined
 
 MAX_POINTS = 2**24
-"""Limit on the points of a file, those of people of a frame without any detected point left out."""
+"""Limit on the points of a file, without points of people of a frame who have no detected point."""
 
 # Far above the second or two of a file of the largest size.
 _MAX_CPU_S = 60

@@ -30,8 +30,8 @@ def synchronize_with_sound(
     """Measure the cameras' clocks as ``synchronize`` does, with the help of sound.
 
     Motion alone comes first. If it is certain, sound has to agree within a tenth of a second. If it is not (it repeats
-    itself, say), only offsets near those of sound are compared. If motion tells nothing of them either, and all cameras
-    have sound, the clocks are those of sound, whose standard deviation includes the way of the sound.
+    itself, say), only offsets near the sound's are compared. If motion tells nothing of them either, and all cameras
+    have sound, the clocks come from sound, whose standard deviation includes the way of the sound.
     """
     by_people = synchronize(cameras, times, detections, joints, starts_s, on_share)
     shift_s = {name: value - starts_s[name] for name, value in sound.offset_s.items()}

@@ -27,7 +27,7 @@ class SoundOffsets:
     # By camera, relative to the first of them: ``session time = offset_s + own time`` in the middle of the take; none
     # if no two cameras agree
     offset_s: Mapping[str, float] = field(default_factory=dict)
-    # Standard deviation by camera, with that of the unknown way of the sound
+    # Standard deviation by camera, with the deviation of the unknown way of the sound
     sigma_s: Mapping[str, float] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)  # Why a camera has no offset, by camera
 

@@ -37,7 +37,7 @@ class Lag:
 def onset_strength(energy: Float[np.ndarray, " ms"]) -> Float[np.ndarray, " ms"] | None:
     """Strength of onsets in each millisecond, decades of energy; ``None`` if there are few, as in silence.
 
-    ``energy`` is that of each millisecond.
+    ``energy`` is the energy of each millisecond.
     """
     energy = np.asarray(energy, np.float64)
     if len(energy) < _MIN_SHARED_MS or not energy.max(initial=0.0) > 0:

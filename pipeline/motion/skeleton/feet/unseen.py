@@ -32,10 +32,10 @@ _TOES = next(joint.rest_direction for joint in SKELETON if joint.name == "LeftFo
 def foot_without_toes(motion: SkeletonMotion, side: Side, support: Support, floor: Floor | None) -> Rotation:
     """Rotation from foot to shin where only the ankle is known.
 
-    A standing foot is level on the floor and points in the direction that the shin faces; that of a person who kneels
-    lies on its instep and points away from the knee. Other feet are at a right angle to the shin, relaxed if they hang
-    or are above the hips, and not below the floor behind shins that lie. Orientations are blended before and after a
-    stance.
+    A standing foot is level on the floor and points in the direction that the shin faces; the foot of a person who
+    kneels lies on its instep and points away from the knee. Other feet are at a right angle to the shin, relaxed if
+    they hang or are above the hips, and not below the floor behind shins that lie. Orientations are blended before and
+    after a stance.
     """
     share = stance_weight(motion.contacts, side, len(motion.root_m), motion.frame_rate_hz)
     _, world_from_shin = joint_pose(motion, f"{side.capitalize()}Leg")

@@ -201,8 +201,8 @@ def build(
 ) -> Articulation:
     """Build the arrays of any tree of joints.
 
-    ``index`` is the number of each joint that the degrees of freedom name; ``parent`` and ``offset_m`` are as of
-    ``Articulation``.
+    ``index`` is the number of each joint that the degrees of freedom name; ``parent`` and ``offset_m`` are the same as
+    for ``Articulation``.
     """
     freedom_joint = np.full((NUM_ROOT + len(freedoms), 2), -1)
     for number, freedom in enumerate(freedoms, NUM_ROOT):

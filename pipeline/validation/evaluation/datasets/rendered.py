@@ -161,8 +161,8 @@ def score_covered_heads(
     """Score the regions of heads that follow from the people of a take, without any detection beside them.
 
     Each frame of a camera is compared with the truth of the nearest time within half a period, and each true nose, eye
-    and ear whose projection lies in the picture counts, hidden ones too. ``times`` are those of the cameras' frames by
-    name. Returns ``heads_covered``, the share inside a region; ``None`` without any.
+    and ear whose projection lies in the picture counts, hidden ones too. ``times`` are the times of the cameras' frames
+    by name. Returns ``heads_covered``, the share inside a region; ``None`` without any.
     """
     tracks = [*take.located, *take.tracks]
     people = [path for track in tracks if (path := head_path(track, take.joints, take.timebase)) is not None]

@@ -1,7 +1,7 @@
 """Hands of simulated people: fingers of constant length as chains of hinges on the palm.
 
 The axes of a hand are distal (from the wrist along the palm), radial (to the side of the thumb) and palmar (out of the
-palm); those of the right hand are the mirror image of the left hand's. A finger bends about an axis that is fixed in
+palm); postures of the right hand are the mirror image of the left hand's. A finger bends about an axis that is fixed in
 the palm; its knuckle also spreads. The thumb's metacarpal has two angles, and its other joints bend to the little
 finger and to the palm.
 
