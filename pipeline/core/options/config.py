@@ -135,9 +135,9 @@ class MotionChoices:
     joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.", group="quality")] = field(
         default="auto", kw_only=True
     )
-    detector: Annotated[
-        Detector, About("Detector", "Network that finds the 2D joints, in place of those of the profile.")
-    ] = "auto"
+    detector: Annotated[Detector, About("Detector", "Network that finds the 2D joints, in place of the profile's.")] = (
+        "auto"
+    )
     follow_s: Annotated[
         float,
         About(
@@ -237,7 +237,7 @@ class JobChoices(MotionChoices):
         Annotated[Literal["auto"], Value("everybody")] | int,
         About(
             "Largest number of people",
-            "Largest number of people: those whom most cameras saw for longest.",
+            "Largest number of people: the ones seen by most cameras for longest.",
             minimum=1,
             maximum=1000,
             group="people",
@@ -264,8 +264,8 @@ class JobChoices(MotionChoices):
         Timeline,
         About(
             "Frames of the files",
-            "Frames of each person's files: people of a take are in step after the import if all files have those of "
-            "the take.",
+            "Frames of each person's files: people of a take are in step after the import if all files have the "
+            "frames of the take.",
             group="purpose",
         ),
     ] = "take"

@@ -76,7 +76,7 @@ SESSION_WARNING = FILES.code("session_warning", "finding")
 
 PEOPLE = CodeGroup(
     "Findings about people",
-    "Codes of findings of `multicap check`, and of warnings of a job, from the people whom the cameras see at "
+    "Codes of findings of `multicap check`, and of warnings of a job, from people in view at "
     "twelve instants. Findings about the world have the codes of [warnings of a result](#warnings-of-a-result). "
     "Errors end the job (`session_refused`) and the command, unless it is forced.",
 )
@@ -226,7 +226,7 @@ CAMERA_BUMPED = WARNINGS.code("camera_bumped", "warning")
 """A camera was moved during the take. | Reconstruct the frames before and after the time in the message on their own
 (`frame_range`)."""
 SYNC_BY_SOUND = WARNINGS.code("sync_by_sound", "warning")
-"""The offsets of the cameras are those of their sound alone. | Look at the motion; declare the offset, or film people
+"""The offsets of the cameras come from their sound alone. | Look at the motion; declare the offset, or film people
 who move where all cameras see them."""
 SYNC_AS_DECLARED = WARNINGS.code("sync_as_declared", "warning")
 """The offsets of the cameras are the declared ones, whose uncertainty is stated: motion does not tell them. | Look at
@@ -249,7 +249,7 @@ PEOPLE_UNCERTAIN_POSE = WARNINGS.code("people_uncertain_pose", "warning")
 PEOPLE_UNCERTAIN_FOCAL = WARNINGS.code("people_uncertain_focal", "warning")
 """People determine the focal length of a camera poorly. | Give the intrinsics, or calibrate them from a board."""
 PEOPLE_STATURES = WARNINGS.code("people_statures", "warning")
-"""The stated statures are not those of the people, in number or in their ratios. | State the stature of each person, or
+"""The stated statures differ from the people's, in number or in their ratios. | State the stature of each person, or
 one for all."""
 PEOPLE_UNCERTAIN_FLOOR = WARNINGS.code("people_uncertain_floor", "warning")
 """The feet reach too little ground to find its slope. | Let people walk all over the place."""
@@ -305,7 +305,7 @@ SAME_PLACE = FINDINGS.code("same_place", "finding", "warning", "job", "command")
 """Two cameras are at the same place; an error if they are turned alike, too. | Check whether one camera stands twice in
 the file."""
 WORLD_UNIT = FINDINGS.code("world_unit", 422, "finding", "warning", "job", "command")
-"""The cameras are farther apart, or closer together, than those of any rig. | State the unit of the calibration."""
+"""The cameras are farther apart, or closer together, than in any rig. | State the unit of the calibration."""
 UP_AXIS_UNKNOWN = FINDINGS.code("up_axis_unknown", "finding")
 """The cameras do not tell which axis of the calibration points up, such as cameras that look straight down. | State the
 axis (`up`, `--up`) if Z does not point up; `up_axes` of the evidence has those that may."""

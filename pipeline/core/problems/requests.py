@@ -345,7 +345,7 @@ EDITS = CodeGroup(
 
 EDIT_IMPOSSIBLE = EDITS.code("edit_impossible", 422)
 """The edit can't be made at this point: there is no such person, or no such frame. | Read the people again. Each edit
-is applied to the people whom the edits before it leave."""
+is applied to the people that the edits before it leave."""
 EDITS_FRAGMENTED = EDITS.code("edits_fragmented", 422)
 """After this edit the people would consist of more pieces of the people who were found than are allowed. | Leave this
 edit and those after it out, or exchange people in fewer places."""

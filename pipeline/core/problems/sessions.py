@@ -52,7 +52,7 @@ PEOPLE_UNLINKED = CALIBRATIONS.code("people_unlinked", 422, "command")
 """A camera sees nobody at the same time as another camera, or can't tell who it is. | Let one or two people walk where
 several cameras see them."""
 PEOPLE_DISAGREE = CALIBRATIONS.code("people_disagree", 422, "command")
-"""What a camera sees of the people contradicts the other cameras. | Check the synchronisation, that no camera moved,
+"""A camera's view of the people contradicts the other cameras. | Check the synchronisation, that no camera moved,
 and the intrinsics."""
 PEOPLE_NOT_WHOLE = CALIBRATIONS.code("people_not_whole", 422, "command")
 """Nobody is seen from the shoulders to the ankles, so scale and vertical are unknown. | Film people whole."""
