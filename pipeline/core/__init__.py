@@ -1,4 +1,4 @@
-"""What all rooms share: records, options, joints, errors, problem codes, child processes.
+"""Parts that all rooms share: records, options, joints, errors, problem codes, child processes.
 
 Imports no other room.
 """

@@ -135,7 +135,7 @@ export class AddForm {
     return html`<label class="field"><span>Capture</span><select name="session" required>
         ${(this.#sessions ?? []).map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
       ${this.#statureField()}
-      <p id="people-help" class="quiet">The cameras are placed anew from the people of the capture, and keep their lens values.</p>`;
+      <p id="people-help" class="quiet">The cameras are placed again from the people of the capture, and keep their lens values.</p>`;
   }
 
   form() {

@@ -28,7 +28,7 @@ export class LiveScene {
     }
     const { cameras } = this.#store.description;
     this.description = { cameras };
-    const canvas = el("canvas", { class: "look-canvas", tabindex: 0, role: "img", "aria-label": `3D view of the people whom ${cameras.length} cameras see now` });
+    const canvas = el("canvas", { class: "look-canvas", tabindex: 0, role: "img", "aria-label": `3D view of the people in view of ${cameras.length} cameras` });
     const layer = el("div", { class: "look-labels", "aria-hidden": "true" });
     this.bar = directionBar(this);
     element.replaceChildren(canvas, layer, el("div", { class: "look-overlay" }, this.bar.element));

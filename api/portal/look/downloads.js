@@ -85,8 +85,8 @@ function visualsNote(job, visuals, makeVisuals, hasVideos) {
   const { state } = job.visuals_job ?? { state: null };
   if (state === "failed") return visualsBox(job, `${shown} Those of revision ${job.revision} could not be made.`, "Try again", makeVisuals);
   if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} Those of revision ${job.revision} are being made.`);
-  if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} They can't be made anew, because the videos were deleted.`);
-  return visualsBox(job, `${shown} They are made anew when you ask for it, or when nobody has edited for a while.`, "Make them now", makeVisuals);
+  if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} They can't be rebuilt, because the videos were deleted.`);
+  return visualsBox(job, `${shown} They are rebuilt when you ask for it, or when nobody has edited for a while.`, "Make them now", makeVisuals);
 }
 
 function visualsBox(job, words, action = null, makeVisuals = null) {

@@ -107,7 +107,7 @@ export function open(place) {
       <h2 id="files-title">Videos</h2>
       ${isMissing ? html`<p class="notice" role="status">${sending.draft.wasSending
     ? `The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.`
-    : "The page was loaded anew, and browsers keep no files. Choose the same files again."}</p>` : nothing}
+    : "The page was reloaded, and browsers keep no files. Choose the same files again."}</p>` : nothing}
       ${dropPart(!takesFiles())}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}

@@ -185,7 +185,7 @@ def agreement_warnings(views: Sequence[BoardViews], fitted: BoardFit) -> Iterato
         )
         if is_late[number]:
             order = "after" if delay_s < 0 else "before"
-            message += f" Its pictures come {1000 * abs(delay_s):.0f} ms {order} those of the others."
+            message += f" Its pictures come {1000 * abs(delay_s):.0f} ms {order} the others'."
             hint = (
                 f"Start all cameras by one trigger, or state the offset of {name} ({delay_s:+.3f} s, added to a stated "
                 "one) here and when you reconstruct."

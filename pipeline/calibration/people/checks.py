@@ -129,7 +129,7 @@ def people_warnings(
             hint = "Give the intrinsics, or calibrate them from a board."
             yield Problem(PEOPLE_UNCERTAIN_FOCAL, message, camera=report.name, hint=hint)
     if not world.has_floor:
-        message = "The feet reach too little ground to find its slope; the vertical is that of upright standing."
+        message = "The feet reach too little ground to find its slope; the vertical comes from upright standing."
         yield Problem(PEOPLE_UNCERTAIN_FLOOR, message, hint="Let the people walk all over the place.")
 
 

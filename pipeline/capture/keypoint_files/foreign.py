@@ -29,7 +29,9 @@ _KINDS = {
     ".mat": _Kind("MATLAB's", "Give JSON or CSV."),
     ".npz": _Kind("an archive of NumPy's", "Give JSON or CSV."),
     ".parquet": _Kind("a Parquet table", "Give JSON or CSV."),
-    **dict.fromkeys((".yml", ".yaml", ".xml"), _Kind("OpenPose's of --write_keypoint", "Give those of --write_json.")),
+    **dict.fromkeys(
+        (".yml", ".yaml", ".xml"), _Kind("OpenPose's of --write_keypoint", "Give the files of --write_json.")
+    ),
     ".c3d": _Kind("C3D, points in 3D", _ONLY_2D),
     ".trc": _Kind("TRC, points in 3D", _ONLY_2D),
     ".bvh": _Kind("BVH, a skeleton's motion", _ONLY_2D),

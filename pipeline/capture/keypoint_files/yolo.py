@@ -92,7 +92,7 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: Un
     if len(counts) > 1:
         raise KeypointsError(f"Lines have different numbers of numbers: {', '.join(map(str, counts[:3]))}.")
     if len({row[0] for row in rows}) > 1:
-        raise KeypointsError("Lines are of several classes; keep those of people.", "class")
+        raise KeypointsError("Lines are of several classes; keep the lines of people.", "class")
     form = _form_of(counts[0])
     num_points, num_values = form.num_points, 3 if form.has_scores else 2
     try:

@@ -358,7 +358,7 @@ def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str)
         hint = "See that there is memory enough (the system's log says), and try again."
     else:
         last = errors.strip().rpartition("\n")[2]
-        ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap anew."
+        ending, hint = f"ended with exit code {exit_code} ({last})", "If it happens again, install Multicap again."
     error = ChildError(f"Multicap's own {printable(task)} failed, the file is not at fault: it {ending}. {hint}")
     error.add_note(f"stderr of the {task}:\n{errors[-_LOGGED_CHARACTERS:]}")
     return error

@@ -73,7 +73,7 @@ EVIDENCE: Mapping[str, str] = {
     "mirrored_world": "share",
     "camera_disagrees": "shift_px",
 }
-"""What the evidence of a check is, by its code."""
+"""Kind of a check's evidence, by the check's code."""
 
 _Found = tuple[str, str, str | None, float, str]
 """Code, message, camera, evidence and hint."""

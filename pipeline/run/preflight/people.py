@@ -127,7 +127,7 @@ def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> I
         same = sum(left.shape == right.shape and np.array_equal(left, right, equal_nan=True) for left, right in pairs)
         if same >= _MIN_SAME and 2 * same > len(pairs):
             first = cameras[left_camera].name
-            message = f"The people are the same points as those of {first}: one video or folder was given twice."
+            message = f"The people are the same points as in {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
             yield Finding(
                 SAME_VIDEO, message, cameras[right_camera].name, "error", "Give each camera its own.", evidence

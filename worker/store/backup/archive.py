@@ -199,7 +199,7 @@ class ArchiveReader:
         """Compare the checksums; nothing may follow them."""
         lines = self._checksums
         if num_bytes != sum(map(len, lines)):
-            raise BackupError("The archive's checksums are not those of its members: it is damaged.")
+            raise BackupError("The archive's checksums don't fit its members: it is damaged.")
         for line in lines:
             if self._exactly(len(line)) != line.encode():
                 self.damaged.append(line.split("  ", 1)[1].rstrip("\n"))

@@ -63,7 +63,7 @@ class Visuals:
             visuals_id = str(uuid7())
             if earlier is not None and earlier.state not in RETRYABLE:
                 if earlier.state == JobState.SUCCEEDED:
-                    raise Conflict("Overlay videos, report and recording are those of the last edits already.")
+                    raise Conflict("Overlay videos, report and recording show the last edits already.")
                 visuals_id = earlier.id
             elif earlier is None and reconstruction.visuals_old_at is None:
                 raise Conflict(

@@ -50,9 +50,7 @@ def synchronize_with_sound(
     clocks = starting_as_declared(times, clocks, starts_s)
     refusals, warnings = precision_doubts(times, clocks)
     if not refusals:
-        message = (
-            "The offsets are those of the sound alone, since motion does not tell them: +-3 ms a metre of its way."
-        )
+        message = "The offsets come from the sound alone, since motion does not tell them: +-3 ms a metre of its way."
         warnings = (Problem(SYNC_BY_SOUND, message, hint=by_people.refusals[0].hint), *warnings)
     return replace(by_people, clocks=clocks, refusals=refusals, warnings=warnings)
 

@@ -291,7 +291,9 @@ class CameraFeed:
         stored_px, square_width = tuple(message["stored_size_px"]), message["square_width"]
         form = PictureFormat(stored_px, square_width, message["rotation_deg"], message["is_mirrored"])
         if self._format not in {None, form}:
-            return self._problem(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start the capture anew.")
+            return self._problem(
+                VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start the capture again."
+            )
         self._format = form
         self._pictures = SharedPictures(self._num_slots, stored_px[1], square_width)
         process.tell(path=self._pictures.path)

@@ -130,7 +130,7 @@ class _Stream:
         """Make each frame the newest one when it was decoded, and of a file when its time has come."""
         for time_s, frame in self._timed_frames(container, stream):
             if (frame.width, frame.height) != self._size_px:
-                raise UnusableError(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start anew.")
+                raise UnusableError(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again.")
             time.sleep(max(0.0, time_s - time.monotonic()))
             self._newest = _Taken(self._number, time_s, frame)
             _say("decoded", number=self._number, time_s=time_s)
