@@ -39,9 +39,28 @@ _ROOT = SKELETON[0].name
 
 
 def encode(motion: SkeletonMotion, convention: Convention, frames: range | None = None) -> Iterator[bytes]:
-    """Write a motion as BVH, piece by piece.
+    """Write a motion as BVH, piece by piece. Equal motions give equal bytes.
 
-    Equal motions give equal bytes. ``frames`` are the output frames of the file, ``None`` the motion's.
+    Parameters
+    ----------
+    motion
+        Bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as quaternions
+        (x, y, z, w); all are finite.
+    convention
+        Names, axes, unit and rest pose, such as ``PRESETS["default"]``.
+    frames
+        Output frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's frames.
+
+    Yields
+    ------
+        Bytes of the file, UTF-8.
+
+    Examples
+    --------
+    >>> turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, 24, 1))
+    >>> motion = SkeletonMotion(1, "Anna", 0, 30.0, np.full(24, 0.3), np.zeros((2, 3)), turns, ())
+    >>> b"".join(encode(motion, PRESETS["default"])).decode().splitlines()[:2]
+    ['HIERARCHY', 'ROOT Hips']
     """
     own = motion.frames
     frames = own if frames is None else frames
@@ -94,7 +113,7 @@ def _hierarchy(
 
 
 def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
-    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, block by block."""
+    """Read world positions (metres) of the skeleton's joints from a file of ``encode``, (frames, joints, 3) a block."""
     offset_by_joint: dict[int, list[float]] = {}
     index_of = {convention.name(name): index for name, index in INDEX.items()}
     above: list[int] = []

@@ -227,14 +227,25 @@ def encode(
 
     Parameters
     ----------
+    track
+        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is invalid in the file.
     origin_m
         World position of the file's origin.
     frames
-        Output frames of the file; ``None``: the track's frames.
+        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
     events
         Events of the person; of more than 2,000 the first ones are written.
     motion
         Motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
+
+    Examples
+    --------
+    >>> from pipeline.core.joints import COCO_17
+    >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
+    >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))
+    >>> content = b"".join(encode(track, COCO_17, Timebase(0.0, 30.0, 2), np.zeros(3)))
+    >>> read_header(content).num_points, len(content) % BLOCK_BYTES
+    (17, 0)
     """
     frames = track.frames if frames is None else frames
     num_point_blocks = _num_blocks(len(frames) * len(joints.names) * _POINT_BYTES)

@@ -21,7 +21,20 @@ from pipeline.export.writers.registry import Writer, joint_positions
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:
     """Write a track's positions as CSV (RFC 4180), piece by piece.
 
-    ``frames`` are the output frames of the file, ``None`` the track's.
+    Parameters
+    ----------
+    track
+        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is an empty cell.
+    frames
+        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
+
+    Examples
+    --------
+    >>> from pipeline.core.joints import COCO_17
+    >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
+    >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))
+    >>> b"".join(encode(track, COCO_17, Timebase(0.0, 30.0, 2))).decode().splitlines()[2][:27]
+    '1,0.033333,0.0000,0.0000,0.'
     """
     frames = track.frames if frames is None else frames
     names = [f"{name}_{axis}_m" for name in joints.names for axis in "xyz"]

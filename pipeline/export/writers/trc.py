@@ -26,7 +26,23 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a track's positions as TRC, piece by piece.
 
-    ``file_name`` is part of the header. ``frames`` are the output frames of the file, ``None`` the track's.
+    Parameters
+    ----------
+    track
+        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is ``nan`` in the file.
+    file_name
+        Name of the file, part of the header.
+    frames
+        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
+
+    Examples
+    --------
+    >>> from pipeline.core.joints import COCO_17
+    >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
+    >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))
+    >>> pieces = encode(track, COCO_17, Timebase(0.0, 30.0, 2), "person-1.trc")
+    >>> b"".join(pieces).decode().splitlines()[2].split()
+    ['30.', '30.', '2', '17', 'm', '30.', '1', '2']
     """
     frames = track.frames if frames is None else frames
     num_frames, num_joints = len(frames), track.xyz_m.shape[1]

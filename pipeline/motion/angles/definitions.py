@@ -265,9 +265,14 @@ def mirrored(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*b
 def angles_rad(rotation: Float[np.ndarray, "*batch 3 3"], sequence: Sequence) -> Float[np.ndarray, "*batch 3"]:
     """Angles of a sequence of rotations, each about an axis of the frame that the rotations before it have turned.
 
-    ``rotation`` are ``proximal_from_distal``. The second angle is in [-90, 90] degrees, or in [-180, 0] if the first
-    and the third axis are the same; the others are in [-180, 180]. Where the sequence is locked, the first and the
-    third angle are arbitrary. NaN where the rotation has NaN.
+    ``rotation`` are ``proximal_from_distal``. Angles are in radians: the second one in [-90, 90] degrees, or in
+    [-180, 0] if the first and the third axis are the same; the others in [-180, 180]. Where the sequence is locked, the
+    first and the third angle are arbitrary. NaN where the rotation has NaN.
+
+    >>> from scipy.spatial.transform import Rotation
+    >>> turn = Rotation.from_euler("ZXY", [10.0, 20.0, 30.0], degrees=True).as_matrix()
+    >>> np.degrees(angles_rad(turn, (2, 0, 1))).round(6)
+    array([10., 20., 30.])
     """
     first, second, third = sequence
     other = 3 - first - second

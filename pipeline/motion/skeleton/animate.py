@@ -60,10 +60,13 @@ def animate(
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
+    ``docs/fit.md`` describes the method, with its sources.
+
     Parameters
     ----------
     tracks
-        Tracks with the joints located by association.
+        Tracks with the joints located by association: world positions (frames, joints, 3) in metres, NaN where a joint
+        is unknown.
     observations
         Observations of the tracks, in the same order. Each is asked for twice, and only one person's are kept at
         a time: they may be read from a file.
@@ -75,10 +78,20 @@ def animate(
     floor
         Floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
 
+    Returns
+    -------
+        Tracks with final positions, NaN where the fit has no evidence of a joint, and motions, finite in all frames.
+
     Raises
     ------
     InputError
         If the cutoff of the low-pass is not below half of the frame rate.
+
+    Examples
+    --------
+    >>> from pipeline.core.joints import COCO_17
+    >>> animate([], [], [], Timebase(0.0, 30.0, 0), COCO_17, ReconstructionConfig()).motions
+    ()
     """
     fitter = PersonFitter(cameras, timebase, joints, config, offsets)
     num_frames = [track.num_frames for track in tracks]
