@@ -5,7 +5,6 @@ import doctest
 import importlib.metadata
 import subprocess
 import sys
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,8 +90,5 @@ def test_imports_that_would_bind_a_plain_name_are_refused() -> None:
         hatch_build.nest(b"import json\nimport pipeline.data\n")
 
 
-def test_versions_agree() -> None:
-    version = importlib.metadata.version("multicap")
-    assert multicap.__version__ == version
-    manifest = tomllib.loads((SOURCE.parents[1] / "api/blender/extension/blender_manifest.toml").read_text("utf-8"))
-    assert version.partition("rc")[0] == manifest["version"]  # Blender takes no release candidates
+def test_version_is_installed_one() -> None:
+    assert multicap.__version__ == importlib.metadata.version("multicap")
