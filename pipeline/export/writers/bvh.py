@@ -6,7 +6,9 @@ other programs whose reading of BVH is known interpolate quaternions. Lengths ar
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
+from typing import NamedTuple, TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -27,12 +29,66 @@ def _decimals(convention: Convention) -> int:
     return 5 - round(np.log10(convention.units_per_m))
 
 
-def _depth_first(name: str, children: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
-    """Names of the joints with channels, in depth-first order."""
-    if children[name]:
-        yield name
-        for child in children[name]:
-            yield from _depth_first(child, children)
+class BvhNode(NamedTuple):
+    """Joint of a hierarchy, or end of a bone, whose children follow it in the file."""
+
+    depth: int  # Number of joints above it
+    name: str  # Empty for the end of a bone
+    offset: str  # Place in its parent, three numbers
+    axes: str  # Axes of its rotations, such as ``ZXY``
+
+
+def encode_head(nodes: Sequence[BvhNode], num_frames: int, frame_rate_hz: float) -> bytes:
+    """Write the hierarchy of a file, and the lines between it and the frames."""
+    lines = ["HIERARCHY"]
+    for node, following in zip_longest(nodes, nodes[1:]):
+        indent = "\t" * node.depth
+        lines += [f"{indent}{'JOINT' if node.depth else 'ROOT'} {node.name}" if node.name else f"{indent}End Site"]
+        lines += [f"{indent}{{", f"{indent}\tOFFSET {node.offset}"]
+        if node.name:
+            place = "" if node.depth else "Xposition Yposition Zposition "
+            rotations = " ".join(f"{axis}rotation" for axis in node.axes)
+            lines.append(f"{indent}\tCHANNELS {3 if node.depth else 6} {place}{rotations}")
+        last_closed = following.depth if following else 0
+        lines += ["\t" * depth + "}" for depth in range(node.depth, last_closed - 1, -1)]
+    lines += ["MOTION", f"Frames: {num_frames}", f"Frame Time: {np.format_float_positional(1.0 / frame_rate_hz)}"]
+    return "".join(f"{line}\n" for line in lines).encode("utf-8")
+
+
+class StoredNode(NamedTuple):
+    """Joint of a file that was read, or end of a bone."""
+
+    name: str  # Empty for the end of a bone
+    parent: int  # Place of the parent among the nodes; -1 for the root
+    offset: tuple[float, ...]
+    axes: str  # Empty for the end of a bone
+
+
+def read_head(file: TextIO) -> list[StoredNode]:
+    """Read the nodes of a file in their order, up to the first frame."""
+    nodes: list[StoredNode] = []
+    above = [-1]
+    for line in file:
+        match line.split():
+            case [("ROOT" | "JOINT" | "End") as kind, name]:
+                nodes.append(StoredNode("" if kind == "End" else name, above[-1], (), ""))
+                above.append(len(nodes) - 1)
+            case ["OFFSET", *offset]:
+                nodes[-1] = nodes[-1]._replace(offset=tuple(map(float, offset)))
+            case ["CHANNELS", _, *channels]:
+                nodes[-1] = nodes[-1]._replace(axes="".join(channel[0] for channel in channels[-3:]))
+            case ["}"]:
+                above.pop()
+            case ["Frame", "Time:", _]:
+                break
+    return nodes
+
+
+def _depth_first(name: str, children: Mapping[str, tuple[str, ...]], depth: int = 0) -> Iterator[tuple[int, str]]:
+    """Number of joints above each joint, and its name, in depth-first order."""
+    yield depth, name
+    for child in children[name]:
+        yield from _depth_first(child, children, depth + 1)
 
 
 _ROOT = SKELETON[0].name
@@ -64,10 +120,16 @@ def encode(motion: SkeletonMotion, convention: Convention, frames: range | None 
     """
     own = motion.frames
     frames = own if frames is None else frames
-    orders = rotation_orders(motion, convention, "Blender").axes
-    yield "".join(f"{line}\n" for line in _head(motion, convention, orders, len(frames))).encode("utf-8")
-    decimals = _decimals(convention)
-    order = [INDEX[name] for name in _depth_first(_ROOT, children_of(len(motion.bone_length_m)))]
+    orders, decimals = rotation_orders(motion, convention, "Blender").axes, _decimals(convention)
+    children = children_of(len(motion.bone_length_m))
+    offsets = fixed(convention.rest_offsets(motion.bone_length_m), decimals)
+    joints = list(_depth_first(_ROOT, children))
+    nodes = [
+        BvhNode(depth, convention.name(name) if children[name] else "", offsets[INDEX[name]], orders[INDEX[name]])
+        for depth, name in joints
+    ]
+    yield encode_head(nodes, len(frames), motion.frame_rate_hz)
+    order = [INDEX[name] for _, name in joints if children[name]]
     angles_deg = np.zeros((1, len(order), 3))
     for block, num_times in held_blocks(own, frames):
         rows = slice(block.start - own.start, block.stop - own.start)
@@ -79,63 +141,19 @@ def encode(motion: SkeletonMotion, convention: Convention, frames: range | None 
         yield lines.encode("ascii") * num_times
 
 
-def _head(motion: SkeletonMotion, convention: Convention, orders: Sequence[str], num_frames: int) -> Iterator[str]:
-    offsets = fixed(convention.rest_offsets(motion.bone_length_m), _decimals(convention))
-    yield "HIERARCHY"
-    yield from _hierarchy(_ROOT, children_of(len(offsets)), offsets, convention, orders, 0)
-    yield "MOTION"
-    yield f"Frames: {num_frames}"
-    yield f"Frame Time: {np.format_float_positional(1.0 / motion.frame_rate_hz)}"
-
-
-def _hierarchy(
-    joint: str,
-    children_by_name: Mapping[str, tuple[str, ...]],
-    offsets: list[str],
-    convention: Convention,
-    orders: Sequence[str],
-    depth: int,
-) -> Iterator[str]:
-    """Lines of a joint and its descendants."""
-    indent = "\t" * depth
-    children = children_by_name[joint]
-    kind = "JOINT" if depth else "ROOT"
-    yield f"{indent}{kind} {convention.name(joint)}" if children else f"{indent}End Site"
-    yield f"{indent}{{"
-    yield f"{indent}\tOFFSET {offsets[INDEX[joint]]}"
-    if children:
-        positions = "" if depth else "Xposition Yposition Zposition "
-        rotations = " ".join(f"{axis}rotation" for axis in orders[INDEX[joint]])
-        yield f"{indent}\tCHANNELS {3 if depth else 6} {positions}{rotations}"
-    for child in children:
-        yield from _hierarchy(child, children_by_name, offsets, convention, orders, depth + 1)
-    yield f"{indent}}}"
-
-
 def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of the skeleton's joints from a file of ``encode``, (frames, joints, 3) a block."""
-    offset_by_joint: dict[int, list[float]] = {}
     index_of = {convention.name(name): index for name, index in INDEX.items()}
-    above: list[int] = []
-    order: list[int] = []
-    axes: list[str] = []
     with path.open(encoding="utf-8") as file:
-        for line in file:
-            match line.split():
-                case [("ROOT" | "JOINT"), name]:
-                    above.append(index_of[name])
-                    order.append(above[-1])
-                case ["End", "Site"]:
-                    above.append(INDEX[f"{WHOLE_SKELETON[above[-1]].name}End"])
-                case ["OFFSET", *offset]:
-                    offset_by_joint[above[-1]] = [float(number) for number in offset]
-                case ["CHANNELS", _, *channels]:
-                    axes.append("".join(channel[0] for channel in channels[-3:]))
-                case ["}"]:
-                    above.pop()
-                case ["Frame", "Time:", _]:
-                    break
-        offsets = np.array([offset_by_joint[index] for index in range(len(offset_by_joint))])
+        nodes = read_head(file)
+        indices: list[int] = []
+        for node in nodes:
+            ending = f"{WHOLE_SKELETON[indices[node.parent]].name}End" if not node.name else ""
+            indices.append(index_of[node.name] if node.name else INDEX[ending])
+        offsets = np.empty((len(nodes), 3))
+        offsets[indices] = [node.offset for node in nodes]
+        order = [index for index, node in zip(indices, nodes, strict=True) if node.axes]
+        axes = [node.axes for node in nodes if node.axes]
         for values in read_rows(file, " "):
             is_held = (values == values[0]).all()
             found = convention.xyz_m_from_file(_positions(values[:1] if is_held else values, offsets, order, axes))
@@ -145,8 +163,8 @@ def read_xyz_m(path: Path, convention: Convention) -> Iterator[Float[np.ndarray,
 def _positions(
     values: Float[np.ndarray, "frames channels"],
     offsets: Float[np.ndarray, "joints 3"],
-    order: list[int],
-    axes: list[str],
+    order: Sequence[int],
+    axes: Sequence[str],
 ) -> Float[np.ndarray, "frames joints 3"]:
     """Positions in the file's axes and unit; ``order`` has the joints with channels, ``axes`` their rotations."""
     turns = np.broadcast_to(np.eye(3), (len(values), len(offsets), 3, 3)).copy()

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from pipeline.export.character.writers.posed import PosedCharacter, chained_places, names_by_node, together
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import filled, fixed, held_blocks, read_rows
+from pipeline.export.writers.bvh import BvhNode, encode_head, read_head
 from pipeline.export.writers.euler import euler_deg, turned
 
 _UNITS = 100.0
@@ -26,9 +27,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
     """Write a character's bones in motion as BVH, piece by piece. Equal motions give equal bytes."""
     rig, motion = posed.motion.figure.rig, posed.motion
     bones = depth_first(posed)
-    offsets = _offsets(posed, bones)
-    names = names_by_node({node: rig.names[node] for node in bones})
-    yield "".join(f"{line}\n" for line in _head(posed, bones, names, offsets)).encode()
+    yield encode_head(_nodes(posed, bones), len(posed.frames), motion.source.frame_rate_hz)
     turning = [node for node in bones if node in motion.turns]
     places = (posed.hips_places() * _UNITS).astype(float)
     # Most bones of a face never turn: their angles are text that stays.
@@ -61,42 +60,20 @@ def depth_first(posed: PosedCharacter) -> tuple[int, ...]:
     return tuple(ordered)
 
 
-def _offsets(posed: PosedCharacter, bones: tuple[int, ...]) -> dict[int, Float[np.ndarray, " 3"]]:
-    figure = posed.motion.figure
+def _nodes(posed: PosedCharacter, bones: tuple[int, ...]) -> list[BvhNode]:
+    """Bones, and the ends of those without children."""
+    figure, rig = posed.motion.figure, posed.motion.figure.rig
     places = figure.positions @ Y_UP_FROM_WORLD.T * _UNITS
-    return {
-        node: np.zeros(3) if node == posed.hips else places[node] - places[figure.rig.parents[node]] for node in bones
-    }
-
-
-def _head(
-    posed: PosedCharacter,
-    bones: tuple[int, ...],
-    names: dict[int, str],
-    offsets: dict[int, Float[np.ndarray, " 3"]],
-) -> Iterator[str]:
-    rig = posed.motion.figure.rig
-    depth_of = {node: len(rig.path(posed.hips, node)) - 1 for node in bones}
+    names = names_by_node({node: rig.names[node] for node in bones})
     has_children = {int(rig.parents[node]) for node in bones if node != posed.hips}
-    yield "HIERARCHY"
-    for number, node in enumerate(bones):
-        indent = "\t" * (depth := depth_of[node])
-        yield f"{indent}{'JOINT' if depth else 'ROOT'} {names[node]}"
-        yield f"{indent}{{"
-        (offset,) = fixed(offsets[node][None], _DECIMALS)
-        yield f"{indent}\tOFFSET {offset}"
-        place = "" if depth else "Xposition Yposition Zposition "
-        rotations = " ".join(f"{axis}rotation" for axis in _ORDER)
-        yield f"{indent}\tCHANNELS {3 if depth else 6} {place}{rotations}"
+    nodes = []
+    for node in bones:
+        offset = np.zeros(3) if node == posed.hips else places[node] - places[figure.rig.parents[node]]
+        depth, (own, end) = len(rig.path(posed.hips, node)) - 1, fixed(np.stack([offset, offset * _END]), _DECIMALS)
+        nodes.append(BvhNode(depth, names[node], own, _ORDER))
         if node not in has_children:
-            (end,) = fixed(offsets[node][None] * _END, _DECIMALS)
-            yield from (f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\tOFFSET {end}", f"{indent}\t}}")
-        after = depth_of[bones[number + 1]] if number + 1 < len(bones) else 0
-        for closed in range(depth, after - 1, -1):
-            yield "\t" * closed + "}"
-    yield "MOTION"
-    yield f"Frames: {len(posed.frames)}"
-    yield f"Frame Time: {np.format_float_positional(1.0 / posed.motion.source.frame_rate_hz)}"
+            nodes.append(BvhNode(depth + 1, "", end, ""))
+    return nodes
 
 
 def read_xyz(
@@ -106,28 +83,13 @@ def read_xyz(
 
     ``units_per_m`` is the scale of the person's path, ``origin_m`` the world position of the file's origin.
     """
-    offsets: list[list[float]] = []
-    parents: list[int] = []
-    above: list[int] = []
-    is_end = False
     with path.open(encoding="utf-8") as file:
-        for line in file:
-            match line.split():
-                case [("ROOT" | "JOINT"), *_]:
-                    parents.append(above[-1] if above else -1)
-                    above.append(len(parents) - 1)
-                case ["End", "Site"]:
-                    is_end = True
-                case ["OFFSET", *offset] if not is_end:
-                    offsets.append([float(number) for number in offset])
-                case ["}"]:
-                    if not is_end:
-                        above.pop()
-                    is_end = False
-                case ["Frame", "Time:", _]:
-                    break
+        nodes = read_head(file)
+        bones = [place for place, node in enumerate(nodes) if node.name]
+        offsets = np.array([nodes[place].offset for place in bones])
+        parents = [bones.index(above) if (above := nodes[place].parent) >= 0 else -1 for place in bones]
         for values in read_rows(file, " "):
-            places = _places(values, np.array(offsets), parents)
+            places = _places(values, offsets, parents)
             yield places / _UNITS @ Y_UP_FROM_WORLD / units_per_m + origin_m
 
 
