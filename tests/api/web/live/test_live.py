@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import multicap.live
+import multicap.live_messages
 from tests.api.conftest import Live
 from tests.api.web.live.conftest import LiveSocket, opened
 from tests.api.web.live.messages import CALIBRATION, CAMERAS, keypoints_message, packet, start_message
@@ -181,6 +182,7 @@ def test_oldest_instants_are_dropped_and_counted(live_service: Live) -> None:
 
 def test_examples_of_the_client_run(live_service: Live) -> None:
     names = {"address": f"http://127.0.0.1:{live_service.address[1]}", "calibration": CALIBRATION}
-    results = doctest.testmod(multicap.live, extraglobs=names)
-    assert results.attempted > 15
-    assert results.failed == 0
+    client = doctest.testmod(multicap.live, extraglobs=names)
+    messages = doctest.testmod(multicap.live_messages)
+    assert client.attempted + messages.attempted > 15
+    assert client.failed == messages.failed == 0
