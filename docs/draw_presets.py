@@ -17,7 +17,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, parents_of
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, parent_indices
 
 STATURE_M = 1.75
 WIDTH_PX, HEIGHT_PX, SCALE_PX_M = 760, 480, 205
@@ -94,7 +94,7 @@ def draw_hand() -> str:
         for index, joint in enumerate(WHOLE_SKELETON)
         if joint.name.startswith("LeftHand") and joint.landmarks
     ]
-    parents = parents_of(len(WHOLE_SKELETON))
+    parents = parent_indices(len(WHOLE_SKELETON))
     drawn = [
         f'<line x1="{x[parents[index]]:.1f}" y1="{y[parents[index]]:.1f}" x2="{x[index]:.1f}" y2="{y[index]:.1f}" '
         f'stroke="{FAINT if joint.name.endswith("1") else BONE}" stroke-width="6" stroke-linecap="round"/>'

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.options.config import Preset
 from pipeline.motion.body.joints import BODY_JOINTS, TwistJoint, twist_quat
-from pipeline.motion.skeleton.model import INDEX, SkeletonJoint, parents_of, rest_offsets_m, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, SkeletonJoint, find_skeleton, parent_indices, rest_offsets_m
 
 _FINGERS = ("Index", "Middle", "Ring", "Pinky")
 _BACKWARD = np.array([0.0, 1.0, 0.0])
@@ -61,7 +61,7 @@ class Convention:
     def rest_offsets(self, bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarray, "joints 3"]:
         """Offsets of all joints from their parents in the file's rest pose, axes and unit."""
         num_joints = len(bone_length_m)
-        turned_m = self.lowered(num_joints)[parents_of(num_joints)].apply(rest_offsets_m(bone_length_m))
+        turned_m = self.lowered(num_joints)[parent_indices(num_joints)].apply(rest_offsets_m(bone_length_m))
         return self.file_from_xyz_m(turned_m)
 
     def parent_from_joint(
@@ -75,7 +75,7 @@ class Convention:
         num_joints = quat_xyzw.shape[1]
         lowered = self.lowered(num_joints)
         is_lowered = lowered.magnitude() > 0.0
-        for index, parent in enumerate(parents_of(num_joints)):
+        for index, parent in enumerate(parent_indices(num_joints)):
             if is_lowered[parent] or is_lowered[index]:
                 turn = Rotation.from_quat(quat_xyzw[:, index])
                 turned[:, index] = (lowered[parent] * turn * lowered[index].inv()).as_quat()
@@ -96,7 +96,7 @@ class Convention:
     def lowered(self, num_joints: int) -> Rotation:
         """Rotation of each joint's bones from the T-pose to the rest pose, in world axes."""
         angle_rad = np.radians(self.arms_lowered_deg)
-        signs = np.array([_lowering_sign(joint) for joint in skeleton_of(num_joints)])
+        signs = np.array([_lowering_sign(joint) for joint in find_skeleton(num_joints)])
         return Rotation.from_rotvec(angle_rad * signs[:, None] * _BACKWARD)
 
 

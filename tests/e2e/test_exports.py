@@ -36,7 +36,7 @@ from pipeline.export.results import write_results
 from pipeline.export.writers import fbx
 from pipeline.export.writers.rotation_orders import rotation_orders
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M
-from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, find_skeleton, forward_kinematics
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import find_scene, record
@@ -85,7 +85,7 @@ FBX_IMPORTERS: dict[str, dict[str, object]] = {"addon": {}, "built-in": {"import
 
 def with_channels(motion: SkeletonMotion) -> list[str]:
     """Names of the joints that have channels in BVH files."""
-    return [joint.name for joint in skeleton_of(len(motion.bone_length_m)) if not joint.name.endswith("End")]
+    return [joint.name for joint in find_skeleton(len(motion.bone_length_m)) if not joint.name.endswith("End")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,7 +352,7 @@ def test_glb_in_three(capture: ExportedCapture) -> None:
         motion = paths[path]
         assert read.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-4)
         expected_m = forward_kinematics(motion)
-        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+        for index, joint in enumerate(find_skeleton(expected_m.shape[1])):
             assert_same(read.positions[joint.name], expected_m[:, index] @ Y_UP.T, 1e-4, (path, joint.name))
 
 
@@ -379,7 +379,7 @@ def test_fbx_elsewhere(
         motion = paths[path]
         assert found.frame_rate_hz == pytest.approx(motion.frame_rate_hz, rel=1e-4)
         expected_m = forward_kinematics(motion)
-        names = [PRESETS[preset].name(joint.name) for joint in skeleton_of(expected_m.shape[1])]
+        names = [PRESETS[preset].name(joint.name) for joint in find_skeleton(expected_m.shape[1])]
         assert set(found.positions) == set(names)
         for index, name in enumerate(names):
             assert_same(found.positions[name], units_per_m * expected_m[:, index] @ Y_UP.T, 1e-4 * units_per_m, path)
@@ -456,7 +456,7 @@ def test_nothing_flips(capture: ExportedCapture, preset: Preset) -> None:
         positions_m = forward_kinematics(motion)
         moved_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=-1)
         quat_xyzw = PRESETS[preset].parent_from_joint(motion.parent_from_joint)
-        skeleton = skeleton_of(len(motion.bone_length_m))
+        skeleton = find_skeleton(len(motion.bone_length_m))
         for joint in with_channels(motion):
             ends = [INDEX[one.name] for one in skeleton if joint in (one.name, one.parent)]
             calm = (moved_m[:, ends] < 0.05).all(-1)
@@ -495,7 +495,7 @@ def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
         assert rest["Head"][2] > rest["Hips"][2] + 0.4 > rest["LeftFoot"][2] + 1.0
         assert rest["LeftHand"][0] > 0.3 > -0.3 > rest["RightHand"][0]
         expected_m = forward_kinematics(motion)
-        names = [joint.name for joint in skeleton_of(len(motion.bone_length_m))]
+        names = [joint.name for joint in find_skeleton(len(motion.bone_length_m))]
         for joint in with_channels(motion) if path.suffix == ".bvh" else names:
             assert_same(read.positions[name(joint)], expected_m[:, INDEX[joint]], tolerance_m, (path, joint))
         if path.suffix == ".glb":

@@ -16,7 +16,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.quality.report import quality_report
-from pipeline.export.quality.views import views_of
+from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import Footage, ViewerMotion
 from pipeline.motion.body.shape import BodyShapes
 from pipeline.motion.skeleton.animate import animate
@@ -77,7 +77,7 @@ def viewer_files_of(reconstruction: Reconstruction, shapes: BodyShapes | None = 
     timebase = reconstruction.timebase
     times = FrameTimes(timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz)
     footage = {camera.name: Footage(times) for camera in reconstruction.cameras}
-    views, report = views_of(reconstruction), json.loads(json.dumps(quality_report(reconstruction)))
+    views, report = person_views(reconstruction), json.loads(json.dumps(quality_report(reconstruction)))
     motion = ViewerMotion(reconstruction, views, footage, report, shapes=shapes)
     content = b"".join(motion.encode())
     return {"motion.bin": content, "motion.json": motion.describe()}

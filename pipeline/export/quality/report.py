@@ -46,7 +46,7 @@ from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.core.problems.findings import CALIBRATION_KEPT, CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
-from pipeline.export.quality.views import PersonViews, body_joints, has_position, views_of, without_fingers
+from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers
 from pipeline.export.quality.world_checks import EVIDENCE, world_checks
 from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
 from pipeline.motion.gait.analysis import analyse_gait, gait_document, movement_documents
@@ -67,10 +67,10 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
     ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``. ``forced``, of
-    a session that was reconstructed in spite of errors alone, lists their codes. ``views`` are ``views_of`` the
-    reconstruction, if they are known.
+    a session that was reconstructed in spite of errors alone, lists their codes. ``views`` are the ``person_views`` of
+    the reconstruction, if they are known.
     """
-    views = views_of(reconstruction) if views is None else views
+    views = person_views(reconstruction) if views is None else views
     joints, cameras = reconstruction.joints, reconstruction.cameras
     frame_rate_hz = reconstruction.timebase.frame_rate_hz
     tracks = [without_fingers(track, joints) for track in reconstruction.tracks]

@@ -40,13 +40,13 @@ class PersonViews:
     sampled_px: Float[np.ndarray, "instants cameras joints 2"]
 
 
-def views_of(take: Reconstruction) -> tuple[PersonViews, ...]:
+def person_views(take: Reconstruction) -> tuple[PersonViews, ...]:
     """Figures of everybody's observations, in the order of the tracks."""
     return tuple(_compare(take, number) for number in range(len(take.tracks)))
 
 
-ViewsOf = Callable[[Reconstruction], Sequence[PersonViews]]
-"""``views_of``, or a function that keeps its result."""
+GetViews = Callable[[Reconstruction], Sequence[PersonViews]]
+"""``person_views``, or a function that keeps its result."""
 
 
 def _compare(take: Reconstruction, number: int) -> PersonViews:

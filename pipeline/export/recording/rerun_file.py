@@ -39,7 +39,7 @@ from pipeline.export.scene import Rgb, color_rgb, file_origin_m
 from pipeline.export.timelines import frame_blocks
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
-from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics
 from pipeline.video.timeline import frames_in
 
 MAX_PICTURE_BYTES = 2**28
@@ -236,7 +236,7 @@ class _Recorder:
             for rows in frame_blocks(located.num_frames):
                 self._send_joints(entity, located.frames[rows], located.xyz_m[rows] - self._origin_m)
             self._end(entity, located.frames, len(names), 3)
-        joints = skeleton_of(len(motion.bone_length_m))
+        joints = find_skeleton(len(motion.bone_length_m))
         names = tuple(joint.name for joint in joints)
         bones = [[names.index(joint.parent), end] for end, joint in enumerate(joints) if joint.parent is not None]
         entity = self._body(person, _SKELETON, classes, names, bones)

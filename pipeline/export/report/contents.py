@@ -20,7 +20,7 @@ from pipeline.detection.entries import entry_of
 from pipeline.export.overlay import given_names, people_at
 from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.quality.report import all_checks, quality_report
-from pipeline.export.quality.views import views_of, without_fingers
+from pipeline.export.quality.views import person_views, without_fingers
 from pipeline.export.report.biomechanics import MAX_PEOPLE, PersonAngles
 from pipeline.export.report.motion import embed_motion
 from pipeline.export.report.page import ReportContents, Rows
@@ -53,7 +53,7 @@ def gather_contents(
     The session is on measured clocks if they were measured. ``versions`` are as ``list_versions`` gives them,
     ``inputs`` SHA-256 of the take's files by name.
     """
-    views = views_of(take)
+    views = person_views(take)
     metrics = quality_report(take, views)
     pictures: list[Picture] = []
     notes: list[str] = []

@@ -39,7 +39,7 @@ from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
 from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
 from pipeline.motion.body.shape import BodyShapes, shape_body, standing_ankle_m
-from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, find_skeleton, forward_kinematics
 
 
 def describe_body(shapes: BodyShapes) -> Mapping[str, Any]:
@@ -116,7 +116,7 @@ class ViewerMotion:
     reconstruction
         At the session's frame rate.
     views
-        Its ``views_of``.
+        Its ``person_views``.
     footage
         Frames of each camera, by its name.
     report
@@ -140,7 +140,7 @@ class ViewerMotion:
         self._shapes = None if shapes is None else shapes.coarse()
         self._report, self._first_frame = report, first_frame
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
-        self._skeleton = skeleton_of(num_bones) if num_bones else ()
+        self._skeleton = find_skeleton(num_bones) if num_bones else ()
         self._angle_names = observable_angles(reconstruction.joints)
         self.dtype = record_type(
             len(reconstruction.joints.names), num_bones, len(self._angle_names), len(reconstruction.cameras)

@@ -16,7 +16,7 @@ from pipeline.export.presets import Convention
 from pipeline.motion.body.installed import load
 from pipeline.motion.body.joints import BODY_JOINTS, TWIST_JOINTS, TwistJoint, about, blend, placed
 from pipeline.motion.body.shape import ShapedBody, shape_body, standing_ankle_m
-from pipeline.motion.skeleton.model import INDEX, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, find_skeleton, parent_indices
 
 _UP = np.array([0.0, 0.0, 1.0])
 # Joint to which the skin of each joint shrinks: the end of the bone for the chest and the shoulders, so that triangles
@@ -96,7 +96,7 @@ class BodyAtRest:
         under the joint itself and its parent.
         """
         carriers, weights = self.mesh.joints, self.mesh.weights
-        parents = np.array([*parents_of(len(self.offsets)), *(INDEX[twist.parent] for twist in self.twists)])
+        parents = np.array([*parent_indices(len(self.offsets)), *(INDEX[twist.parent] for twist in self.twists)])
         costs = np.empty(carriers.shape)
         for place, candidates in enumerate(carriers.T):
             is_still = (carriers == candidates[:, None]) | (carriers == parents[candidates][:, None])
@@ -126,7 +126,7 @@ def body_at_rest(motion: SkeletonMotion, convention: Convention, choice: BodyCho
     """
     offsets = convention.rest_offsets(motion.bone_length_m)
     positions = np.zeros_like(offsets)
-    for index, parent in enumerate(parents_of(len(offsets))[1:], 1):
+    for index, parent in enumerate(parent_indices(len(offsets))[1:], 1):
         positions[index] = positions[parent] + offsets[index]
     up = convention.file_from_world @ _UP
     positions -= (positions @ up).min() * up
@@ -202,7 +202,7 @@ def capsules(offsets: Float[np.ndarray, "joints 3"], rest: Float[np.ndarray, "jo
     palms and fingers in place of plain hands.
     """
     egg, egg_normals, triangles = _egg()
-    skeleton = skeleton_of(len(offsets))
+    skeleton = find_skeleton(len(offsets))
     half_widths = _HALF_WIDTHS
     if any(joint.kind in _HAND_HALF_WIDTHS for joint in skeleton):
         half_widths = _HALF_WIDTHS | _HAND_HALF_WIDTHS

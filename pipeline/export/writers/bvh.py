@@ -20,7 +20,7 @@ from pipeline.export.timelines import fixed, held_blocks, read_rows
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.registry import Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
-from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, child_names
 
 _ANGLE_DECIMALS = 4
 
@@ -121,7 +121,7 @@ def encode(motion: SkeletonMotion, convention: Convention, frames: range | None 
     own = motion.frames
     frames = own if frames is None else frames
     orders, decimals = rotation_orders(motion, convention, "Blender").axes, _decimals(convention)
-    children = children_of(len(motion.bone_length_m))
+    children = child_names(len(motion.bone_length_m))
     offsets = fixed(convention.rest_offsets(motion.bone_length_m), decimals)
     joints = list(_depth_first(_ROOT, children))
     nodes = [

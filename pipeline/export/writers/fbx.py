@@ -54,7 +54,7 @@ from pipeline.export.writers.fbx_stored import StoredScene, has_setting, numbers
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
 from pipeline.motion.body.joints import TWIST_JOINTS
-from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, child_names, find_skeleton, parent_indices
 
 # Bytes of the angles of a group of joints, which are computed together.
 _GROUP_BYTES = 2**26
@@ -181,10 +181,10 @@ class _People:
         scene, convention = self.scene, self.convention
         body = body_at_rest(motion, convention, self._body)
         orders = rotation_orders(motion, convention, "ufbx").axes
-        joints = skeleton_of(len(body.offsets))
+        joints = find_skeleton(len(body.offsets))
         top = add_top(scene, motion, top_name, self._origin_m, self._frames.start)
         models: list[Int64] = []
-        for joint, parent, offset, axes in zip(joints, parents_of(len(joints)), body.offsets, orders, strict=True):
+        for joint, parent, offset, axes in zip(joints, parent_indices(len(joints)), body.offsets, orders, strict=True):
             above = models[parent] if models else top
             models.append(_add_joint(scene, convention.name(joint.name), above, offset, axes))
         twists = [
@@ -293,8 +293,8 @@ def _animate_rest(scene: FbxScene, clip: Clip, models: list[Int64], body: BodyAt
 
 def _with_children(num_joints: int) -> list[int]:
     """Joints that turn."""
-    children = children_of(num_joints)
-    return [index for index, joint in enumerate(skeleton_of(num_joints)) if children[joint.name]]
+    children = child_names(num_joints)
+    return [index for index, joint in enumerate(find_skeleton(num_joints)) if children[joint.name]]
 
 
 class _Angles:
@@ -396,7 +396,7 @@ class _StoredSkeleton:
             raise FbxError("the skeleton has other joints")
         models = [limbs[name] for name in names[:num_joints]]
         above = [scene.parent(model, "Model") for model in models]
-        if above != [top, *(models[parent] for parent in parents_of(num_joints)[1:])]:
+        if above != [top, *(models[parent] for parent in parent_indices(num_joints)[1:])]:
             raise FbxError("joints have other parents")
         facts = scene.objects[top]
         self.origin_m = np.array(numbers(facts, ORIGIN, 3) if has_setting(facts, ORIGIN) else (0.0, 0.0, 0.0))

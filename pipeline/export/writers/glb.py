@@ -34,7 +34,7 @@ from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, BodyMesh, body_at_rest
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
-from pipeline.motion.skeleton.model import INDEX, children_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, child_names, find_skeleton
 
 # NumPy types of the components of accessors.
 _COMPONENTS: dict[int, np.dtype[Any]] = {
@@ -191,7 +191,7 @@ class GlbDocument:
             return held(GLTF.twist_from_quat(motion.parent_from_joint, twist), own, frames)
 
         self._channels.append(_Channel(first_joint + _ROOT, gltf.TRANSLATION, buffer.add(root_m, gltf.VEC3)))
-        children = children_of(len(motion.bone_length_m))
+        children = child_names(len(motion.bone_length_m))
         for joint in (INDEX[name] for name in children if children[name]):
             output = buffer.add(turns(joint), gltf.VEC4)
             self._channels.append(_Channel(first_joint + joint, gltf.ROTATION, output))
@@ -336,10 +336,10 @@ def encode_take(scene: TakeScene, body: Body = "capsules") -> Iterator[bytes]:
 def _joint_nodes(at_rest: BodyAtRest, first_joint: int) -> list[gltf.Node]:
     """Nodes of the skeleton's joints, then of the twist joints."""
     offsets_m, twists = at_rest.offsets, at_rest.twists
-    children = children_of(len(offsets_m))
+    children = child_names(len(offsets_m))
     below: dict[str, list[int]] = {
         joint.name: [first_joint + INDEX[child] for child in children[joint.name]]
-        for joint in skeleton_of(len(offsets_m))
+        for joint in find_skeleton(len(offsets_m))
     }
     for number, twist in enumerate(twists, first_joint + len(offsets_m)):
         below[twist.parent].append(number)

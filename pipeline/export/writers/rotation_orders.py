@@ -13,7 +13,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import Convention
 from pipeline.export.timelines import frame_blocks
 from pipeline.export.writers.euler import ORDERS, angle_rad, halfway_by_angles, halfway_on_arc
-from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, children_of, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, child_names, find_skeleton, parent_indices
 
 # Length in the file's unit up to which a bone has no direction, and deviation up to which it points straight down.
 _NO_LENGTH, _STRAIGHT_DOWN = 1e-3, 2.5e-4
@@ -26,9 +26,9 @@ def file_from_bones(offsets: Float[np.ndarray, "joints 3"]) -> Float[np.ndarray,
     A bone points along its y axis to the middle of its children. Its other axes follow from the shortest rotation of
     the file's y axis to this direction. ``offsets`` are from the parents, in the file's axes and unit.
     """
-    children = children_of(len(offsets))
+    children = child_names(len(offsets))
     quat_xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))
-    for index, joint in enumerate(skeleton_of(len(offsets))):
+    for index, joint in enumerate(find_skeleton(len(offsets))):
         direction = offsets[[INDEX[child] for child in children[joint.name]]].sum(0)
         length = np.linalg.norm(direction)
         if length > _NO_LENGTH:
@@ -160,7 +160,7 @@ def _overlapping(
 def _reach_mm(motion: SkeletonMotion) -> Float[np.ndarray, " joints"]:
     """Length of the bones from each joint to the farthest place that its rotation moves."""
     reach_m = np.zeros(len(motion.bone_length_m))
-    for index, parent in reversed(list(enumerate(parents_of(len(reach_m)).tolist()))[1:]):
+    for index, parent in reversed(list(enumerate(parent_indices(len(reach_m)).tolist()))[1:]):
         reach_m[parent] = max(reach_m[parent], reach_m[index] + motion.bone_length_m[index])
     return reach_m * _MM_PER_M
 
@@ -174,7 +174,7 @@ def chained(
     positions = np.empty((len(root), len(offsets), 3))
     file_from_joint = parent_from_joint.copy()
     positions[:, 0] = root
-    for index, parent in enumerate(parents_of(len(offsets)).tolist()[1:], 1):
+    for index, parent in enumerate(parent_indices(len(offsets)).tolist()[1:], 1):
         positions[:, index] = positions[:, parent] + file_from_joint[:, parent] @ offsets[index]
         file_from_joint[:, index] = file_from_joint[:, parent] @ parent_from_joint[:, index]
     return positions

@@ -36,7 +36,7 @@ from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.motion.body.joints import TWIST_JOINTS, TwistJoint
-from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, find_skeleton, parent_indices
 
 # Positions and normals of vertices, and the vertices of each face, counterclockwise from outside.
 _Surface = tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces corners"]]
@@ -290,7 +290,7 @@ def identifier(name: str) -> str:
 def joint_paths(num_joints: int, twists: tuple[TwistJoint, ...] = ()) -> list[str]:
     """Names of joints in the file, of a skeleton and then twist joints: paths from the root, such as ``Hips/Spine``."""
     paths: list[str] = []
-    for joint in skeleton_of(num_joints):
+    for joint in find_skeleton(num_joints):
         paths.append(f"{paths[INDEX[joint.parent]]}/{joint.name}" if joint.parent else joint.name)
     return paths + [f"{paths[INDEX[twist.parent]]}/{twist.name}" for twist in twists]
 
@@ -358,7 +358,7 @@ class _StoredMotion:
         if not animation or list(animation.GetJointsAttr().Get() or ()) != joints:
             raise _UsdError("the animation has other joints")
         self._values = animation.GetTranslationsAttr(), animation.GetRotationsAttr()
-        self._parents = parents_of(num_joints).tolist()
+        self._parents = parent_indices(num_joints).tolist()
         self.num_frames = round(self._stage.GetEndTimeCode() - self._stage.GetStartTimeCode()) + 1
         if any(attribute.GetTimeSamples() != list(range(self.num_frames)) for attribute in self._values):
             raise _UsdError("the animation has values at other times than the frames")

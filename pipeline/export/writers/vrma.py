@@ -20,7 +20,7 @@ from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
 from pipeline.export.writers.glb import GlbDocument, GlbReader, positions_m
 from pipeline.export.writers.registry import Writer
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
-from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, skeleton_of
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, find_skeleton
 
 EXTENSION = "VRMC_vrm_animation"
 """Name of the extension."""
@@ -70,7 +70,7 @@ def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], frames: ra
     document.animate(motion, first_joint)
     bones = {
         HUMAN_BONES[joint.name]: {"node": first_joint + index}
-        for index, joint in enumerate(skeleton_of(len(motion.bone_length_m)))
+        for index, joint in enumerate(find_skeleton(len(motion.bone_length_m)))
         if joint.name in HUMAN_BONES
     }
     document.add_extension(EXTENSION, {"specVersion": _SPEC_VERSION, "humanoid": {"humanBones": bones}})

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, parents_of
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, parent_indices
 
 NUM_TWISTS = 3
 """Number of twist joints of a forearm."""
@@ -88,7 +88,7 @@ def placed(
 ) -> Float[np.ndarray, "joints 3"]:
     """Positions of a skeleton's joints and then of its twist joints, by their orientations; the root stays in place."""
     num_joints = len(turns) - len(TWIST_JOINTS)
-    parents = [*parents_of(num_joints), *(INDEX[twist.parent] for twist in TWIST_JOINTS)]
+    parents = [*parent_indices(num_joints), *(INDEX[twist.parent] for twist in TWIST_JOINTS)]
     places_m = rest_m.copy()
     for joint, parent in enumerate(parents[1:], 1):
         places_m[joint] = places_m[parent] + turns[parent] @ (rest_m[joint] - rest_m[parent])
@@ -102,7 +102,7 @@ def world_from_joints(
     num_joints = len(parent_from_joint)
     own = Rotation.from_quat(parent_from_joint).as_matrix()
     world = np.empty((num_joints + len(TWIST_JOINTS), 3, 3))
-    for joint, parent in enumerate(parents_of(num_joints)):
+    for joint, parent in enumerate(parent_indices(num_joints)):
         world[joint] = world[parent] @ own[joint] if joint else own[joint]
     for number, twist in enumerate(TWIST_JOINTS, num_joints):
         turn = Rotation.from_quat(twist_quat(parent_from_joint[None], twist)[0])

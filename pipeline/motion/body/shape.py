@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.motion.body.joints import BODY_INDEX, BODY_JOINTS, TWIST_JOINTS, about, blend, placed, world_from_joints
-from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, joint_pose, parents_of, rest_offsets_m
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, joint_pose, parent_indices, rest_offsets_m
 
 # Stature from which on people have the shape of adults. It is less than the adult shape's: small adults are not
 # children.
@@ -128,7 +128,7 @@ def _joint_positions_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.
     """Positions of the skeleton's joints, then of its twist joints, in the rest pose on the floor."""
     offsets_m = rest_offsets_m(bone_length_m)
     places_m = np.zeros((len(offsets_m) + len(TWIST_JOINTS), 3))
-    for joint, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
+    for joint, parent in enumerate(parent_indices(len(offsets_m))[1:], 1):
         places_m[joint] = places_m[parent] + offsets_m[joint]
     for number, twist in enumerate(TWIST_JOINTS, len(offsets_m)):
         elbow_m, wrist_m = places_m[INDEX[twist.parent]], places_m[INDEX[twist.hand]]

@@ -148,7 +148,7 @@ INDEX: Mapping[str, int] = MappingProxyType({joint.name: position for position, 
 _PARENTS = np.array([INDEX[joint.parent] if joint.parent else 0 for joint in WHOLE_SKELETON])
 
 
-def skeleton_of(num_joints: int) -> tuple[SkeletonJoint, ...]:
+def find_skeleton(num_joints: int) -> tuple[SkeletonJoint, ...]:
     """Skeleton with a number of joints: ``SKELETON`` or ``WHOLE_SKELETON``.
 
     Raises ``ValueError`` if no skeleton has this number of joints.
@@ -159,14 +159,14 @@ def skeleton_of(num_joints: int) -> tuple[SkeletonJoint, ...]:
     raise ValueError(f"no skeleton has {num_joints} joints")
 
 
-def parents_of(num_joints: int) -> Int[np.ndarray, " joints"]:
+def parent_indices(num_joints: int) -> Int[np.ndarray, " joints"]:
     """Index of each joint's parent in the skeleton with a number of joints; 0 for the root."""
-    return _PARENTS[: len(skeleton_of(num_joints))]
+    return _PARENTS[: len(find_skeleton(num_joints))]
 
 
-def children_of(num_joints: int) -> Mapping[str, tuple[str, ...]]:
+def child_names(num_joints: int) -> Mapping[str, tuple[str, ...]]:
     """Names of the children of each joint in the skeleton with a number of joints; empty for the ends of bones."""
-    return _CHILDREN[len(skeleton_of(num_joints))]
+    return _CHILDREN[len(find_skeleton(num_joints))]
 
 
 def _children(skeleton: tuple[SkeletonJoint, ...]) -> Mapping[str, tuple[str, ...]]:
@@ -183,7 +183,7 @@ def rest_offsets_m(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndar
 
     Raises ``ValueError`` if no skeleton has this number of joints.
     """
-    directions = np.array([joint.rest_direction for joint in skeleton_of(len(bone_length_m))])
+    directions = np.array([joint.rest_direction for joint in find_skeleton(len(bone_length_m))])
     return directions * bone_length_m[:, None]
 
 
@@ -207,7 +207,7 @@ def posed_joints(
     motion: SkeletonMotion,
 ) -> tuple[Float[np.ndarray, "frames joints 3"], list[Float[np.ndarray, "frames 3 3"]]]:
     """World positions (metres) of all joints of the motion's skeleton, and the rotation of each from the T-pose."""
-    skeleton = skeleton_of(len(motion.bone_length_m))
+    skeleton = find_skeleton(len(motion.bone_length_m))
     offsets_m = rest_offsets_m(motion.bone_length_m)
     positions_m = np.empty((len(motion.root_m), len(skeleton), 3))
     # Matrices: a product of SciPy's rotations takes ten times as long.

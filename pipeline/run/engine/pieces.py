@@ -21,7 +21,7 @@ from pipeline.core.options.file_formats import PLUGINS
 from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt
 from pipeline.export.quality.report import encode as encode_report
 from pipeline.export.quality.report import quality_report
-from pipeline.export.quality.views import ViewsOf
+from pipeline.export.quality.views import GetViews
 from pipeline.export.results import METRICS
 from pipeline.export.viewer.description import with_names
 from pipeline.export.writers.registry import find_writer
@@ -109,7 +109,7 @@ class TakeInPieces:
         self._pieces, self._scratch = pieces, scratch
         self._edits = json.dumps([document_of(edit) for edit in without_names(edits)])
 
-    def report(self, take: Reconstruction, views: ViewsOf) -> dict[str, Any]:
+    def report(self, take: Reconstruction, views: GetViews) -> dict[str, Any]:
         """Content of ``metrics.json`` but for the distances in files."""
         content = self._pieces.find(self._key(METRICS))
         if content is None:

@@ -50,7 +50,7 @@ def write_people(task: Task, context: Context) -> Output:
 def export(task: Task, context: Context) -> Output:
     """Write the result files, and the files for viewers if they are wanted."""
     from pipeline.export.quality.report import all_checks, quality_report
-    from pipeline.export.quality.views import views_of
+    from pipeline.export.quality.views import person_views
     from pipeline.export.results import NOTHING_KEPT, write_files
     from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
     from pipeline.run.engine.stored_people import found_people
@@ -59,7 +59,7 @@ def export(task: Task, context: Context) -> Output:
     config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
     reconstruction = assemble(context)
     kept = FilesInPieces(pieces, scratch) if context.files.keeps_pieces else NOTHING_KEPT
-    views, take = cache(views_of), TakeInPieces(pieces, scratch, config.edits)
+    views, take = cache(person_views), TakeInPieces(pieces, scratch, config.edits)
     report: "ReportOf" = partial(take.report, views=views) if context.files.keeps_pieces else quality_report
     if "osim" in config.exports:
         report = partial(_with_opensim, report, context)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from api.blender.extension.answers import RequestError
 from api.blender.extension.glb_motion import PersonMotion, check_glb, read_motion
 from pipeline.export.writers import glb
-from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics
 from tests.pipeline.export.writers.test_bvh import walk, with_fingers
 
 RATE_HZ = 30000 / 1001
@@ -64,7 +64,7 @@ def test_joints_are_where_the_service_has_them(content: bytes, tmp_path: Path) -
     expected_m = forward_kinematics(with_fingers(walk(40, RATE_HZ)))
     for frame in (0, 17, 39):
         found_m = posed_m(motion, frame)
-        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+        for index, joint in enumerate(find_skeleton(expected_m.shape[1])):
             np.testing.assert_allclose(found_m[joint.name], expected_m[frame, index], atol=1e-5)
 
 

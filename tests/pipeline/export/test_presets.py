@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
 from pipeline.export.writers import bvh
-from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import SKELETON, WHOLE_SKELETON, find_skeleton, forward_kinematics
 from tests.cases import slow_but
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, orders_in, tumbling, walk, with_fingers
@@ -106,7 +106,7 @@ def test_our_own_reader_agrees_with_another(preset: Preset, has_fingers: bool, t
     own_m = np.concatenate(list(bvh.read_xyz_m(path, PRESETS[preset])))
     np.testing.assert_allclose(own_m, forward_kinematics(motion), atol=2e-4)
     found = read_with_bvhio(path)
-    for index, joint in enumerate(skeleton_of(own_m.shape[1])):
+    for index, joint in enumerate(find_skeleton(own_m.shape[1])):
         if not joint.name.endswith("End"):
             expected = PRESETS[preset].file_from_xyz_m(own_m[:, index])
             other = found[PRESETS[preset].name(joint.name)]

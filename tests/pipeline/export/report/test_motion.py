@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.export.quality.report import quality_report
-from pipeline.export.quality.views import views_of
+from pipeline.export.quality.views import person_views
 from pipeline.export.report.motion import choose_stride, embed_motion
 from pipeline.export.viewer.frames import ABSENT
 from pipeline.motion.body import installed
@@ -18,7 +18,7 @@ from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 
 def embedded(people: Reconstruction, **options: Any) -> dict[str, Any]:
-    views = views_of(people)
+    views = person_views(people)
     return embed_motion(people, views, quality_report(people, views), **options)
 
 

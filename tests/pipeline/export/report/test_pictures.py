@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from pipeline.core.joints import COCO_17
-from pipeline.export.quality.views import views_of
+from pipeline.export.quality.views import person_views
 from pipeline.export.report.pictures import LONG_SIDE_PX, Moment, choose_moments, draw_picture, presence
 from tests.pipeline.export.test_overlay import CAMERA, LARGE, standing
 from tests.pipeline.export.viewer.takes import take
@@ -30,14 +30,14 @@ def test_moments() -> None:
 
 def test_presence_counts_people_and_takes_the_worst_error() -> None:
     people = take(track_of(walker(60), 1, 7), track_of(walker(30) + 1.0, 2, 50))
-    num_people, error_px = presence(people, views_of(people))
+    num_people, error_px = presence(people, person_views(people))
     assert num_people.tolist() == [0] * 7 + [1] * 43 + [2] * 17 + [1] * 13 + [0] * 20
     assert np.isnan(error_px[:7]).all()
 
 
 def test_presence_of_nobody_is_zero() -> None:
     nobody = take(num_frames=10)
-    num_people, error_px = presence(nobody, views_of(nobody))
+    num_people, error_px = presence(nobody, person_views(nobody))
     assert num_people.tolist() == [0] * 10
     assert np.isnan(error_px).all()
 

@@ -12,7 +12,7 @@ from pipeline.core.data.people import Doubt
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import COCO_17
 from pipeline.export.quality.report import quality_report
-from pipeline.export.quality.views import views_of
+from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import ViewerMotion, person_frames
 from pipeline.export.viewer.frames import ABSENT, ANGLE_STEP_DEG, encode_person, record_type
 from pipeline.motion.angles.compute import joint_angles
@@ -20,14 +20,14 @@ from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body import installed
 from pipeline.motion.body.makehuman import NUM_COARSE_TRIANGLES
 from pipeline.motion.body.shape import shape_body, standing_ankle_m
-from pipeline.motion.skeleton.model import forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics
 from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, shifted
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 
 def written(reconstruction: Reconstruction) -> tuple[dict[str, Any], bytes]:
-    motion = ViewerMotion(reconstruction, views_of(reconstruction), FOOTAGE, quality_report(reconstruction))
+    motion = ViewerMotion(reconstruction, person_views(reconstruction), FOOTAGE, quality_report(reconstruction))
     content = b"".join(motion.encode())
     return json.loads(motion.describe()), content
 
@@ -69,7 +69,7 @@ def test_records_hold_positions_sources_and_figures() -> None:
 
 def test_angles_of_many_turns_keep_within_the_numbers_of_records() -> None:
     turned_deg = np.array([[0.04, -181.26, np.nan], [3200.0, -7200.5, 3276.0]])
-    person = person_frames(two_people(), views_of(two_people()), 0)
+    person = person_frames(two_people(), person_views(two_people()), 0)
     person = replace(person, angle_deg=np.repeat(turned_deg, 20, axis=0))
     dtype = record_type(len(COCO_17.names), person.skeleton_m.shape[1], 3, len(person.camera_error_px[0]))
     records = np.frombuffer(b"".join(encode_person(person, dtype)), dtype)
@@ -81,7 +81,7 @@ def test_angles_of_many_turns_keep_within_the_numbers_of_records() -> None:
 def test_bodies_have_the_people_s_bones() -> None:
     installed.install()
     shapes, reconstruction = installed.load(), two_people()
-    views, report = views_of(reconstruction), quality_report(reconstruction)
+    views, report = person_views(reconstruction), quality_report(reconstruction)
     motion = ViewerMotion(reconstruction, views, FOOTAGE, report, shapes=shapes)
     content = b"".join(motion.encode())
     described = motion.describe()
@@ -104,7 +104,7 @@ def test_bodies_have_the_people_s_bones() -> None:
         joints_m = body["step_m"] * numbers(person["body"]["joints"], "<i2", 3)
         np.testing.assert_allclose(vertices_m, shaped.vertices_m, atol=0.6e-4)
         assert len(joints_m) == len(body["joints"]) == 70
-        for joint, place_m in zip(skeleton_of(24), shaped.joints_m[:24], strict=True):
+        for joint, place_m in zip(find_skeleton(24), shaped.joints_m[:24], strict=True):
             np.testing.assert_allclose(joints_m[body["joints"].index(joint.name)], place_m, atol=0.6e-4)
         tip = body["joints"].index("LeftHandIndex3")
         np.testing.assert_array_equal(joints_m[tip], joints_m[body["joints"].index("LeftHand")])

@@ -22,9 +22,9 @@ from pipeline.motion.skeleton.model import (
     SKELETON,
     WHOLE_SKELETON,
     SkeletonJoint,
-    children_of,
+    child_names,
+    find_skeleton,
     forward_kinematics,
-    skeleton_of,
 )
 from tests.pipeline.export.blender_curves import positions_in_blender
 from tests.pipeline.export.bvh_readers import bvhio, read_with_bvh_converter, read_with_bvhio
@@ -46,7 +46,7 @@ def with_fingers(motion: SkeletonMotion) -> SkeletonMotion:
     stature_m = motion.bone_length_m[INDEX["Head"]] / SKELETON[INDEX["Head"]].stature_share
     phase = np.linspace(0.0, 2.0 * np.pi, num_frames)[:, None, None] + np.arange(3 * len(fingers)).reshape(-1, 3)
     turns = Rotation.from_rotvec(0.4 * np.sin(phase).reshape(-1, 3)).as_quat().reshape(num_frames, -1, 4)
-    turns[:, [not children_of(64)[joint.name] for joint in fingers]] = [0.0, 0.0, 0.0, 1.0]
+    turns[:, [not child_names(64)[joint.name] for joint in fingers]] = [0.0, 0.0, 0.0, 1.0]
     return replace(
         motion,
         bone_length_m=np.append(motion.bone_length_m, [stature_m * joint.stature_share for joint in fingers]),
@@ -151,7 +151,7 @@ def test_other_readers_find_the_same_positions(
     path.write_bytes(encoded(motion))
     expected_cm = positions_cm(motion)
     found = read(path)
-    names = {joint.name for joint in skeleton_of(len(motion.bone_length_m))}
+    names = {joint.name for joint in find_skeleton(len(motion.bone_length_m))}
     assert {name for name in names if not name.endswith("End")} <= set(found) <= names
     for name, found_cm in found.items():
         assert found_cm.shape == (50, 3)
@@ -273,7 +273,7 @@ def between_frames_mm(motion: SkeletonMotion, convention: Convention = PRESETS["
     expected = convention.file_from_xyz_m(forward_kinematics(half_way_of(motion)))
     apart = [
         np.linalg.norm(found[convention.name(joint.name)] - expected[:, index], axis=-1)
-        for index, joint in enumerate(skeleton_of(expected.shape[1]))
+        for index, joint in enumerate(find_skeleton(expected.shape[1]))
         if convention.name(joint.name) in found
     ]
     return 1e3 / convention.units_per_m * np.stack(apart, axis=1)

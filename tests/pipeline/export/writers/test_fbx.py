@@ -14,7 +14,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.writers import fbx
 from pipeline.export.writers.fbx_nodes import ArrayProperty, Node, read
 from pipeline.export.writers.fbx_stored import StoredScene, numbers, object_name, typed_property
-from pipeline.motion.skeleton.model import INDEX, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, find_skeleton, forward_kinematics
 from tests.e2e.foreign import read_with_three
 from tests.pipeline.export.writers.test_bvh import tumbling, walk, with_fingers
 
@@ -54,7 +54,7 @@ def test_takes_of_any_length_and_rate(dressed: Callable[[SkeletonMotion], Skelet
     for path, motion in motions.items():
         expected_m, found = forward_kinematics(motion), by_path[path]
         np.testing.assert_allclose(own_m(path), expected_m, atol=1e-5, err_msg=path.name)
-        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+        for index, joint in enumerate(find_skeleton(expected_m.shape[1])):
             x, y, z = 100.0 * expected_m[:, index].T
             seen = found.positions[joint.name]
             np.testing.assert_allclose(seen, np.column_stack([x, z, -y]), atol=1e-2, err_msg=path.name)
@@ -71,7 +71,7 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     np.testing.assert_allclose(own_m(path, preset), forward_kinematics(motion), atol=1e-5)
     scene, convention = scene_of(path), PRESETS[preset]
     names = [object_name(node) for node in scene.of_kind("Model", "LimbNode").values()]
-    expected = [convention.name(joint.name) for joint in skeleton_of(len(motion.bone_length_m))]
+    expected = [convention.name(joint.name) for joint in find_skeleton(len(motion.bone_length_m))]
     assert names == expected
     (top,) = scene.of_kind("Model", "Null").values()
     assert object_name(top) == {"unreal": "root", "humanik": "Reference"}.get(preset, motion.name)
@@ -115,7 +115,7 @@ def test_rotation_orders_differ_where_one_interpolates_badly(tmp_path: Path) -> 
     assert len(set(orders.values())) > 1
     assert orders["Head"] == 3  # Y, then X, then Z about fixed axes: Z X Y of BVH
     read_by_three = read_with_three([path])[path]
-    for joint in skeleton_of(24):
+    for joint in find_skeleton(24):
         x, y, z = 100.0 * forward_kinematics(tumbling())[:, INDEX[joint.name]].T
         np.testing.assert_allclose(read_by_three.positions[joint.name], np.column_stack([x, z, -y]), atol=1e-2)
 

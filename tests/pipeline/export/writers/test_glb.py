@@ -15,11 +15,11 @@ from pipeline.export.writers import glb
 from pipeline.export.writers.body_mesh import BodyMesh, capsules
 from pipeline.motion.skeleton.model import (
     INDEX,
-    children_of,
+    child_names,
+    find_skeleton,
     forward_kinematics,
-    parents_of,
+    parent_indices,
     rest_offsets_m,
-    skeleton_of,
 )
 from tests.e2e.foreign import read_with_three, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
@@ -53,7 +53,7 @@ def test_takes_of_any_length_and_rate(
         expected_m, found = forward_kinematics(motion), by_path[path]
         own_m = np.concatenate(list(glb.read_xyz_m(path)))
         np.testing.assert_allclose(own_m, expected_m, atol=1e-5, err_msg=path.name)
-        for index, joint in enumerate(skeleton_of(expected_m.shape[1])):
+        for index, joint in enumerate(find_skeleton(expected_m.shape[1])):
             x, y, z = expected_m[:, index].T
             seen = found.positions[joint.name]
             np.testing.assert_allclose(seen, np.column_stack([x, z, -y]), atol=1e-4, err_msg=path.name)
@@ -80,7 +80,7 @@ def mesh_of(motion: SkeletonMotion) -> tuple[BodyMesh, np.ndarray]:
     """Build the mesh of a motion's body in world axes; also return the rest positions of its joints."""
     offsets_m = rest_offsets_m(motion.bone_length_m)
     rest_m = np.zeros_like(offsets_m)
-    for index, parent in enumerate(parents_of(len(offsets_m))[1:], 1):
+    for index, parent in enumerate(parent_indices(len(offsets_m))[1:], 1):
         rest_m[index] = rest_m[parent] + offsets_m[index]
     return capsules(offsets_m, rest_m), rest_m
 
@@ -90,7 +90,7 @@ def test_body_mesh_is_closed_and_faces_outside(
     dressed: Callable[[SkeletonMotion], SkeletonMotion],
 ) -> None:
     mesh, rest_m = mesh_of(dressed(walk(1)))
-    children = children_of(len(rest_m))
+    children = child_names(len(rest_m))
     with_bones = {INDEX[name] for name in children if set(children[name]) - {"LeftShoulder", "RightShoulder"}}
     assert set(mesh.joints[:, 0].tolist()) == with_bones
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=-1), 1.0)
@@ -109,7 +109,7 @@ def test_fingers_are_thin_and_apart_and_begin_in_a_flat_palm() -> None:
     # The axes of GLB files, to which the widths of bones refer.
     offsets_m = GLTF.rest_offsets(motion.bone_length_m)
     rest_m = np.zeros_like(offsets_m)
-    for index, parent in enumerate(parents_of(64)[1:], 1):
+    for index, parent in enumerate(parent_indices(64)[1:], 1):
         rest_m[index] = rest_m[parent] + offsets_m[index]
     mesh = capsules(offsets_m, rest_m)
 

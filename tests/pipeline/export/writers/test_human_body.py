@@ -19,7 +19,7 @@ from pipeline.export.writers.fbx import convention_of_fbx
 from pipeline.motion.body import installed
 from pipeline.motion.body.joints import TWIST_JOINTS
 from pipeline.motion.body.shape import shape_body
-from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, find_skeleton, forward_kinematics
 from tests.e2e.foreign import (
     Animated,
     read_with_assimp,
@@ -157,7 +157,7 @@ def test_other_readers_of_fbx_find_the_joints(
     path = tmp_path / "person.fbx"
     path.write_bytes(b"".join(fbx.encode(motion, "default", ORIGIN_M, body=HUMAN)))
     expected_m = forward_kinematics(motion)
-    names = [joint.name for joint in skeleton_of(expected_m.shape[1])]
+    names = [joint.name for joint in find_skeleton(expected_m.shape[1])]
     positions = read([path])[path].positions
     assert positions.keys() == {*names, *(twist.name for twist in TWIST_JOINTS)}
     for number, name in enumerate(names):
@@ -180,7 +180,7 @@ def test_blender_finds_the_joints_and_bends_the_body(motion: SkeletonMotion, tmp
     for path, name in ((of_glb, GLTF.name), (of_fbx, convention_of_fbx("blender").name)):
         read = found[path]
         assert read.positions.keys() >= {name(twist.name) for twist in TWIST_JOINTS}
-        for number, joint in enumerate(skeleton_of(expected_m.shape[1])):
+        for number, joint in enumerate(find_skeleton(expected_m.shape[1])):
             np.testing.assert_allclose(read.positions[name(joint.name)], expected_m[:, number], atol=1e-4)
         for frame in (0, len(expected_m) - 1):
             vertices_m, _ = in_pose(body, motion.parent_from_joint[frame], motion.root_m[frame])

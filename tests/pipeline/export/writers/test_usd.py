@@ -19,7 +19,7 @@ from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.body import installed
 from pipeline.motion.body.shape import shape_body
-from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, SKELETON, find_skeleton, forward_kinematics
 from tests.e2e.foreign import read_take_with_blender
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, joints_m, nearest_m, two_people
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
@@ -95,11 +95,11 @@ def test_the_body_is_bound_to_a_t_pose_on_the_floor(
     stage = opened(usd.encode(motion, np.zeros(3)), tmp_path / "person.usdc")
     (skeleton,) = (UsdSkel.Skeleton(prim) for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton))
     joints = [path.rpartition("/")[2] for path in skeleton.GetJointsAttr().Get()]
-    assert joints == [joint.name for joint in skeleton_of(len(motion.bone_length_m))]
+    assert joints == [joint.name for joint in find_skeleton(len(motion.bone_length_m))]
     bind = np.array(skeleton.GetBindTransformsAttr().Get())
     np.testing.assert_array_equal(bind[:, :3, :3], np.tile(np.eye(3), (len(joints), 1, 1)))
     rest_m = bind[:, 3, :3]
-    parents = [INDEX[joint.parent] if joint.parent else None for joint in skeleton_of(len(joints))]
+    parents = [INDEX[joint.parent] if joint.parent else None for joint in find_skeleton(len(joints))]
     local = np.array(skeleton.GetRestTransformsAttr().Get())[:, 3, :3]
     for index, parent in enumerate(parents):
         above_m = 0.0 if parent is None else rest_m[parent]

@@ -15,7 +15,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.export.presets import GLTF
 from pipeline.export.writers import vrma
 from pipeline.export.writers.body_mesh import CAPSULES, body_at_rest
-from pipeline.motion.skeleton.model import INDEX, forward_kinematics, parents_of, skeleton_of
+from pipeline.motion.skeleton.model import INDEX, find_skeleton, forward_kinematics, parent_indices
 from tests.e2e.foreign import play_on_vrm, validate_with_khronos
 from tests.pipeline.export.writers.test_bvh import MOTIONS, walk, with_fingers
 
@@ -35,7 +35,7 @@ REQUIRED = {
 def character(path: Path, motion: SkeletonMotion, scale: float) -> Path:
     """Write a VRM with bones in proportion to a skeleton's, turned at random in their T-pose."""
     rest_m = scale * body_at_rest(motion, GLTF, CAPSULES).positions
-    joints, parents = skeleton_of(len(rest_m)), parents_of(len(rest_m))
+    joints, parents = find_skeleton(len(rest_m)), parent_indices(len(rest_m))
     turns = Rotation.random(len(rest_m), rng=np.random.default_rng(1))
     nodes: list[dict[str, object]] = [{"name": "Root", "children": [1], "rotation": [0.0, 0.0, 0.0, 1.0]}]
     for index, joint in enumerate(joints):
@@ -85,7 +85,7 @@ def test_a_character_moves_as_the_person_does(
     played = play_on_vrm(characters)
     for path, motion in motions.items():
         expected_m, found = forward_kinematics(motion), played[path]
-        bones = {joint.name: vrma.HUMAN_BONES.get(joint.name) for joint in skeleton_of(expected_m.shape[1])}
+        bones = {joint.name: vrma.HUMAN_BONES.get(joint.name) for joint in find_skeleton(expected_m.shape[1])}
         assert found.positions.keys() == {bone for bone in bones.values() if bone}
         for name, bone in bones.items():
             if bone:

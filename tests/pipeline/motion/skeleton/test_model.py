@@ -9,12 +9,12 @@ from pipeline.motion.skeleton.model import (
     SKELETON,
     WHOLE_SKELETON,
     SkeletonJoint,
-    children_of,
+    child_names,
+    find_skeleton,
     forward_kinematics,
     joint_pose,
-    parents_of,
+    parent_indices,
     rest_offsets_m,
-    skeleton_of,
 )
 
 STATURE_M = 1.8
@@ -40,19 +40,21 @@ def motion(skeleton: tuple[SkeletonJoint, ...] = SKELETON, **turned: Rotation) -
 
 def positions_m(shown: SkeletonMotion) -> dict[str, np.ndarray]:
     """Return the positions of a motion's joints in its first frame by name."""
-    names = [joint.name for joint in skeleton_of(len(shown.bone_length_m))]
+    names = [joint.name for joint in find_skeleton(len(shown.bone_length_m))]
     return dict(zip(names, forward_kinematics(shown)[0], strict=True))
 
 
 @BOTH
 def test_skeleton_has_parents_first_and_ends_on_one_joint(skeleton: tuple[SkeletonJoint, ...]) -> None:
-    children = children_of(len(skeleton))
-    assert skeleton_of(len(skeleton)) is skeleton
+    children = child_names(len(skeleton))
+    assert find_skeleton(len(skeleton)) is skeleton
     assert set(children) == {joint.name for joint in skeleton}
     for index, joint in enumerate(skeleton):
         assert INDEX[joint.name] == index
         assert (
-            joint.parent is None if index == 0 else INDEX[str(joint.parent)] == parents_of(len(skeleton))[index] < index
+            joint.parent is None
+            if index == 0
+            else INDEX[str(joint.parent)] == parent_indices(len(skeleton))[index] < index
         )
         assert (not children[joint.name]) == joint.name.endswith("End")
         assert not joint.parent or joint.name in children[joint.parent]
@@ -60,7 +62,7 @@ def test_skeleton_has_parents_first_and_ends_on_one_joint(skeleton: tuple[Skelet
 
 
 def test_other_numbers_of_joints_have_no_skeleton() -> None:
-    for function in (skeleton_of, parents_of, children_of):
+    for function in (find_skeleton, parent_indices, child_names):
         with pytest.raises(ValueError, match="23 joints"):
             function(23)
     with pytest.raises(ValueError, match="25 joints"):
@@ -70,9 +72,9 @@ def test_other_numbers_of_joints_have_no_skeleton() -> None:
 def test_fingers_follow_the_joints_of_the_body() -> None:
     assert WHOLE_SKELETON[: len(SKELETON)] == SKELETON
     assert len(WHOLE_SKELETON) == 64
-    assert children_of(24)["LeftHand"] == ("LeftHandEnd",)
+    assert child_names(24)["LeftHand"] == ("LeftHandEnd",)
     bases = tuple(f"LeftHand{finger}1" for finger in ("Thumb", "Index", "Middle", "Ring", "Pinky"))
-    assert children_of(64)["LeftHand"] == ("LeftHandEnd", *bases)
+    assert child_names(64)["LeftHand"] == ("LeftHandEnd", *bases)
     names = [joint.name for joint in WHOLE_SKELETON[24:28]]
     assert names == ["LeftHandThumb1", "LeftHandThumb2", "LeftHandThumb3", "LeftHandThumb3End"]
 

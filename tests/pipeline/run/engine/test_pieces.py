@@ -18,7 +18,7 @@ from pipeline.core.options.config import Export, ReconstructionConfig, installed
 from pipeline.core.options.edits import Exchange, Merge, PeopleEdit, Rename, Split
 from pipeline.core.progress import ignore
 from pipeline.export.person_files import take_people
-from pipeline.export.quality.views import ViewsOf, views_of
+from pipeline.export.quality.views import GetViews, person_views
 from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc, vrma
 from pipeline.export.writers.registry import PersonContent, find_writer
@@ -136,7 +136,9 @@ def test_files_are_written_once_and_renamed_people_anew(
 def test_a_name_changes_no_report_and_no_motion_for_viewers(
     session: KeypointSession, cache: Path, tmp_path: Path
 ) -> None:
-    def figures(pieces: Pieces, *edits: PeopleEdit, views: ViewsOf = views_of) -> tuple[dict[str, Any], list[bytes]]:
+    def figures(
+        pieces: Pieces, *edits: PeopleEdit, views: GetViews = person_views
+    ) -> tuple[dict[str, Any], list[bytes]]:
         take = edited(session, cache, *edits)
         of_take = TakeInPieces(pieces, tmp_path, edits)
         report = of_take.report(take, views)
