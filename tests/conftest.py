@@ -97,7 +97,7 @@ COLD = (
     "hostile/",
     "pipeline/core/runtime/",
     "pipeline/video/test_damage.py",
-    "pipeline/video/test_decoder_process.py",
+    "pipeline/video/test_decode_process.py",
     "pipeline/video/test_probe_children.py",
     "test_warm_programs.py",
     *(f"worker/run/test_{name}.py" for name in ("app", "embedded", "presence", "supervisor")),

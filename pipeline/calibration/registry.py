@@ -11,12 +11,10 @@ from pathlib import Path, PurePath
 from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration import readers
-from pipeline.calibration.advice import SUPPORTED, other_format
-from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, scaled
-from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message, with_points
+from pipeline.calibration.advice import COMMA_HINT, SUPPORTED, comma_in, comma_message, other_format, with_points
+from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, possible_units, question, scaled
 from pipeline.calibration.formats import CalibrationReader
 from pipeline.calibration.readers import colmap, qca
-from pipeline.calibration.units import possible_units, question
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem

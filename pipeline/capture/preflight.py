@@ -52,9 +52,8 @@ from pipeline.core.findings import Finding
 from pipeline.core.problems.requests import SESSION_TOO_LARGE
 from pipeline.core.problems.sessions import IMAGES_ARCHIVE
 from pipeline.core.runtime.checking import print_answer
-from pipeline.video.frame_rate import measured_rate_hz
+from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz
 from pipeline.video.images.files import is_sequence
-from pipeline.video.properties.regularity import OF_TIMES
 
 # Time at which the program began.
 _STARTED_S = time.monotonic()

@@ -33,13 +33,12 @@ from pipeline.core.problems.findings import (
     SOUND_DELAY_UNKNOWN,
 )
 from pipeline.core.problems.sessions import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
-from pipeline.video.frame_rate import measured_rate_hz, without_rounding
+from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz, without_rounding
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts, seam_problems
 from pipeline.video.probe_process import probe_in_children
-from pipeline.video.properties.regularity import OF_TIMES
 from pipeline.video.timeline import cut_timebase, recorded_stretches, require_frames, session_timebase
 
 

@@ -15,10 +15,10 @@ from pipeline.core.joints import JointSet
 from pipeline.core.runtime.resources import give_pictures_back
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detection.bodies import ImageBodies
+from pipeline.detection.damage import ChangeMeter, join_changes
 from pipeline.detection.decoders.fields import ImageFields
 from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.detection.detector import Detector
-from pipeline.detection.doubled import ChangeMeter, join_changes
 from pipeline.detection.profiles.detection import BodyDetector
 from pipeline.detection.topdown.between import bodies_between, schedule_detections
 from pipeline.detection.topdown.detector import TopDown

@@ -58,16 +58,14 @@ from pipeline.video.container import (
     open_container,
     reading_s,
 )
-from pipeline.video.frame_rate import measured_rate, measured_rate_hz
+from pipeline.video.frame_rate import measured_rate, measured_rate_hz, uneven_times
 from pipeline.video.images.files import is_sequence
 from pipeline.video.images.probe import probe_images
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.orientation import display_orientation, mirrored
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
-from pipeline.video.properties.packets import REPAIR_TIMES, list_packets, shown_pts
-from pipeline.video.properties.regularity import uneven_times
-from pipeline.video.properties.sound_delay import unknown_delays
+from pipeline.video.properties.packets import REPAIR_TIMES, list_packets, shown_pts, unknown_delays
 from pipeline.video.signatures import document_type, is_container, is_cut_avi
 from pipeline.video.stamps import starts_at_zero
 

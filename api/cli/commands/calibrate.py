@@ -33,7 +33,7 @@ from pipeline.calibration.board.source import (
 )
 from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
-from pipeline.calibration.known_points.table import COLUMNS, read_known_points
+from pipeline.calibration.known_points.fit import COLUMNS, read_known_points
 from pipeline.calibration.people.calibrate import calibrate_people
 from pipeline.calibration.registry import read_intrinsics
 from pipeline.calibration.report import CalibrationResult, report_document

@@ -25,7 +25,7 @@ from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
 from pipeline.capture.pictures.look import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.capture.synchronization.session import clock_findings, on_measured_clocks
+from pipeline.capture.synchronization.session_clocks import clock_findings, on_measured_clocks
 from pipeline.core.errors import InputError
 from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig

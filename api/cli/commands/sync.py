@@ -27,9 +27,8 @@ from pipeline.capture.session import Session
 from pipeline.capture.synchronization.document import sound_document, sync_document
 from pipeline.capture.synchronization.motions import excerpt
 from pipeline.capture.synchronization.report import error_pictures
-from pipeline.capture.synchronization.session import listen
-from pipeline.capture.synchronization.sound.combined import synchronize_with_sound
-from pipeline.capture.synchronization.sound.offsets import SoundOffsets
+from pipeline.capture.synchronization.session_clocks import listen
+from pipeline.capture.synchronization.sound_offsets import SoundOffsets, synchronize_with_sound
 from pipeline.core.data.cameras import Synchronization
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet

@@ -14,8 +14,7 @@ from pipeline.calibration.adjustment.parameters import (
     move_camera,
     world_moves,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem
-from pipeline.calibration.adjustment.structure import Structure
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Structure
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 

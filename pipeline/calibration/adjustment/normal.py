@@ -13,11 +13,9 @@ from scipy.sparse import block_diag, bsr_array, csc_array, csr_array, diags_arra
 from scipy.sparse.linalg import splu
 
 from pipeline.calibration.adjustment.deviations import Deviations, Posterior, posterior
-from pipeline.calibration.adjustment.links import LinkRows
 from pipeline.calibration.adjustment.parameters import EXTRINSICS, offsets
-from pipeline.calibration.adjustment.problem import AdjustmentProblem
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, FreePoints, LinkRows, Structure
 from pipeline.calibration.adjustment.projection import linearise
-from pipeline.calibration.adjustment.structure import FreePoints, Structure
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
 

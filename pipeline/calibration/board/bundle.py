@@ -19,8 +19,7 @@ from pipeline.calibration.adjustment.parameters import (
     no_prior,
     none_free,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
-from pipeline.calibration.adjustment.structure import RigidBodies
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, RigidBodies
 from pipeline.calibration.board.spec import Board
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera

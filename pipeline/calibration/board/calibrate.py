@@ -25,8 +25,7 @@ from pipeline.calibration.board.checks import (
     view_warnings,
 )
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
-from pipeline.calibration.board.motion import BoardMotion
-from pipeline.calibration.board.poses import possible_poses
+from pipeline.calibration.board.poses import BoardMotion, possible_poses
 from pipeline.calibration.board.rig import BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg

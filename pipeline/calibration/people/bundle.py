@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust
 from pipeline.calibration.adjustment.correlated import correlated_sigma
-from pipeline.calibration.adjustment.links import DistanceLinks, PointLink, ShiftLinks
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
@@ -18,8 +17,15 @@ from pipeline.calibration.adjustment.parameters import (
     no_prior,
     none_free,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
-from pipeline.calibration.adjustment.structure import FreePoints
+from pipeline.calibration.adjustment.problem import (
+    AdjustmentProblem,
+    DistanceLinks,
+    FreePoints,
+    Loss,
+    PointLink,
+    PointObservations,
+    ShiftLinks,
+)
 from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.core.data.arrays import read_only

@@ -10,9 +10,8 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import PurePosixPath
 
-from pipeline.calibration.advice import other_members
+from pipeline.calibration.advice import COMMA_HINT, comma_in, comma_message, other_members
 from pipeline.calibration.contents import CameraFile
-from pipeline.calibration.decimal_commas import COMMA_HINT, comma_in, comma_message
 from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import colmap, opencv, pickles
 from pipeline.calibration.readers.file_storage import read_object, read_xml, read_yaml

@@ -19,13 +19,12 @@ from itertools import islice
 from typing import Any
 
 from pipeline.calibration.advice import other_keys
-from pipeline.calibration.contents import UNITS_M, CameraFile, scaled
+from pipeline.calibration.contents import UNITS_M, CameraFile, possible_units, scaled
 from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import easymocap
 from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera, size_names
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.reading import Reading
-from pipeline.calibration.units import possible_units
 from pipeline.calibration.validate import MAX_CAMERAS
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError

@@ -22,8 +22,7 @@ from typing import Any
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import qca
-from pipeline.calibration.readers.fields import flat
-from pipeline.calibration.readers.rotations import read_rotation
+from pipeline.calibration.readers.fields import flat, read_rotation
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.errors import InputError, Problem

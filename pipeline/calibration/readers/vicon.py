@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.formats import reader
-from pipeline.calibration.readers.rotations import quaternion_matrix
+from pipeline.calibration.readers.fields import quaternion_matrix
 from pipeline.calibration.readers.xml_files import NUMBER, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera

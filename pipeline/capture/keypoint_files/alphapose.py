@@ -20,8 +20,7 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged
-from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
+from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged
 
 _POINTS = "keypoints"
 

@@ -24,8 +24,7 @@ from pipeline.capture.keypoint_files.people import (
     points_of,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, joint_of, layout_of_names
-from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
+from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, joint_of, layout_of_names
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 

@@ -12,7 +12,7 @@ from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
 from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
 from pipeline.capture.keypoint_files.hdf5.tracks import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
-from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
+from pipeline.capture.keypoint_files.points import UnnamedPoints
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.core.data.cameras import Camera

@@ -19,7 +19,7 @@ from pipeline.capture.keypoint_files import (
 )
 from pipeline.capture.keypoint_files.hdf5 import tracks
 from pipeline.capture.keypoint_files.people import KeypointsError, People
-from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
+from pipeline.capture.keypoint_files.points import UnnamedPoints
 
 
 class KeypointForm(NamedTuple):

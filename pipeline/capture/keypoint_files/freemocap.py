@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
-from pipeline.capture.keypoint_files.points import arranged
-from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
+from pipeline.capture.keypoint_files.points import CANDIDATES, UnnamedPoints, arranged
 from pipeline.core.joints import WHOLE_BODY
 from pipeline.core.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
 

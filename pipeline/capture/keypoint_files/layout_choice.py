@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from pipeline.capture.keypoint_files.layout_evidence import located, misfits
 from pipeline.capture.keypoint_files.people import People, is_detected
-from pipeline.capture.keypoint_files.points import arranged
-from pipeline.capture.keypoint_files.unnamed import CANDIDATES
+from pipeline.capture.keypoint_files.points import CANDIDATES, arranged
 from pipeline.capture.preflight_record import LayoutRead
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem

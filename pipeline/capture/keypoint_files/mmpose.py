@@ -20,8 +20,7 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, layout_of_names
-from pipeline.capture.keypoint_files.unnamed import UnnamedPoints
+from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, layout_of_names
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import read_numbers
 

@@ -19,8 +19,7 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged
-from pipeline.capture.keypoint_files.unnamed import CANDIDATES, UnnamedPoints
+from pipeline.capture.keypoint_files.points import CANDIDATES, UnnamedPoints, arranged
 from pipeline.core.joints import COCO_17
 from pipeline.core.parsing import UnreadableError
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from pipeline.capture.synchronization.sound.offsets import SoundOffsets
+from pipeline.capture.synchronization.sound_offsets import SoundOffsets
 from pipeline.core.data.cameras import Synchronization
 from pipeline.core.errors import Problem, listed
 

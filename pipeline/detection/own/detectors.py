@@ -11,12 +11,10 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.joints import JointSet
 from pipeline.core.layouts import LAYOUTS
 from pipeline.detection.bodies import BodyDetector, ImageBodies
-from pipeline.detection.decoders.heatmaps import decode_heatmaps
-from pipeline.detection.decoders.own_heads import decode_rtmo, decode_simcc
-from pipeline.detection.letterbox import LetterBox, apply_letterbox
+from pipeline.detection.decoders.own_heads import decode_heatmaps, decode_rtmo, decode_simcc
+from pipeline.detection.letterbox import LetterBox, PictureTurn, apply_letterbox
 from pipeline.detection.own_network import OwnNetwork
 from pipeline.detection.session import Network
-from pipeline.detection.turn import PictureTurn
 
 # Joints of the other detector that count for a person's box, and the box's size in sizes of the joints' box: networks
 # are trained with 1.25 boxes of whole people, who reach farther than their joints.

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.capture.synchronization.session import largest_shift_s
+from pipeline.capture.synchronization.session_clocks import largest_shift_s
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.runtime.npz import decode_arrays

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import CaptureSession, Session
-from pipeline.capture.synchronization.session import on_measured_clocks
+from pipeline.capture.synchronization.session_clocks import on_measured_clocks
 from pipeline.core.data.cameras import RefinedCalibration, Synchronization
 from pipeline.core.errors import PipelineError
 from pipeline.run.engine.codec import output_record

@@ -35,7 +35,7 @@ def check(task: Task, context: Context) -> Output:
 
 def check_with(task: Task, context: Context, cameras: "Sequence[Camera]") -> "SessionCheck":
     """Check the session with its cameras or with refined ones."""
-    from pipeline.capture.synchronization.session import on_measured_clocks
+    from pipeline.capture.synchronization.session_clocks import on_measured_clocks
     from pipeline.run.engine.detections import detection_source
     from pipeline.run.engine.wanted_frames import measured_clocks
     from pipeline.run.preflight.session import check_bodies, check_detections

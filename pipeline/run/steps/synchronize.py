@@ -7,7 +7,7 @@ from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Stag
 
 def synchronize(task: Task, context: Context) -> Output:
     """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
-    from pipeline.capture.synchronization.session import listen, measure_clocks
+    from pipeline.capture.synchronization.session_clocks import listen, measure_clocks
     from pipeline.run.engine.codec import encode
     from pipeline.run.engine.detections import detection_source
 

@@ -9,12 +9,11 @@ from av.video.frame import VideoFrame
 
 from pipeline.core.errors import UnusableError
 from pipeline.core.problems.sessions import NO_FRAMES, VIDEO_CHANGES_SIZE
-from pipeline.video.frame_rate import without_rounding
+from pipeline.video.frame_rate import uneven_times, without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images
 from pipeline.video.info import VideoInfo
 from pipeline.video.orientation import display_orientation, mirrored
-from pipeline.video.properties.regularity import uneven_times
 
 _NUM_DECODED = 8
 

@@ -1,5 +1,6 @@
 """Packets of a video stream: times and keyframes of the frames, without decoding them."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,9 +9,42 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from pipeline.core.errors import UnusableError
+from pipeline.core.errors import Problem, UnusableError
+from pipeline.core.problems.findings import SOUND_DELAY_UNKNOWN
 from pipeline.core.problems.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
+from pipeline.video.container import DECODE_ERRORS, open_container
 from pipeline.video.stamps import read_packets
+
+_AAC_SAMPLES = 1024
+
+
+def unknown_delays(path: Path) -> list[Problem]:
+    """Warn of AAC in MP4 or MOV whose encoder delay is not stated; reads the first packet of the first sound track.
+
+    An edit list states the delay, and FFmpeg cuts it off. Fragmented files without one begin with the delay as sound.
+    """
+    try:
+        with open_container(path) as container:
+            streams = [stream for stream in container.streams.audio if stream.codec_context is not None]
+            if "mp4" not in container.format.name.split(",") or not streams:
+                return []
+            stream = streams[0]
+            first = next(container.demux(stream))
+            # A sound that begins later, with its delay before it, is stated by an edit list too.
+            is_stated = first.pts is None or first.pts < 0 or (first.pts > 0 and stream.frames > 0)
+            if stream.codec_context.codec.canonical_name != "aac" or is_stated:
+                return []
+            delay_ms = 1000 * _AAC_SAMPLES / stream.codec_context.sample_rate
+    except (*DECODE_ERRORS, StopIteration, ZeroDivisionError):
+        return []
+    return [
+        Problem(
+            SOUND_DELAY_UNKNOWN,
+            f"The file does not state the delay of its AAC sound: the sound may be off by {delay_ms:.0f} ms or more.",
+            hint="This concerns synchronisation by sound alone. An MP4 file that is not fragmented states the delay.",
+        )
+    ]
+
 
 MAX_FRAMES = 2_000_000
 # Longest span of timestamps in ticks: differences of 64-bit integers do not overflow below it.

@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.capture.synchronization.sound.onsets import find_lag, onset_strength
+from pipeline.capture.synchronization.sound_offsets import find_lag, onset_strength
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts
 from pipeline.video.probe_process import probe_in_children

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
-from pipeline.calibration.adjustment.links import DistanceLinks, ShiftLinks
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,
     EXTRINSICS,
@@ -21,8 +20,16 @@ from pipeline.calibration.adjustment.parameters import (
     none_free,
     offsets,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, observations_of_points
-from pipeline.calibration.adjustment.structure import FreePoints, RigidBodies
+from pipeline.calibration.adjustment.problem import (
+    AdjustmentProblem,
+    DistanceLinks,
+    FreePoints,
+    Loss,
+    PointObservations,
+    RigidBodies,
+    ShiftLinks,
+    observations_of_points,
+)
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras

@@ -14,8 +14,7 @@ from pipeline.calibration.adjustment.parameters import (
     no_prior,
     none_free,
 )
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, observations_of_points
-from pipeline.calibration.adjustment.structure import FreePoints
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, FreePoints, Loss, observations_of_points
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.core.data.arrays import read_only
 from pipeline.geometry.camera import project

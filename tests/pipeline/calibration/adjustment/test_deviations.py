@@ -11,8 +11,7 @@ from pipeline.calibration.adjustment.adjust import adjust
 from pipeline.calibration.adjustment.deviations import Deviations, first_deviations
 from pipeline.calibration.adjustment.normal import State, build, residuals_px
 from pipeline.calibration.adjustment.parameters import EXTRINSICS, FOCAL, move_camera, no_prior, none_free
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations
-from pipeline.calibration.adjustment.structure import RigidBodies
+from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, RigidBodies
 from pipeline.geometry.camera import project
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 

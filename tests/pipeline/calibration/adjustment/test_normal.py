@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from pipeline.calibration.adjustment.links import DistanceLinks, ShiftLinks
 from pipeline.calibration.adjustment.normal import State, build
 from pipeline.calibration.adjustment.parameters import EXTRINSICS, no_prior, none_free
-from pipeline.calibration.adjustment.problem import AdjustmentProblem, observations_of_points
-from pipeline.calibration.adjustment.structure import FreePoints
+from pipeline.calibration.adjustment.problem import (
+    AdjustmentProblem,
+    DistanceLinks,
+    FreePoints,
+    ShiftLinks,
+    observations_of_points,
+)
 from pipeline.geometry.camera import project
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 

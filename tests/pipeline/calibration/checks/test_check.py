@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.checks.check import check_cameras
-from pipeline.calibration.checks.lenses import growing_radius, picture_radii
+from pipeline.calibration.checks.check import check_cameras, growing_radius, picture_radii
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.core.data.cameras import Camera

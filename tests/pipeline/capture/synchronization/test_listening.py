@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.recordings import Recording
 from pipeline.capture.session import open_session
-from pipeline.capture.synchronization.session import listen
+from pipeline.capture.synchronization.session_clocks import listen
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.media import write_video

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.detection.decoders.heatmaps import decode_heatmaps
-from pipeline.detection.decoders.own_heads import decode_rtmo, decode_simcc
+from pipeline.detection.decoders.own_heads import decode_heatmaps, decode_rtmo, decode_simcc
 
 SIZE_PX = (192, 256)
 

@@ -8,10 +8,10 @@ import pytest
 from pipeline.core.data.arrays import read_only
 from pipeline.core.joints import COCO_17
 from pipeline.detection.bodies import BodyDetector, ImageBodies
+from pipeline.detection.letterbox import PictureTurn
 from pipeline.detection.own.detectors import as_input, crop_matrix, open_own
 from pipeline.detection.own_network import usual_network
 from pipeline.detection.session import open_network
-from pipeline.detection.turn import PictureTurn
 from tests.pipeline.detection.own.networks import heatmaps, rtmo, simcc, write
 
 SIZE = (400, 300)

@@ -17,7 +17,7 @@ from pipeline.run.preflight.session import _affordable, _spans, check_clocks, ha
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.cases import slow_but
 from tests.pipeline.capture.synchronization.conftest import Take, alone, cut_take, shortened
-from tests.pipeline.capture.synchronization.test_session import session_of
+from tests.pipeline.capture.synchronization.test_session_clocks import session_of
 
 PERIOD_S = 0.04
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.detection.doubled import ChangeMeter, doubled_frames, join_changes
+from pipeline.detection.damage import ChangeMeter, doubled_frames, join_changes
 
 NUM_FRAMES = 60
 SIZE_PX = (96, 160)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.contents import Units, scaled
-from pipeline.calibration.units import possible_units, question
+from pipeline.calibration.contents import Units, possible_units, question, scaled
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras

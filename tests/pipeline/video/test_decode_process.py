@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from pipeline.core.errors import ChildError, InputError, Problem
-from pipeline.video import decoder_process
+from pipeline.video import decode as decode_module
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
@@ -82,7 +82,7 @@ def test_a_file_that_kills_its_decoder_is_a_bad_file(
 def test_a_file_beyond_the_limits_is_a_bad_file(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
 ) -> None:
-    monkeypatch.setattr(decoder_process, "_TIMEOUT_S", 6.0)
+    monkeypatch.setattr(decode_module, "_TIMEOUT_S", 6.0)
     in_children(tmp_path, monkeypatch, when_decoded(act))
     problem = problem_of(video)
     assert problem.code == "video_unreadable"

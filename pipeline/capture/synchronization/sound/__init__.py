@@ -1,1 +1,0 @@
-"""Offsets of cameras from the onsets of their sound, alone and together with motion."""
