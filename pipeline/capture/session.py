@@ -35,7 +35,7 @@ from pipeline.core.problems.findings import (
 from pipeline.core.problems.sessions import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz, without_rounding
 from pipeline.video.images.files import SEQUENCE
-from pipeline.video.images.probe import at_rate
+from pipeline.video.images.image_probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts, seam_problems
 from pipeline.video.probe_process import probe_in_children

@@ -21,7 +21,7 @@ from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.detection.detector import Detector
 from pipeline.detection.profiles.detection import BodyDetector
 from pipeline.detection.topdown.between import bodies_between, schedule_detections
-from pipeline.detection.topdown.detector import TopDown
+from pipeline.detection.topdown.topdown_detector import TopDown
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
 

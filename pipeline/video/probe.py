@@ -60,7 +60,7 @@ from pipeline.video.container import (
 )
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz, uneven_times
 from pipeline.video.images.files import is_sequence
-from pipeline.video.images.probe import probe_images
+from pipeline.video.images.image_probe import probe_images
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.orientation import display_orientation, mirrored
 from pipeline.video.playback.browsers import VideoFormat, browser_media_type

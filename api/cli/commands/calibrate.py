@@ -24,7 +24,7 @@ from api.cli.console import (
 )
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
-from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.calibrate_board import calibrate_board
 from pipeline.calibration.board.source import (
     find_photographs,
     frames_to_look_at,
@@ -34,7 +34,7 @@ from pipeline.calibration.board.source import (
 from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.fit import COLUMNS, read_known_points
-from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration.people.calibrate_people import calibrate_people
 from pipeline.calibration.registry import read_intrinsics
 from pipeline.calibration.report import CalibrationResult, report_document
 from pipeline.calibration.write import ENCODERS

@@ -15,7 +15,7 @@ from api.web.sessions.intake import CheckedSession, arguments_of, limit_problems
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, form_of
 from api.web.sessions.schemas import Manifest
-from pipeline.calibration.known_points.checks import point_problems
+from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import listed
 from pipeline.core.options.job_choices import CalibrationChoices

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.adjustment.parameters import FOCAL
-from pipeline.calibration.board.bundle import PlacedBoard, adjust_board_rig, place_board, refine_boards
+from pipeline.calibration.board.board_adjustment import PlacedBoard, adjust_board_rig, place_board, refine_boards
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.bundle import PlacedBoard
+from pipeline.calibration.board.board_adjustment import PlacedBoard
 from pipeline.calibration.board.spec import Board
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera

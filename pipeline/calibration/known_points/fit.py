@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.known_points.checks import MIN_POINTS, point_problems
+from pipeline.calibration.known_points.point_checks import MIN_POINTS, point_problems
 from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem

@@ -17,7 +17,7 @@ from pipeline.detection.profiles.sizes import CameraSizes
 from pipeline.detection.profiles.two_sizes import TwoSizes
 from pipeline.detection.registry import NetworkHead
 from pipeline.detection.session import Network, open_network
-from pipeline.detection.topdown.detector import TopDown
+from pipeline.detection.topdown.topdown_detector import TopDown
 
 __all__ = [
     "BodyDetector",

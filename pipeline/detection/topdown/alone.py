@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.detection.topdown.blazepose import LANDMARK, PoseOutputs, score_of_peak
-from pipeline.detection.topdown.detector import FOOT_JOINTS, FOOT_LANDMARKS
 from pipeline.detection.topdown.fusion import SHARED_JOINTS, SHARED_LANDMARKS, common_marks_px, landmark_offsets_px
+from pipeline.detection.topdown.topdown_detector import FOOT_JOINTS, FOOT_LANDMARKS
 
 _SHARED = COCO_17.indices(SHARED_JOINTS)
 _OF_BODY = [LANDMARK[name] for name in COCO_17.names]

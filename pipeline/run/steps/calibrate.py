@@ -39,10 +39,10 @@ def find_board(task: Task, context: Context) -> Output:
 
 def calibrate(task: Task, context: Context) -> Output:
     """Make a calibration, its report and its pictures."""
-    from pipeline.calibration.board.calibrate import calibrate_board
+    from pipeline.calibration.board.calibrate_board import calibrate_board
     from pipeline.calibration.board.spec import parse_board
     from pipeline.calibration.board.views import BoardViews
-    from pipeline.calibration.people.calibrate import calibrate_people
+    from pipeline.calibration.people.calibrate_people import calibrate_people
     from pipeline.calibration.report import report_document
     from pipeline.calibration.write import encodings
     from pipeline.run.engine.codec import output_records

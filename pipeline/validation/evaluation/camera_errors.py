@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.calibration.adjustment.parameters import move_camera
-from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration.people.calibrate_people import calibrate_people
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes

@@ -11,7 +11,7 @@ from pipeline.core.joints import BODY_FEET, COCO_17, JointSet
 from pipeline.detection.bodies import ImageBodies, boxes_around
 from pipeline.detection.chunk import concatenate, detect_chunk
 from pipeline.detection.topdown.blazepose import body_region
-from pipeline.detection.topdown.detector import TopDown
+from pipeline.detection.topdown.topdown_detector import TopDown
 from pipeline.video.timeline import span_s
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.detection.topdown.people import landmarks_px, pose_of, standing_px

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.core.errors import Problem
 from pipeline.video.decode import decode
-from pipeline.video.images.probe import at_rate
+from pipeline.video.images.image_probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.orientation import Rotator
 from pipeline.video.probe import probe

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.calibrate import calibrate_board
-from pipeline.calibration.board.checks import require_placed
-from pipeline.calibration.board.rig import BoardRig
+from pipeline.calibration.board.board_checks import require_placed
+from pipeline.calibration.board.board_rig import BoardRig
+from pipeline.calibration.board.calibrate_board import calibrate_board
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.report import CalibrationResult

@@ -9,7 +9,7 @@ from rich.progress import Progress
 
 from api.cli.commands.calibrate import in_videos
 from api.cli.sources import SourceOptions
-from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.calibrate_board import calibrate_board
 from pipeline.calibration.board.intrinsics import calibrate_intrinsics
 from pipeline.calibration.board.spec import parse_board
 from pipeline.geometry.camera import center_in_world

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points, read_known_points
+from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.calibration.similarity import Similarity
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipeline.calibration.people.checks import people_warnings
 from pipeline.calibration.people.following import JOINTS
 from pipeline.calibration.people.pairs import relate_by_people, sampson
+from pipeline.calibration.people.people_checks import people_warnings
+from pipeline.calibration.people.people_world import PeopleWorld
 from pipeline.calibration.people.stature import Statures, match_statures, others_at_once, scale_from, statures
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
-from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.data.detections import Detections

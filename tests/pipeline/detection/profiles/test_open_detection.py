@@ -8,7 +8,7 @@ from pipeline.core.options.config import Networks, ReconstructionConfig
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
 from pipeline.detection.profiles.detection import joints_of, open_detection, open_landmarks
-from pipeline.detection.topdown.detector import TopDown
+from pipeline.detection.topdown.topdown_detector import TopDown
 
 FULL = Networks("movenet-multipose", near="blazepose-full", hand="mediapipe-hand", refines_body=True)
 

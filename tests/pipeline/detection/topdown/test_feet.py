@@ -2,8 +2,8 @@ import numpy as np
 
 from pipeline.core.joints import COCO_17
 from pipeline.detection.topdown.blazepose import LANDMARK
-from pipeline.detection.topdown.detector import FOOT_JOINTS, read_feet
 from pipeline.detection.topdown.regions import Region
+from pipeline.detection.topdown.topdown_detector import FOOT_JOINTS, read_feet
 from tests.pipeline.detection.topdown.people import CENTER_PX, decoded, landmarks_px, standing_px
 
 REGION = Region((float(CENTER_PX[0]), float(CENTER_PX[1])), 480.0)

@@ -7,8 +7,8 @@ from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointS
 from pipeline.detection.bodies import BodyDetector, ImageBodies
 from pipeline.detection.session import Network, one_by_one
 from pipeline.detection.topdown.blazepose import body_region
-from pipeline.detection.topdown.detector import TopDown
 from pipeline.detection.topdown.fusion import common_marks_px
+from pipeline.detection.topdown.topdown_detector import TopDown
 from tests.pipeline.detection.topdown.people import landmarks_px, pose_of, standing_px
 
 IMAGE = np.zeros((480, 640, 3), np.uint8)

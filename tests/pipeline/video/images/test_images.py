@@ -12,7 +12,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.runtime import zips
 from pipeline.video.decode import decode
 from pipeline.video.images import files
-from pipeline.video.images.probe import at_rate
+from pipeline.video.images.image_probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
 from pipeline.video.probe_process import probe_in_children

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.people.calibrate import calibrate_people
+from pipeline.calibration.people.calibrate_people import calibrate_people
 from pipeline.calibration.sizes import guessed_camera
 from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.errors import InputError

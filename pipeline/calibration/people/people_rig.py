@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from pipeline.calibration.people.bodies import MatchedBodies
-from pipeline.calibration.people.bundle import adjust_poses
 from pipeline.calibration.people.pairs import RelativePose
+from pipeline.calibration.people.people_adjustment import adjust_poses
 from pipeline.calibration.people.stature import scale_from, statures
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera

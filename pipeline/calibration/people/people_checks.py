@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.people.pairs import RelativePose
+from pipeline.calibration.people.people_world import PeopleWorld
 from pipeline.calibration.people.tracklets import ViewTracklet
-from pipeline.calibration.people.world import PeopleWorld
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem

@@ -6,20 +6,20 @@ from itertools import combinations
 
 import numpy as np
 
-from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
+from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.calibration.people.bodies import MatchedBodies, gather_bodies
-from pipeline.calibration.people.bundle import PeopleFit, adjust_people_rig
-from pipeline.calibration.people.checks import (
+from pipeline.calibration.people.pairs import RelativePose, relate_by_people
+from pipeline.calibration.people.people_adjustment import PeopleFit, adjust_people_rig
+from pipeline.calibration.people.people_checks import (
     people_warnings,
     require_linked_by_people,
     require_people,
     world_or_refused,
 )
-from pipeline.calibration.people.pairs import RelativePose, relate_by_people
-from pipeline.calibration.people.rig import pose_cameras
+from pipeline.calibration.people.people_rig import pose_cameras
+from pipeline.calibration.people.people_world import PeopleWorld, find_people_world
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of, with_camera
-from pipeline.calibration.people.world import PeopleWorld, find_people_world
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes

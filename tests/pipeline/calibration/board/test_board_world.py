@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.board.world import BoardWorld, find_board_world
+from pipeline.calibration.board.board_world import BoardWorld, find_board_world
 from pipeline.core.data.rigid import Rigid3
 
 MIDDLE_M = np.array([0.3, 0.2, 0.0])

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS
-from pipeline.calibration.board.bundle import (
+from pipeline.calibration.board.board_adjustment import (
     BoardFit,
     PlacedBoard,
     adjust_board_rig,
@@ -15,7 +15,7 @@ from pipeline.calibration.board.bundle import (
     place_board,
     refine_boards,
 )
-from pipeline.calibration.board.checks import (
+from pipeline.calibration.board.board_checks import (
     agreement_warnings,
     floor_warnings,
     link_warnings,
@@ -24,14 +24,14 @@ from pipeline.calibration.board.checks import (
     require_views,
     view_warnings,
 )
+from pipeline.calibration.board.board_rig import BoardRig, match_times, relate_by_board, spanning_tree
+from pipeline.calibration.board.board_world import BoardWorld, chosen_instants, find_board_world, find_places
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
 from pipeline.calibration.board.poses import BoardMotion, possible_poses
-from pipeline.calibration.board.rig import BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, choose_views, coverage_svg
-from pipeline.calibration.board.world import BoardWorld, chosen_instants, find_board_world, find_places
-from pipeline.calibration.known_points.checks import point_problems
 from pipeline.calibration.known_points.fit import place_by_points
+from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.calibration.similarity import move_world
 from pipeline.core.data.arrays import read_only

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.board.calibrate import calibrate_board
+from pipeline.calibration.board.calibrate_board import calibrate_board
 from pipeline.calibration.board.detection.detect import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views

@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline.calibration.board.bundle import BoardFit, PlacedBoard
+from pipeline.calibration.board.board_adjustment import BoardFit, PlacedBoard
+from pipeline.calibration.board.board_rig import BoardPair, BoardRig, match_times, relate_by_board, spanning_tree
+from pipeline.calibration.board.board_world import Places
 from pipeline.calibration.board.intrinsics import MIN_VIEWS
-from pipeline.calibration.board.rig import BoardPair, BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
-from pipeline.calibration.board.world import Places
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.findings import (
     BOARD_AMBIGUOUS,
