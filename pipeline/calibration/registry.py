@@ -125,6 +125,18 @@ def read_contents(path: Path, units: Units | None = None, up: Up = "z") -> Camer
     ------
     InputError
         With all problems of the file. A unit that can't be known is asked for.
+
+    Examples
+    --------
+    >>> import json, tempfile
+    >>> camera = {"name": "left", "size_px": [1920, 1080], "matrix": [[900, 0, 959.5], [0, 900, 539.5], [0, 0, 1]],
+    ...           "distortion": [], "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]], "translation_m": [0, 1.5, 4]}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "rig.json"
+    ...     _ = path.write_text(json.dumps({"schema_version": 1, "cameras": [camera]}), encoding="utf-8")
+    ...     contents = read_contents(path)
+    >>> contents.format, contents.unit, [camera.name for camera in contents.cameras]
+    ('Multicap JSON', 'm', ['left'])
     """
     contents = _in_metres(path, units)
     if up == "z":

@@ -126,3 +126,17 @@ def test_the_child_ends_with_the_caller_s_interest(tmp_path: Path) -> None:
     with pytest.raises(InterruptedError):
         make_proxy_in_child(video, video.time_s, tmp_path / "proxy.mp4", stop_after_three)
     assert len(frames) == 3
+
+
+def test_proxy_above_a_mebibyte_is_written_whole(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (20, 480, 640, 3), np.uint8)
+    path = tmp_path / "noise.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=20)
+        stream.width, stream.height, stream.pix_fmt = 640, 480, "yuvj420p"
+        for image in noise:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+    proxy, num_reported = make(probed(path), tmp_path / "proxy.mp4")
+    assert (tmp_path / "proxy.mp4").stat().st_size > 2**20
+    assert num_reported == proxy.num_frames == 20
