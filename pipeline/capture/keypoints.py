@@ -18,7 +18,7 @@ from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
-from pipeline.capture.keypoint_files.people import People, is_detected, joint_set_of
+from pipeline.capture.keypoint_files.people import People, find_joint_set, is_detected
 from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
@@ -343,7 +343,7 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
                 Problem(KEYPOINTS_EMPTY, "No camera detected anybody.", hint="Check the detector's output.")
             )
         return None
-    joints = joint_set_of(used)
+    joints = find_joint_set(used)
     if joints is None:
         shown = ", ".join(
             f"{name}: {' and '.join(str(count) for count in sorted(of_camera))} joints"

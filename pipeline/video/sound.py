@@ -82,7 +82,7 @@ def _listen_to_parts(video: VideoInfo) -> NDArray[np.float32] | str:
     return energy
 
 
-def energy_of(path: Path, first_pts: int) -> NDArray[np.float32] | str:
+def measure_energy(path: Path, first_pts: int) -> NDArray[np.float32] | str:
     """Energy of each millisecond of the first audio track from the first frame on, or why there is none.
 
     Differences of samples are squared, so that clicks and claps count for more than hum and wind. ``first_pts`` is the
@@ -160,7 +160,7 @@ def main() -> None:
     path, first_pts = confined_arguments()
     tell_ready()
     try:
-        found = energy_of(Path(path), int(first_pts))
+        found = measure_energy(Path(path), int(first_pts))
     except DECODE_ERRORS:
         found = "The sound can't be read."
     if isinstance(found, str):

@@ -59,7 +59,7 @@ def gather_bodies(
         if kept != added and not _overlap(members[kept], members[added], tracklets):
             group[members[added]] = kept
             members[kept] += members.pop(added)
-    parts = [_bodies_of(number, [tracklets[k] for k in own], num_cameras) for number, own in members.items()
+    parts = [_match_bodies(number, [tracklets[k] for k in own], num_cameras) for number, own in members.items()
              if len({tracklets[k].camera for k in own}) > 1]  # fmt: skip
     if not parts:
         return MatchedBodies(np.empty(0, int), np.empty(0, int), np.empty((0, num_cameras, len(JOINTS), 2)))
@@ -79,7 +79,7 @@ def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[Vie
     )
 
 
-def _bodies_of(number: int, own: Sequence[ViewTracklet], num_cameras: int) -> MatchedBodies:
+def _match_bodies(number: int, own: Sequence[ViewTracklet], num_cameras: int) -> MatchedBodies:
     first, stop = min(tracklet.first for tracklet in own), max(tracklet.instants.stop for tracklet in own)
     points_px = np.full((stop - first, num_cameras, len(JOINTS), 2), np.nan)
     for tracklet in own:

@@ -19,7 +19,7 @@ from pipeline.calibration.people.people_checks import (
 )
 from pipeline.calibration.people.people_rig import pose_cameras
 from pipeline.calibration.people.people_world import PeopleWorld, find_people_world
-from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of, with_camera
+from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, shared_instants, with_camera
 from pipeline.calibration.report import CalibrationResult, report_camera
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes
@@ -70,7 +70,7 @@ def calibrate_people(
     """
     if known_points and (problems := point_problems(known_points, {camera.name: camera.size_px for camera in cameras})):
         raise InputError(problems)
-    instants_s = instants_of([times[camera.name] for camera in cameras])
+    instants_s = shared_instants([times[camera.name] for camera in cameras])
     tracklets = find_tracklets(cameras, times, detections, joints, instants_s)
     rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
     require_people(cameras, tracklets, rate_hz)

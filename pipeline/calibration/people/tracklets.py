@@ -44,7 +44,7 @@ class ViewTracklet:
         return np.asarray(instants) - self.first
 
 
-def instants_of(times: Sequence[FrameTimes]) -> Float[np.ndarray, " instants"]:
+def shared_instants(times: Sequence[FrameTimes]) -> Float[np.ndarray, " instants"]:
     """Instants at which the cameras are compared: 0.1 s apart, further in takes of more than two minutes."""
     begin_s = min(float(camera_times.time_s[0]) for camera_times in times)
     end_s = max(float(camera_times.time_s[-1]) for camera_times in times)

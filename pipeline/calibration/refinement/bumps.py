@@ -51,11 +51,11 @@ def find_steps(cameras: Sequence[Camera], sightings: JointSightings) -> list[Ste
     """
     if len(cameras) < 3:
         return []
-    steps = (_step_of(camera, cameras, sightings) for camera in range(len(cameras)))
+    steps = (_find_step(camera, cameras, sightings) for camera in range(len(cameras)))
     return [step for step in steps if step is not None]
 
 
-def _step_of(number: int, cameras: Sequence[Camera], sightings: JointSightings) -> Step | None:
+def _find_step(number: int, cameras: Sequence[Camera], sightings: JointSightings) -> Step | None:
     """Step of one camera."""
     others_px = sightings.points_px.copy()
     others_px[:, number] = np.nan

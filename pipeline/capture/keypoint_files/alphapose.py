@@ -17,7 +17,7 @@ from pipeline.capture.keypoint_files.people import (
     frame_number,
     nobody,
     number_in_name,
-    points_of,
+    read_points,
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged
@@ -36,14 +36,14 @@ def is_images(content: Mapping[str, Any]) -> bool:
     return isinstance(images[0], dict) and not images[0].keys().isdisjoint(("people", "bodies"))
 
 
-def frames_of(content: Any) -> Mapping[int, Any]:
+def split_frames(content: Any) -> Mapping[int, Any]:
     """Split all images by the numbers in their names."""
     frames: dict[int, Any] = {}
     names: dict[int, str] = {}
     for name, image in (
         content.items() if isinstance(content, dict) else ((image["image_id"], image) for image in content)
     ):
-        number = _number_of(name)
+        number = _image_number(name)
         if names.setdefault(number, name) != name:
             raise KeypointsError(f"{names[number]} and {name} have the same frame number.", "image_id")
         if isinstance(content, dict):
@@ -63,10 +63,10 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         return nobody()
     people = [person[_POINTS] for person in content]
     layout = unnamed.layout(len(people[0]) // 3, _POINTS)
-    return with_detected_joints(arranged(points_of(people, len(layout.points), _POINTS), layout))
+    return with_detected_joints(arranged(read_points(people, len(layout.points), _POINTS), layout))
 
 
-def _number_of(name: Any) -> int:
+def _image_number(name: Any) -> int:
     number = number_in_name(name)
     if isinstance(name, str) and number is None:
         raise KeypointsError(f"The name of the image {name[:40]!r} has no number.", "image_id")

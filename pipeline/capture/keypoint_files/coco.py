@@ -17,14 +17,14 @@ from pipeline.capture.keypoint_files.people import (
     People,
     check_number,
     frame_number,
-    hands_of,
+    join_hands,
     joined,
     nobody,
     number_in_name,
-    points_of,
+    read_points,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, joint_of, layout_of_names
+from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, layout_of_names, match_joint
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 
@@ -39,14 +39,14 @@ def is_frame(content: Any) -> bool:
     return isinstance(content, list) and bool(content) and not any({"frame", "image_id"} & set(one) for one in content)
 
 
-def frames_of(content: Any) -> Mapping[int, Any]:
+def split_frames(content: Any) -> Mapping[int, Any]:
     """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody."""
     frames: dict[int, list[Any]] = {}
     numbers: Mapping[Any, int] = {}
     if isinstance(content, dict):
-        numbers = _numbers_of(content.get("images", ()))
+        numbers = _image_numbers(content.get("images", ()))
         frames = {number: [] for number in numbers.values()}
-    listed, layout, is_named = _people_of(content)
+    listed, layout, is_named = _list_people(content)
     for person in listed:
         field = "frame" if "frame" in person else "image_id"
         value = person.get(field)
@@ -58,17 +58,17 @@ def frames_of(content: Any) -> Mapping[int, Any]:
 
 def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     """Read the people of a frame with at least one detected joint."""
-    listed, layout, is_named = content if isinstance(content, _Frame) else _people_of(content)
+    listed, layout, is_named = content if isinstance(content, _Frame) else _list_people(content)
     check_number(listed)
     if not listed:
         return nobody()
     bodies = [person[_BODY] for person in listed]
     if layout is not None:
-        return with_detected_joints(arranged(points_of(bodies, len(layout.points), _BODY), layout))
+        return with_detected_joints(arranged(read_points(bodies, len(layout.points), _BODY), layout))
     if all(len(body) == 3 * len(_WHOLE.points) for body in bodies):
         if not is_named:
             unnamed.layout(len(_WHOLE.points), _BODY)
-        return with_detected_joints(arranged(points_of(bodies, len(_WHOLE.points), _BODY), _WHOLE))
+        return with_detected_joints(arranged(read_points(bodies, len(_WHOLE.points), _BODY), _WHOLE))
     if any(len(body) != 3 * _NUM_BODY for body in bodies):
         message = (
             f"The keypoints of people must have {3 * _NUM_BODY} or {3 * len(_WHOLE.points)} numbers, as many for "
@@ -77,9 +77,9 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         raise KeypointsError(message, _BODY)
     if not is_named:
         unnamed.layout(_NUM_BODY, _BODY)
-    body = points_of(bodies, _NUM_BODY, _BODY)
-    feet = points_of([person.get(_FEET) for person in listed], _NUM_FEET, _FEET)
-    hands = hands_of(lambda side: [person.get(_hand(side)) for person in listed], _hand)
+    body = read_points(bodies, _NUM_BODY, _BODY)
+    feet = read_points([person.get(_FEET) for person in listed], _NUM_FEET, _FEET)
+    hands = join_hands(lambda side: [person.get(_hand(side)) for person in listed], _hand)
     return with_detected_joints(joined(np.concatenate([body, feet], axis=1)[:, _BODY_FEET], hands))
 
 
@@ -91,7 +91,7 @@ class _Frame(NamedTuple):
     is_named: bool
 
 
-def _people_of(content: Any) -> _Frame:
+def _list_people(content: Any) -> _Frame:
     """People of a file: all of a list; of annotations those whose category has points."""
     listed = content["annotations"] if isinstance(content, dict) else content
     if not isinstance(listed, list) or not all(isinstance(person, dict) for person in listed):
@@ -105,11 +105,13 @@ def _people_of(content: Any) -> _Frame:
     if len(used) > 1:
         raise KeypointsError("People of several categories have points of different names.", "category_id")
     found = next(iter(used), COCO_17.names)
-    is_coco = len(found) in (_NUM_BODY, len(_WHOLE.points)) and tuple(map(joint_of, found[:_NUM_BODY])) == COCO_17.names
+    is_coco = (
+        len(found) in (_NUM_BODY, len(_WHOLE.points)) and tuple(map(match_joint, found[:_NUM_BODY])) == COCO_17.names
+    )
     return _Frame(people, None if is_coco else layout_of_names(found, "categories"), is_named=True)
 
 
-def _numbers_of(images: Sequence[Mapping[str, Any]]) -> Mapping[Any, int]:
+def _image_numbers(images: Sequence[Mapping[str, Any]]) -> Mapping[Any, int]:
     """Frame number by the id of its image: of the names of files if all have one of their own, else the ids."""
     ids = [frame_number(image["id"], "id") for image in images]
     named = [number_in_name(image.get("file_name")) for image in images]

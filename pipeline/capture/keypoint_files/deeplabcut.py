@@ -22,7 +22,7 @@ from pipeline.capture.keypoint_files.people import (
     number_in_name,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, joint_of, named_layout
+from pipeline.capture.keypoint_files.points import arranged, match_joint, named_layout
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import UnreadableError
 
@@ -48,7 +48,7 @@ def is_table(content: bytes) -> bool:
     return content.removeprefix(b"\xef\xbb\xbf").lstrip(b'"')[:6].lower() == b"scorer"
 
 
-def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
+def split_frames(content: bytes) -> Mapping[int, tuple[Columns, str]]:
     """Split the rows by the number of their frame.
 
     Raises ``KeypointsError`` if the headers can't be used, or if a row has no number, or another row's;
@@ -67,12 +67,12 @@ def frames_of(content: bytes) -> Mapping[int, tuple[Columns, str]]:
         if name.lower() not in _HEADERS:
             raise KeypointsError("The headers must be scorer, individuals (if there are several), bodyparts, coords.")
         headers[name.lower()] = ["", *cells]
-    columns = columns_of(headers)
+    columns = find_columns(headers)
     frames: dict[int, tuple[Columns, str]] = {}
     for line in lines:
         if not line.strip(","):
             continue
-        number = _frame_of(line, columns.num_leading)
+        number = _split_number(line, columns.num_leading)
         if number in frames:
             raise KeypointsError(f"Frame {number} is listed twice.", "frame")
         frames[number] = columns, line
@@ -101,7 +101,7 @@ def read_frame(content: tuple[Columns, str]) -> People:
     return with_detected_joints(arranged(points, columns.layout))
 
 
-def columns_of(headers: Mapping[str, Sequence[str]]) -> Columns:
+def find_columns(headers: Mapping[str, Sequence[str]]) -> Columns:
     """Columns of the points that are joints, by the rows of headers, which have an entry for each column.
 
     Raises ``KeypointsError`` if the headers can't be used.
@@ -120,7 +120,7 @@ def columns_of(headers: Mapping[str, Sequence[str]]) -> Columns:
     check_number(people)
     of_people = set(people)
     # Only points that are joints: a scene of strangers may have any number of others.
-    names = [name for name in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if joint_of(name)]
+    names = [name for name in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if match_joint(name)]
     layout = named_layout(names, "bodyparts")
     number = np.full((len(people), len(names), len(_COORDS)), -1)
     place_of_person = {name: k for k, name in enumerate(people)}
@@ -137,7 +137,7 @@ def columns_of(headers: Mapping[str, Sequence[str]]) -> Columns:
     return Columns(shown, number, layout, points[0])
 
 
-def _frame_of(line: str, num_leading: int) -> int:
+def _split_number(line: str, num_leading: int) -> int:
     """Number of a row's frame: the first cell, or the number in the name of the picture in the leading cells."""
     first = line.split(",", 1)[0].strip('"')
     if num_leading == 1 and first.isascii() and first.isdecimal() and len(first) <= 300:

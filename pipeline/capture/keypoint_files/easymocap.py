@@ -12,10 +12,10 @@ from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_number,
-    hands_of,
+    join_hands,
     joined,
     nobody,
-    points_of,
+    read_points,
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged
@@ -44,9 +44,9 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         raise KeypointsError("A person has no keypoints: only boxes were found. Detect keypoints in them.", _POINTS)
     bodies = [_flat(person[_POINTS], _POINTS) for person in listed]
     layout = unnamed.layout(len(bodies[0]) // 3, _POINTS)
-    people = arranged(points_of(bodies, len(layout.points), _POINTS), layout)
+    people = arranged(read_points(bodies, len(layout.points), _POINTS), layout)
     if layout.joints == without_hands(layout.joints):
-        hands = hands_of(lambda side: [_flat(person.get(_hand(side)), _hand(side)) for person in listed], _hand)
+        hands = join_hands(lambda side: [_flat(person.get(_hand(side)), _hand(side)) for person in listed], _hand)
         people = joined(people, hands)
     return with_detected_joints(people)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
-from pipeline.capture.keypoint_files.forms import KeypointForm, form_of
+from pipeline.capture.keypoint_files.forms import KeypointForm, find_form
 from pipeline.capture.keypoint_files.hdf5.tracks import read_in_child
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.keypoint_files.points import UnnamedPoints
@@ -79,7 +79,7 @@ def camera_folders(
             message = "The times in timestamps.csv are not used: state the file as timestamps to use them."
         findings.append(Finding(FILE_IGNORED, message, severity="info"))
     if of_cameras is not None:
-        parts = _attempt(partial(freemocap.cameras_of, of_cameras), of_cameras, None, None, _FILE_HINT)
+        parts = _attempt(partial(freemocap.split_cameras, of_cameras), of_cameras, None, None, _FILE_HINT)
         if isinstance(parts, Problem):
             problems.append(parts)
             return {}
@@ -268,7 +268,7 @@ def _labels(files: Sequence[Path]) -> Sequence[Path]:
 
 def _form_in(forms: set[str], size_px: tuple[int, int] | None, unnamed: UnnamedPoints, content: Any) -> KeypointForm:
     """Form of a file's content, which is added to ``forms``."""
-    form = form_of(content, size_px, unnamed)
+    form = find_form(content, size_px, unnamed)
     if not isinstance(content, list) or content:  # an empty list may be of any program
         forms.add(form.name)
     return form
@@ -308,12 +308,12 @@ def _split(path: Path, form_in: _FormOf, content: Any) -> tuple[Callable[[Any], 
     content = _read(path, MAX_FILE_BYTES) if content is None else content
     form = form_in(content)
     number = _NUMBERED.fullmatch(path.name)
-    if number is not None and (form.frames_of is None or (form.name == "COCO" and coco.is_frame(content))):
+    if number is not None and (form.split_frames is None or (form.name == "COCO" and coco.is_frame(content))):
         return form.read_frame, {int(number[1]): content}
-    if form.frames_of is None:
+    if form.split_frames is None:
         message = f"The file is read as {form.name}'s of a single frame, which has its number in its name."
         raise KeypointsError(f"{message} Name it like 000000.json.")
-    frames = form.frames_of(content)
+    frames = form.split_frames(content)
     check_frames(len(frames))
     return form.read_frame, frames
 
@@ -328,7 +328,7 @@ def _read(path: Path, max_bytes: int) -> Any:
         return read_in_child(path)
     content = path.read_bytes()
     if path.suffix.lower() == ".txt":
-        return yolo.labels_of(content)
+        return yolo.parse_labels(content)
     return content if path.suffix.lower() == ".csv" else read_json(content)
 
 

@@ -31,10 +31,10 @@ class KeypointForm(NamedTuple):
     """
 
     name: str  # Program or format, as users know it
-    # Reads the people of a frame from the content of its file, or from an entry of ``frames_of``
+    # Reads the people of a frame from the content of its file, or from an entry of ``split_frames``
     read_frame: Callable[[Any], People]
     # Splits the content of a file of all frames by their numbers; ``None`` if the content is of a single frame
-    frames_of: Callable[[Any], Mapping[int, Any]] | None
+    split_frames: Callable[[Any], Mapping[int, Any]] | None
 
 
 OPENPOSE, EASYMOCAP = "OpenPose", "EasyMocap"
@@ -49,7 +49,7 @@ _FIELDS = {
 }
 
 
-def form_of(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
+def find_form(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     """Find the form of a file's content.
 
     ``content`` is parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file.
@@ -61,13 +61,13 @@ def form_of(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoint
         case bytes():
             if not deeplabcut.is_table(content):
                 raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
-            return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.frames_of)
+            return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.split_frames)
         case yolo.PoseLabels():
             return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px, unnamed=unnamed), None)
         case tracks.PeopleByFrame():
-            return KeypointForm(content.form, tracks.read_frame, tracks.frames_of)
+            return KeypointForm(content.form, tracks.read_frame, tracks.split_frames)
         case np.ndarray():
-            return KeypointForm("FreeMoCap", partial(freemocap.read_frame, unnamed=unnamed), freemocap.frames_of)
+            return KeypointForm("FreeMoCap", partial(freemocap.read_frame, unnamed=unnamed), freemocap.split_frames)
     return _form_of_json(content, size_px, unnamed)
 
 
@@ -82,16 +82,16 @@ def _form_of_json(content: Any, size_px: tuple[int, int] | None, unnamed: Unname
 def _form_of_list(content: list[Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
     first = next((entry for entry in content if isinstance(entry, dict)), {})
     if "instances" in first:
-        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.frames_of)
+        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.split_frames)
     if "keypoint_scores" in first:
         return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), None)
     if not first.keys().isdisjoint(mediapipe.RESULTS):
-        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.frames_of)
+        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.split_frames)
     if easymocap.is_person(first):
         return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
     if isinstance(first.get("image_id"), str):
-        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), alphapose.frames_of)
-    return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.frames_of)
+        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), alphapose.split_frames)
+    return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.split_frames)
 
 
 def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
@@ -100,15 +100,15 @@ def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None, un
         shown = " and ".join(f"{field} of {program}" for program, field in of_program.items())
         raise KeypointsError(f"The file has the fields of several formats: {shown}. Keep one of them.")
     if "annotations" in content:
-        return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.frames_of)
+        return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.split_frames)
     if easymocap.PEOPLE in content:
         return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
     if "instance_info" in content:
-        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.frames_of)
+        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.split_frames)
     if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
-        frames_of = mediapipe.frames_of if "frames" in content else None
-        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), frames_of)
+        split_frames = mediapipe.split_frames if "frames" in content else None
+        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), split_frames)
     if "bodies" in content or alphapose.is_images(content):
-        frames_of = None if "bodies" in content else alphapose.frames_of
-        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), frames_of)
+        split_frames = None if "bodies" in content else alphapose.split_frames
+        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), split_frames)
     return KeypointForm(OPENPOSE, partial(openpose.read_frame, unnamed=unnamed), None)

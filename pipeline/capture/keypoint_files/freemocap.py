@@ -51,7 +51,7 @@ def file_of_cameras(files: Iterable[Path]) -> Path | None:
     return named[0] if len(named) == 1 else None
 
 
-def cameras_of(path: Path) -> dict[str, CameraArray]:
+def split_cameras(path: Path) -> dict[str, CameraArray]:
     """Split the file of all cameras, by names that no camera has: ``part1`` and so on.
 
     Raises ``KeypointsError`` if the file is no array of cameras.
@@ -85,7 +85,7 @@ def opened(path: Path) -> np.ndarray:
     return array
 
 
-def frames_of(content: np.ndarray) -> Mapping[int, np.ndarray]:
+def split_frames(content: np.ndarray) -> Mapping[int, np.ndarray]:
     """Split an array of a camera by frames, which count from 0."""
     if content.ndim == 4:
         message = f"The array holds {len(content)} cameras; save array[k] in the folder of its camera, or give the file"

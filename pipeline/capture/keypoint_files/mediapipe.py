@@ -21,10 +21,10 @@ from pipeline.capture.keypoint_files.people import (
     check_frames,
     check_number,
     frame_number,
-    hands_of,
+    join_hands,
     joined,
     nobody,
-    points_of,
+    read_points,
     with_detected_joints,
 )
 from pipeline.core.joints import BODY_FEET, SIDES
@@ -39,7 +39,7 @@ _NUM_POSE = len(_LAYOUT.points)
 _BODY_FEET = [_LAYOUT.points.index(name) for name in BODY_FEET.names]
 
 
-def frames_of(content: Any) -> Mapping[int, Any]:
+def split_frames(content: Any) -> Mapping[int, Any]:
     """Split all frames by their numbers."""
     listed = content["frames"] if isinstance(content, dict) else content
     check_frames(len(listed))
@@ -63,7 +63,7 @@ def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
     scale_px = _size_px(content)
     poses = content.get("poses")
     if poses is None:
-        poses = _poses_of(content)
+        poses = _list_poses(content)
         scale_px = np.array(size_px) if scale_px is None and size_px is not None else scale_px
         if scale_px is None:
             message = f"Landmarks are shares of an image whose size is unknown; add {_SIZE}, its width and height."
@@ -71,8 +71,8 @@ def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
     check_number(poses)
     if not poses:
         return nobody()
-    body = points_of([_flat(pose[_POSE], _POSE) for pose in poses], _NUM_POSE, _POSE)[:, _BODY_FEET]
-    hands = hands_of(lambda side: [_flat(pose.get(_hand(side)), _hand(side)) for pose in poses], _hand)
+    body = read_points([_flat(pose[_POSE], _POSE) for pose in poses], _NUM_POSE, _POSE)[:, _BODY_FEET]
+    hands = join_hands(lambda side: [_flat(pose.get(_hand(side)), _hand(side)) for pose in poses], _hand)
     people = joined(body, hands)
     if scale_px is not None:
         # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
@@ -80,17 +80,17 @@ def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
     return with_detected_joints(people)
 
 
-def _poses_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _list_poses(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Points of each person in a result: the pose, and hands if there are as many as poses."""
     field = next((name for name in RESULTS if name in result), None)
     if field is None:
         raise TypeError
-    poses = _people_of(result[field])
+    poses = _list_people(result[field])
     check_number(poses)
     people = [{_POSE: pose} for pose in poses]
     for side in SIDES:
         name = _hand(side) if _hand(side) in result else f"{side}HandLandmarks"
-        hands = _people_of(result.get(name))
+        hands = _list_people(result.get(name))
         if hands and len(hands) != len(poses):
             raise KeypointsError(f"There are {len(hands)} {side} hands of {len(poses)} poses.", name)
         for person, hand in zip(people, hands, strict=False):
@@ -98,7 +98,7 @@ def _poses_of(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     return people
 
 
-def _people_of(landmarks: Any) -> list[Any]:
+def _list_people(landmarks: Any) -> list[Any]:
     """Landmarks of each person: of several, of one, or as the older solutions in Python give one person's."""
     if isinstance(landmarks, dict):
         landmarks = landmarks["landmark"]

@@ -27,11 +27,11 @@ from pipeline.core.parsing import read_numbers
 _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 
 
-def frames_of(content: Any) -> Mapping[int, Any]:
+def split_frames(content: Any) -> Mapping[int, Any]:
     """Split all frames by their numbers."""
     layout = None
     if isinstance(content, dict):
-        names = _names_of(content.get("meta_info"))
+        names = _point_names(content.get("meta_info"))
         layout = None if names is None else layout_of_names(names, _NAMES)
         content = content["instance_info"]
     check_frames(len(content))
@@ -78,7 +78,7 @@ class _Frame(NamedTuple):
     layout: KeypointLayout | None
 
 
-def _names_of(meta: Any) -> Sequence[str] | None:
+def _point_names(meta: Any) -> Sequence[str] | None:
     """Names of the points in their order; ``None`` if the file does not name them."""
     if not isinstance(meta, dict) or not isinstance(meta.get(_NAMES), dict):
         return None

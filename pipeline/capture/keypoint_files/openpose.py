@@ -14,7 +14,7 @@ from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_number,
-    hands_of,
+    join_hands,
     joined,
     nobody,
     with_detected_joints,
@@ -50,7 +50,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         )
     people = arranged(values.reshape(len(kept), -1, 3), layout)
     if layout.joints == without_hands(layout.joints):
-        people = joined(people, hands_of(lambda side: [listed[row].get(_hand(side)) for row in kept], _hand))
+        people = joined(people, join_hands(lambda side: [listed[row].get(_hand(side)) for row in kept], _hand))
     return with_detected_joints(people)
 
 

@@ -72,7 +72,7 @@ class CrowdError(Exception):
         self.num_people = num_people
 
 
-def joint_set_of(counts: set[int]) -> JointSet | None:
+def find_joint_set(counts: set[int]) -> JointSet | None:
     """Joint set of files with these numbers of joints; ``None`` if they differ in more than the hands.
 
     A file without a hand lists bodies only.
@@ -135,7 +135,7 @@ def with_detected_joints(people: People) -> People:
     return people
 
 
-def points_of(lists: Sequence[Any], num_points: int, field: str) -> Float[np.ndarray, "_ _ 3"]:
+def read_points(lists: Sequence[Any], num_points: int, field: str) -> Float[np.ndarray, "_ _ 3"]:
     """Convert flat lists of x, y and score, one a person, to points; an empty list or ``None`` is a part unseen.
 
     Raises ``KeypointsError`` if a list has another length, ``UnreadableError`` if an entry is not a number.
@@ -151,7 +151,7 @@ def points_of(lists: Sequence[Any], num_points: int, field: str) -> Float[np.nda
     return values.reshape(len(lists), num_points, 3)
 
 
-def hands_of(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str], str]) -> People | None:
+def join_hands(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str], str]) -> People | None:
     """Fingers of the left and of the right hand, without the wrists; ``None`` if nobody has a hand.
 
     ``lists_of`` gives a list of x, y and score of the points of a side's hand for each person, ``field_of`` the name of
@@ -161,7 +161,7 @@ def hands_of(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str],
     if not any(any(numbers) for lists in by_side for numbers in lists if numbers):
         return None
     hands = [
-        points_of(lists, NUM_HAND_POINTS, field_of(side))[:, 1:] for side, lists in zip(SIDES, by_side, strict=True)
+        read_points(lists, NUM_HAND_POINTS, field_of(side))[:, 1:] for side, lists in zip(SIDES, by_side, strict=True)
     ]
     return np.concatenate(hands, axis=1)
 

@@ -50,7 +50,7 @@ def _chosen(layout: KeypointLayout) -> tuple[list[int], list[int]]:
     return joints, [layout.points.index(layout.joints.names[k]) for k in joints]
 
 
-def joint_of(name: str) -> str | None:
+def match_joint(name: str) -> str | None:
     """Joint of ``BODY_FEET`` that a point is named after; ``None`` if it is none of them.
 
     The side is a word or a letter, before or after the part: ``left_shoulder``, ``LShoulder``, ``shoulder_l``,
@@ -58,7 +58,7 @@ def joint_of(name: str) -> str | None:
 
     Examples
     --------
-    >>> [joint_of(name) for name in ("LShoulder", "rknee", "ankle1", "Left big toe", "Nose", "tail")]
+    >>> [match_joint(name) for name in ("LShoulder", "rknee", "ankle1", "Left big toe", "Nose", "tail")]
     ['left_shoulder', 'right_knee', 'right_ankle', 'left_big_toe', 'nose', None]
     """
     words = [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
@@ -80,7 +80,7 @@ def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     """
     if len(names) > _MAX_POINTS:
         raise KeypointsError(f"There are names of {len(names)} points; at most {_MAX_POINTS} are allowed.", field)
-    points = tuple(joint_of(name) for name in names)
+    points = tuple(match_joint(name) for name in names)
     used = [point for point in points if point is not None]
     for joint, count in Counter(used).items():
         if count > 1:

@@ -67,7 +67,7 @@ def is_labels(beginning: bytes) -> bool:
         return False
 
 
-def labels_of(content: bytes) -> PoseLabels:
+def parse_labels(content: bytes) -> PoseLabels:
     """Labels of a file; raises ``UnreadableError`` if the content is no text."""
     try:
         return PoseLabels(content.decode("utf-8-sig"))
@@ -92,7 +92,7 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: Un
         raise KeypointsError(f"Lines have different numbers of numbers: {', '.join(map(str, counts[:3]))}.")
     if len({row[0] for row in rows}) > 1:
         raise KeypointsError("Lines are of several classes; keep the lines of people.", "class")
-    form = _form_of(counts[0])
+    form = _line_form(counts[0])
     num_points, num_values = form.num_points, 3 if form.has_scores else 2
     try:
         values = np.array([[float(word) for word in row] for row in rows])
@@ -110,7 +110,7 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: Un
     return with_detected_joints(arranged(people, unnamed.layout(num_points, "points")))
 
 
-def _form_of(count: int) -> _Line:
+def _line_form(count: int) -> _Line:
     """Form of lines with so many numbers; raises ``KeypointsError`` if there is none."""
     if count in LINES:
         return LINES[count]

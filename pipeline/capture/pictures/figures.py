@@ -38,7 +38,7 @@ class PictureFigures:
     cells: Float[np.ndarray, "cell_rows cell_columns"]  # Brightness, the longer side reduced to 48 cells
 
 
-def figures_of(image_rgb: UInt8[np.ndarray, "height width 3"]) -> PictureFigures:
+def measure_figures(image_rgb: UInt8[np.ndarray, "height width 3"]) -> PictureFigures:
     """Measure a picture."""
     luma = cv2.cvtColor(np.ascontiguousarray(image_rgb), cv2.COLOR_RGB2GRAY)
     sharp = reduced(luma, _SHARP_SIDE_PX)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.capture.pictures.check import CameraPictures, check_pictures
 from pipeline.capture.pictures.copies import MIN_INSTANTS, same_video, similar_views
-from pipeline.capture.pictures.figures import PictureFigures, figures_of, reduced
+from pipeline.capture.pictures.figures import PictureFigures, measure_figures, reduced
 from pipeline.capture.session import CaptureSession
 from pipeline.core.errors import ChildError, InputError
 from pipeline.core.findings import Finding, Severity, from_problem
@@ -111,7 +111,7 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
             if is_left_out := time.monotonic() >= deadline_s:
                 break
             frames.append(number)
-            figures.append(figures_of(image_rgb))
+            figures.append(measure_figures(image_rgb))
             thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
     except InputError as error:
         # The decoder was stopped, or had no time to start.
@@ -143,7 +143,7 @@ def _compare(
     try:
         for number in chosen:
             frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
-            figures += [figures_of(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
+            figures += [measure_figures(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
     except (InputError, ChildError):
         return None
     if len(figures) < MIN_INSTANTS:

@@ -98,7 +98,7 @@ def _unlinked(
 def _ambiguous(cameras: Sequence[Camera], splits: Sequence[CameraSplit]) -> Iterator[Problem]:
     """Report splits across which other shifts fit about as well."""
     for split in splits:
-        rival = rival_of(split)
+        rival = find_rival(split)
         if rival.share <= (_MAX_RIVAL if rival.is_separate else _MAX_FLAT):
             continue
         if rival.is_separate:
@@ -120,7 +120,7 @@ class Rival(NamedTuple):
     is_separate: bool
 
 
-def rival_of(split: CameraSplit) -> Rival:
+def find_rival(split: CameraSplit) -> Rival:
     """Find the best answer beyond the valleys around the best one, or at least 0.2 s away."""
     best = int(np.argmax(split.gain))
     top = float(split.gain[best])

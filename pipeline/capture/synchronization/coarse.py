@@ -103,7 +103,7 @@ def solve_offsets(curves: Sequence[PairCurve], num_cameras: int) -> Int[np.ndarr
     return offsets - offsets[0]
 
 
-def splits_of(curves: Sequence[PairCurve], num_cameras: int) -> list[frozenset[int]]:
+def find_splits(curves: Sequence[PairCurve], num_cameras: int) -> list[frozenset[int]]:
     """Groups of cameras whose clocks may be wrong together: single cameras, and halves of the tree of best pairs."""
     return list(_splits(_tree(curves, num_cameras), num_cameras))
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.capture.synchronization.checks import find_doubts
-from pipeline.capture.synchronization.coarse import likely_lags, shift_curve, solve_offsets, splits_of
+from pipeline.capture.synchronization.coarse import find_splits, likely_lags, shift_curve, solve_offsets
 from pipeline.capture.synchronization.groups import match_people
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion, find_motions
 from pipeline.capture.synchronization.pairs import PairCurve, compare_pair
@@ -71,7 +71,7 @@ def synchronize(
     on_share(0.2)
     pairs = list(itertools.combinations(range(len(cameras)), 2))
     known = {number: near_s[camera.name] for number, camera in enumerate(cameras) if camera.name in near_s}
-    curves = [compare_pair(cameras, pair, motions, _lags_of(motions, pair, known)) for pair in pairs]
+    curves = [compare_pair(cameras, pair, motions, _measure_lags(motions, pair, known)) for pair in pairs]
     on_share(0.6)
     offsets = solve_offsets(curves, len(cameras))
     curves = [
@@ -80,7 +80,7 @@ def synchronize(
     ]
     offsets = solve_offsets(curves, len(cameras))
     on_share(0.8)
-    splits = [shift_curve(curves, offsets, group) for group in splits_of(curves, len(cameras))]
+    splits = [shift_curve(curves, offsets, group) for group in find_splits(curves, len(cameras))]
     matches = match_people(cameras, motions, offsets, [(curve.first, curve.second) for curve in curves])
     span_s = _span_s(motions)
     fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
@@ -111,7 +111,7 @@ def starting_as_declared(
     )
 
 
-def _lags_of(
+def _measure_lags(
     motions: Sequence[BodyMotion], pair: tuple[int, int], known_s: Mapping[int, float]
 ) -> Int[np.ndarray, " lags"]:
     """Lags to compare: those near known ones, or small ones and those near which the speeds of people are alike."""

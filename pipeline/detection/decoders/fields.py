@@ -80,13 +80,13 @@ def find_peaks(
 
     Returns joint, position (x, y) in cells, and value (at most 1) of each peak, in order of joints, rows and columns.
     """
-    peaks = [_peaks_of(heatmap) for heatmap in heatmaps]
+    peaks = [_find_peaks(heatmap) for heatmap in heatmaps]
     joint = np.repeat(np.arange(len(peaks)), [len(score) for _, score in peaks])
     score = np.concatenate([score for _, score in peaks])
     return joint, np.concatenate([cells for cells, _ in peaks]), np.minimum(score, 1.0)
 
 
-def _peaks_of(heatmap: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray, np.ndarray]:
+def _find_peaks(heatmap: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray, np.ndarray]:
     fine = cv2.resize(heatmap, None, fx=_UPSAMPLING, fy=_UPSAMPLING, interpolation=cv2.INTER_CUBIC)
     fine = cv2.GaussianBlur(fine, (0, 0), _SMOOTHING_CELLS * _UPSAMPLING)
     highest = (fine > MIN_PEAK_SCORE) & (fine == cv2.dilate(fine, _NEIGHBOURHOOD))

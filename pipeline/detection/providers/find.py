@@ -40,13 +40,13 @@ def find_provider(choice: ProviderChoice) -> Provider:
     ``auto`` is CUDA where its package is installed and it works, else the CPU: OpenVINO in single precision is no
     quicker than ONNX Runtime's own kernels, see docs/providers.md.
     """
-    if choice == "cpu" or (choice == "auto" and _version_of("cuda") is None):
+    if choice == "cpu" or (choice == "auto" and _installed_version("cuda") is None):
         return CPU
     return _probed("cuda" if choice == "auto" else choice)
 
 
 def _probed(name: ProviderName) -> Provider:
-    package, found = PACKAGES[name], _version_of(name)
+    package, found = PACKAGES[name], _installed_version(name)
     if found is None:
         remedy = f"pip install 'multicap[{package.extra}]'" if package.extra else "it is part of ONNX Runtime for macOS"
         return _fallback(name, f"the package {package.distribution} is not installed ({remedy})")
@@ -77,7 +77,7 @@ def _clash(name: ProviderName) -> str:
     return ""
 
 
-def _version_of(name: ProviderName) -> str | None:
+def _installed_version(name: ProviderName) -> str | None:
     return _installed(PACKAGES[name].distribution)
 
 

@@ -43,7 +43,7 @@ def problems_of(scene: Path, timed: bool = True, frame_rate_hz: float | None = N
     return {problem.code: str(problem) for problem in raised.value.problems}
 
 
-def frames_of(scene: Path, camera: int = 0) -> list[Path]:
+def split_frames(scene: Path, camera: int = 0) -> list[Path]:
     return sorted(sorted((scene / "keypoints").iterdir())[camera].iterdir())
 
 
@@ -81,7 +81,7 @@ def test_paths_may_be_texts(scene: Path) -> None:
 
 
 def test_without_timestamps_frame_k_is_file_k(scene: Path) -> None:
-    first, *_, last = frames_of(scene)
+    first, *_, last = split_frames(scene)
     first.unlink()
     session = opened(scene, timed=False, frame_rate_hz=25.0)
     camera = first.parent.name
@@ -113,7 +113,7 @@ def test_other_joint_sets_are_told_by_their_length(scene: Path, simulation: Simu
             people[row] = other.ravel().tolist()
 
     for camera in range(3):
-        for path in frames_of(scene, camera):
+        for path in split_frames(scene, camera):
             edit(path, spread)
     session = opened(scene)
     assert session.joints == joints
@@ -141,16 +141,16 @@ def test_joints_that_are_no_numbers_or_have_no_score_are_unseen(scene: Path, sim
 
 
 def test_a_camera_that_saw_nobody_is_said(scene: Path) -> None:
-    for path in frames_of(scene):
+    for path in split_frames(scene):
         path.write_text('{"people": []}')
     session = opened(scene)
-    camera = frames_of(scene)[0].parent.name
+    camera = split_frames(scene)[0].parent.name
     assert session.warnings == (f"Camera {camera} saw nobody.",)
     assert len(session.detections[camera].frame) == 0
 
 
 def test_other_files_are_ignored_and_said(scene: Path) -> None:
-    (frames_of(scene)[0].parent / "notes.txt").write_text("hello")
+    (split_frames(scene)[0].parent / "notes.txt").write_text("hello")
     (scene / "keypoints" / "readme.md").write_text("hello")
     warnings = opened(scene).warnings
     assert any("notes.txt" in warning for warning in warnings)
@@ -169,13 +169,13 @@ def test_other_files_are_ignored_and_said(scene: Path) -> None:
     ],
 )
 def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
-    path = frames_of(scene)[2]
+    path = split_frames(scene)[2]
     path.write_text(content)
     assert path.name in problems_of(scene)["keypoints_unreadable"]
 
 
 def test_many_damaged_files_are_not_all_listed(scene: Path) -> None:
-    for path in frames_of(scene):
+    for path in split_frames(scene):
         path.write_text("{")
     with pytest.raises(InputError) as raised:
         opened(scene)
@@ -188,13 +188,13 @@ def test_two_kinds_of_files_are_refused(scene: Path) -> None:
         for one in people:
             one.extend([0.0] * 24)
 
-    for path in frames_of(scene):
+    for path in split_frames(scene):
         edit(path, lengthen)
     assert "25 joints" in problems_of(scene)["keypoints_mixed"]
 
 
 def test_folders_that_match_no_camera(scene: Path) -> None:
-    folder = frames_of(scene)[0].parent
+    folder = split_frames(scene)[0].parent
     folder.rename(folder.with_name("elsewhere"))
     problems = problems_of(scene)
     assert "elsewhere" in problems["folder_without_camera"]
@@ -211,7 +211,7 @@ def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Sim
 
 
 def test_files_that_macos_adds_are_passed_over_and_named_once(scene: Path) -> None:
-    path = frames_of(scene)[0]
+    path = split_frames(scene)[0]
     (scene / "keypoints" / "__MACOSX").mkdir()
     for name in (f"._{path.name}", f"._{path.stem}_2.json"):
         (path.parent / name).write_bytes(b"\0\5\x16\7")
@@ -248,7 +248,7 @@ def test_missing_folders(tmp_path: Path, scene: Path) -> None:
 
 def test_all_is_said_at_once(scene: Path) -> None:
     (scene / "calibration.json").write_text("{")
-    frames_of(scene)[0].write_text("{")
+    split_frames(scene)[0].write_text("{")
     (scene / "timestamps.csv").write_text("camera,frame\n")
     assert {"keypoints_unreadable"} < problems_of(scene).keys()
 
@@ -377,7 +377,7 @@ def test_times_too_close_to_be_frames(scene: Path, step_s: float) -> None:
 )
 def test_numbers_of_files_are_times_too(scene: Path, number: int, frame_rate_hz: float, codes: set[str]) -> None:
     for camera in range(3):
-        last = frames_of(scene, camera)[-1]
+        last = split_frames(scene, camera)[-1]
         last.rename(last.with_name(f"frame_{number:015d}_keypoints.json"))
     if not codes:
         assert opened(scene, timed=False, frame_rate_hz=frame_rate_hz).timebase.num_frames == number + 1
@@ -410,7 +410,7 @@ def test_a_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
 
 
 def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:
-    first, other = frames_of(scene)[3], frames_of(scene, 1)[5]
+    first, other = split_frames(scene)[3], split_frames(scene, 1)[5]
     with_people(first, MAX_PEOPLE + 1, [100.0, 100.0, 0.5] * 17)
     with_people(other, 5000, [0.0] * 51)
     with pytest.raises(InputError) as raised:
@@ -512,10 +512,10 @@ def test_open_keypoints_numbers_from_another_than_zero_begin_with_the_first_fram
 
 def test_open_keypoints_cameras_from_different_numbers_begin_with_the_earliest(scene: Path) -> None:
     renumbered(scene, lambda number: number + 1000)
-    for path in frames_of(scene)[:7]:
+    for path in split_frames(scene)[:7]:
         path.unlink()
     session = opened(scene, timed=False, frame_rate_hz=50.0)
-    late = frames_of(scene)[0].parent.name
+    late = split_frames(scene)[0].parent.name
     assert (session.timebase.start_time_s, session.timebase.first_source_frame) == (20.0, 1000)
     assert session.times[late].time_s[0] == 1007 / 50
 

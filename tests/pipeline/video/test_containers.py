@@ -19,7 +19,7 @@ from scipy.signal import resample_poly
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.probe import probe
-from pipeline.video.sound import energy_of
+from pipeline.video.sound import measure_energy
 from tests.cases import slow_but
 from tests.pipeline.video.test_ffmpeg_files import FFMPEG, run
 
@@ -151,7 +151,7 @@ def write(folder: Path, pictures: Path, case: tuple[str, str, str, int]) -> Path
 
 def lag_s(path: Path, first_pts: int) -> float:
     """Time by which the claps of a file are late."""
-    energy = energy_of(path, first_pts)
+    energy = measure_energy(path, first_pts)
     assert not isinstance(energy, str), energy
     change = np.diff(resample_poly(sound(0.0), 1, 6), prepend=0.0)
     expected = np.sqrt((change**2)[: len(change) // 8 * 8].reshape(-1, 8).sum(1))

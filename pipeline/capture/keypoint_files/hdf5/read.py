@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 
 from pipeline.calibration.readers.pickle_values import read_values
-from pipeline.capture.keypoint_files.deeplabcut import columns_of
+from pipeline.capture.keypoint_files.deeplabcut import find_columns
 from pipeline.capture.keypoint_files.hdf5.tracks import Tracks, encoded, problem
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames, frame_number, number_in_name
-from pipeline.capture.keypoint_files.points import joint_of, named_layout
+from pipeline.capture.keypoint_files.points import match_joint, named_layout
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.runtime.confinement import confined_arguments, tell_ready
 
@@ -120,7 +120,7 @@ _MAX_LEVELS, _MAX_BLOCKS = 4, 100
 _KEY = "df_with_missing"
 
 
-def table_of(file: h5py.File) -> h5py.Group | None:
+def find_table(file: h5py.File) -> h5py.Group | None:
     """Group of pandas' table; ``None`` without one. DeepLabCut's own name goes first."""
     groups = {name: found for name in names_in(file) if isinstance(found := node(file, name), h5py.Group)}
     tables = {name: group for name, group in groups.items() if text(attribute(group, "pandas_type")) is not None}
@@ -139,8 +139,8 @@ def read_table(group: h5py.Group) -> Tracks:
     check_frames(len(rows))
     if numbers.shape != (len(rows), len(labels)):
         raise UnreadableError
-    columns = columns_of(_headers(labels))
-    frames = [_frame_of(row) for row in rows]
+    columns = find_columns(_headers(labels))
+    frames = [_row_frame(row) for row in rows]
     points = numbers[:, columns.number]
     points[:, columns.number[..., 2] < 0, 2] = 1.0
     return Tracks("DeepLabCut", columns.layout, frames, points)
@@ -155,7 +155,7 @@ def _headers(labels: Sequence[Sequence[str]]) -> Mapping[str, list[str]]:
     return {name: [of_column[k] for of_column in labels] for k, name in enumerate(names)}
 
 
-def _frame_of(row: int | str) -> int:
+def _row_frame(row: int | str) -> int:
     number = row if isinstance(row, int) else number_in_name(row)
     return frame_number(row if number is None else number, "index")
 
@@ -250,7 +250,7 @@ def read_analysis(file: h5py.File) -> Tracks:
     tracks = dataset(file, "tracks")
     if tracks is None or tracks.dtype.kind not in "fiu":
         raise UnreadableError
-    axes = _axes_of(file, tracks)
+    axes = _read_axes(file, tracks)
     sizes = dict(zip(axes, tracks.shape, strict=False))
     if len(axes) != tracks.ndim or (sizes["node"], sizes["xy"]) != (len(names), 2):
         shape = " x ".join(map(str, tracks.shape))
@@ -265,13 +265,13 @@ def read_analysis(file: h5py.File) -> Tracks:
             raise KeypointsError("point_scores has other sizes than tracks.", "point_scores")
         stored = _turned(stored.astype(np.float64), of_scores, _AXES[:3])
         scores = np.where(np.isnan(stored), 1.0, stored)
-    joints = [k for k, name in enumerate(names) if joint_of(name)]
+    joints = [k for k, name in enumerate(names) if match_joint(name)]
     layout = named_layout([names[k] for k in joints], "node_names")
     points = np.concatenate([positions[:, :, joints], scores[:, :, joints, None]], axis=-1)
     return Tracks("SLEAP", layout, range(sizes["frame"]), points)
 
 
-def _axes_of(file: h5py.File, tracks: h5py.Dataset) -> Sequence[str]:
+def _read_axes(file: h5py.File, tracks: h5py.Dataset) -> Sequence[str]:
     stated = text(attribute(tracks, "dims"))
     if stated is not None:
         try:
@@ -301,7 +301,7 @@ def read(path: Path) -> Tracks:
     with opened(path) as file:
         if is_analysis(file):
             return read_analysis(file)
-        if (table := table_of(file)) is not None:
+        if (table := find_table(file)) is not None:
             return read_table(table)
         names = names_in(file)
         if set(names) >= _PROJECT:

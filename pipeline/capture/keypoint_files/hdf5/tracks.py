@@ -54,7 +54,7 @@ def read_in_child(path: Path) -> PeopleByFrame:
         raise KeypointsError("The HDF5 file can't be read within the limits on time and memory.") from None
 
 
-def frames_of(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, np.ndarray]]:
+def split_frames(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, np.ndarray]]:
     """Split the people by frame."""
     return {number: (content.layout, people) for number, people in content.people.items()}
 

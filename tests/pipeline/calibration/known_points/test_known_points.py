@@ -22,7 +22,7 @@ XYZ_M = np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.2], [0.0, 0.8, 0.1], [-0.6, -0.4
 MOVE = Similarity(1.0, Rotation.from_rotvec([0.4, -0.9, 2.0]).as_matrix(), np.array([0.5, -2.0, 1.0]))
 
 
-def points_of(xyz_m: np.ndarray = XYZ_M, noise_px: float = 0.0) -> tuple[KnownPoint, ...]:
+def read_points(xyz_m: np.ndarray = XYZ_M, noise_px: float = 0.0) -> tuple[KnownPoint, ...]:
     """Points whose true places are ``XYZ_M``, with the coordinates that a user states."""
     rng = np.random.default_rng(1)
     seen_px = [project(camera, XYZ_M) + rng.normal(0.0, noise_px, (len(XYZ_M), 2)) for camera in CAMERAS]
@@ -55,7 +55,7 @@ def refusal(points: tuple[KnownPoint, ...], keeps_scale: bool = True) -> Problem
 
 @pytest.mark.parametrize(("scale", "keeps_scale"), [(1.0, True), (0.85, False)])
 def test_cameras_come_back_into_the_world(scale: float, keeps_scale: bool) -> None:
-    placed = place_by_points(moved(scale), points_of(), keeps_scale)
+    placed = place_by_points(moved(scale), read_points(), keeps_scale)
     for found, truth in zip(placed.cameras, CAMERAS, strict=True):
         np.testing.assert_allclose(found.cam_from_world.rotation, truth.cam_from_world.rotation, atol=1e-6)
         np.testing.assert_allclose(center_in_world(found), center_in_world(truth), atol=1e-5)
@@ -64,7 +64,7 @@ def test_cameras_come_back_into_the_world(scale: float, keeps_scale: bool) -> No
 
 
 def test_marks_of_a_pixel_place_cameras_to_a_centimetre() -> None:
-    placed = place_by_points(moved(), points_of(noise_px=1.0), keeps_scale=True)
+    placed = place_by_points(moved(), read_points(noise_px=1.0), keeps_scale=True)
     errors_m = [
         np.linalg.norm(center_in_world(a) - center_in_world(b)) for a, b in zip(placed.cameras, CAMERAS, strict=True)
     ]
@@ -84,20 +84,20 @@ def test_marks_of_a_pixel_place_cameras_to_a_centimetre() -> None:
     ],
 )
 def test_points_that_do_not_fit_are_refused_with_the_reason(xyz_m: np.ndarray, words: str) -> None:
-    problem = refusal(points_of(xyz_m))
+    problem = refusal(read_points(xyz_m))
     assert problem.code == "known_points_misfit"
     assert words in str(problem)
 
 
 def test_all_that_is_wrong_with_points_is_listed() -> None:
-    line = points_of(np.array([[0.0, 0.0, 0.0], [1.0, 0.01, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]))
+    line = read_points(np.array([[0.0, 0.0, 0.0], [1.0, 0.01, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]))
     assert [one.code for one in point_problems(line, SIZES)] == ["known_points_on_a_line"]
     assert [one.code for one in point_problems(line[:2], SIZES)] == ["known_points_few"]
-    alone = replace(points_of()[0], seen_px=points_of()[0].seen_px[:1])
-    (few,) = point_problems((alone, *points_of()[1:3]), SIZES)
+    alone = replace(read_points()[0], seen_px=read_points()[0].seen_px[:1])
+    (few,) = point_problems((alone, *read_points()[1:3]), SIZES)
     assert "P0" in (few.hint or "")
     strange = KnownPoint("P1", (0.0, 0.0, 0.0), (("cam_x", 1.0, 2.0), (CAMERAS[0].name, -40.0, 2.0)))
-    found = point_problems((*points_of(), strange), SIZES)
+    found = point_problems((*read_points(), strange), SIZES)
     assert [one.code for one in found] == ["known_points_invalid", "camera_unknown", "known_points_invalid"]
     assert (found[1].camera, found[2].camera) == ("cam_x", CAMERAS[0].name)
 

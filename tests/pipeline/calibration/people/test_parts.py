@@ -8,7 +8,7 @@ from pipeline.calibration.people.pairs import relate_by_people, sampson
 from pipeline.calibration.people.people_checks import people_warnings
 from pipeline.calibration.people.people_world import PeopleWorld
 from pipeline.calibration.people.stature import Statures, match_statures, others_at_once, scale_from, statures
-from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, instants_of
+from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, shared_instants
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.data.detections import Detections
@@ -35,7 +35,7 @@ def test_a_tracklet_ends_where_two_people_may_be_exchanged(walk: Simulation) -> 
     along, height = np.linspace(100.0, 900.0, 250), np.full(250, 300.0)
     crossing = np.stack([np.column_stack([along, height]), np.column_stack([along[::-1], height + 10.0])], axis=1)
     times = {camera.name: FrameTimes(np.arange(250) / 25.0)}
-    instants_s = instants_of(list(times.values()))
+    instants_s = shared_instants(list(times.values()))
     assert instants_s[:3] == pytest.approx([0.0, 0.1, 0.2])
     found = find_tracklets([camera], times, {camera.name: walkers(walk, crossing)}, SET, instants_s)
     for one in found:
@@ -56,7 +56,7 @@ def test_points_are_interpolated_between_frames_and_not_over_gaps(walk: Simulati
     time_s = np.arange(250) / 25.0 + 0.013
     places = np.column_stack([100.0 * time_s, np.full(250, 300.0)])[:, None]
     times = {camera.name: FrameTimes(time_s)}
-    instants_s = instants_of([FrameTimes(np.array([0.0, 10.0]))])
+    instants_s = shared_instants([FrameTimes(np.array([0.0, 10.0]))])
     (found,) = find_tracklets([camera], times, {camera.name: walkers(walk, places)}, SET, instants_s)
     assert found.points_px[:, 0, 0] == pytest.approx(100.0 * instants_s[found.first : found.instants.stop])
     whole = walkers(walk, places)
@@ -67,7 +67,7 @@ def test_points_are_interpolated_between_frames_and_not_over_gaps(walk: Simulati
 
 
 def test_two_cameras_find_who_is_who_and_their_relative_pose(walk: Simulation) -> None:
-    instants_s = instants_of(list(walk.times.values()))
+    instants_s = shared_instants(list(walk.times.values()))
     tracklets = find_tracklets(walk.cameras, walk.times, walk.detections, walk.joints, instants_s)
     relative = relate_by_people((0, 1), tracklets, np.array([camera.matrix[0, 0] for camera in walk.cameras]))
     assert relative is not None

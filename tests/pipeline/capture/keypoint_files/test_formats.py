@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoint_files.folders import read_folder
-from pipeline.capture.keypoint_files.people import JOINT_SETS, People, joint_set_of
+from pipeline.capture.keypoint_files.people import JOINT_SETS, People, find_joint_set
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
@@ -53,10 +53,10 @@ def test_every_number_of_joints_is_one_set() -> None:
     assert set(map(len, (joints.names for joints in JOINT_SETS.values()))) == {17, 18, 21, 25, 57, 58, 61, 65}
     assert JOINT_SETS[61] == WHOLE_BODY
     assert without_hands(JOINT_SETS[65]) == BODY_25
-    assert joint_set_of({25}) == BODY_25
-    assert joint_set_of({25, 65}) == JOINT_SETS[65]
-    assert joint_set_of({21, 65}) is None
-    assert joint_set_of({17, 25}) is None
+    assert find_joint_set({25}) == BODY_25
+    assert find_joint_set({25, 65}) == JOINT_SETS[65]
+    assert find_joint_set({21, 65}) is None
+    assert find_joint_set({17, 25}) is None
 
 
 def test_hands_of_openpose_lose_their_wrists(tmp_path: Path) -> None:

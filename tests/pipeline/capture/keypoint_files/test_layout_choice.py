@@ -37,7 +37,7 @@ def room() -> Simulation:
     return record(replace(SCENES["room"], duration_s=0.2), 5, 4, "whole")
 
 
-def points_of(simulation: Simulation, detections: Detections, layout: str) -> np.ndarray:
+def read_points(simulation: Simulation, detections: Detections, layout: str) -> np.ndarray:
     """People of a camera in the order of a layout: x, y and score, 0 for points that are not found."""
     found = np.nan_to_num(np.concatenate([detections.keypoints_px, detections.score[..., None]], axis=-1))
     by_name = dict(zip(simulation.joints.names, found.swapaxes(0, 1), strict=True))
@@ -85,7 +85,7 @@ def opened(
     cameras = simulation.cameras[:num_cameras]
     for camera in cameras:
         detections = simulation.detections[camera.name]
-        people = hidden(points_of(simulation, detections, layout), layout, *hide)
+        people = hidden(read_points(simulation, detections, layout), layout, *hide)
         is_one = simulation.identities[camera.name] < num_people
         (folder / "keypoints" / camera.name).mkdir(parents=True)
         for frame in range(num_frames or simulation.timebase.num_frames):
@@ -195,7 +195,7 @@ def test_coco_annotations_that_name_their_points_keep_them(room: Simulation, tmp
     session = opened(room, tmp_path, "human36m-17", write=write, stated="human36m-17")
     assert session.layout is None
     camera = room.cameras[0].name
-    spine_px = points_of(room, room.detections[camera], "human36m-17")[:, 0, :2]
+    spine_px = read_points(room, room.detections[camera], "human36m-17")[:, 0, :2]
     is_seen = spine_px.any(1)
     nose_px = session.detections[camera].keypoints_px[:, session.joints.index("nose")]
     np.testing.assert_allclose(nose_px[is_seen], spine_px[is_seen])

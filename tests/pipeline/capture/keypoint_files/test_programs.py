@@ -12,8 +12,8 @@ import pytest
 
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
-from pipeline.capture.keypoint_files.people import joint_set_of
-from pipeline.capture.keypoint_files.points import joint_of
+from pipeline.capture.keypoint_files.people import find_joint_set
+from pipeline.capture.keypoint_files.points import match_joint
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import Problem
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
@@ -117,7 +117,7 @@ def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, l
     found = positions(contents, 0, joints.names)
     assert found == {name: 10.0 * layout_points.index(name) for name in joints.names}
     assert [len(contents.frames[number]) for number in range(4)] == [1, 0, 0, 0]
-    assert joint_set_of({people_of_frame.shape[1] for people_of_frame in contents.frames.values()} - {0}) == joints
+    assert find_joint_set({people_of_frame.shape[1] for people_of_frame in contents.frames.values()} - {0}) == joints
 
 
 FRAMES: dict[str, Any] = {
@@ -384,7 +384,7 @@ def test_results_of_mediapipe_are_shares_of_the_image(tmp_path: Path, result: An
     ],
 )
 def test_names_of_points(name: str, joint: str | None) -> None:
-    assert joint_of(name) == joint
+    assert match_joint(name) == joint
 
 
 BODY = {"keypoints": points(17)}

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.capture.pictures.check import CameraPictures
-from pipeline.capture.pictures.figures import figures_of
+from pipeline.capture.pictures.figures import measure_figures
 
 
 def room(seed: int, size_px: tuple[int, int] = (320, 180)) -> np.ndarray:
@@ -33,4 +33,4 @@ def walk(seed: int, num_frames: int, size_px: tuple[int, int] = (320, 180), from
 
 def pictures_of(camera: str, images: Sequence[np.ndarray], rate_hz: float = 1.0) -> CameraPictures:
     """Figures of pictures that are taken at equal distances in time."""
-    return CameraPictures(camera, np.arange(len(images)) / rate_hz, tuple(map(figures_of, images)))
+    return CameraPictures(camera, np.arange(len(images)) / rate_hz, tuple(map(measure_figures, images)))
