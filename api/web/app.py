@@ -15,7 +15,6 @@ from api.web.contract import description as contract
 from api.web.dependencies import Services
 from api.web.events.changes import JobChanges
 from api.web.health.checks import LimitedChecks
-from api.web.health.metrics import RequestMetrics
 from api.web.http.bodies import validation
 from api.web.http.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
 from api.web.http.keys_in_use import KeysInUse, RevokedKeyGuard
@@ -29,9 +28,10 @@ from api.web.http.middleware import (
 )
 from api.web.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.web.http.websockets import WebSocketGuard
-from api.web.jobs.webhooks import declare_webhooks
+from api.web.jobs.routes import declare_webhooks
 from api.web.live.forks import ForkServer
 from api.web.live.places import LivePlaces
+from api.web.metrics import RequestMetrics
 from api.web.recordings.relay import RecordingRelay
 from api.web.recordings.rooms import Rooms
 from api.web.resources import RESOURCES

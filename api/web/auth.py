@@ -112,14 +112,6 @@ def wrong_key(request: HTTPConnection, services: Services) -> ApiError:
     return _key_required("This key is not known, has expired or was revoked.", rate_limit)
 
 
-def _ended_session(request: HTTPConnection) -> ApiError:
-    """Error for a cookie that is not valid; the browser forgets it, and its page asks for a key.
-
-    It is not counted as a wrong key: nobody guesses a cookie, and a browser that slept sends an old one.
-    """
-    return _key_required("The browser's session has ended.", {"Set-Cookie": deletion(request)})
-
-
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
         KEY_REQUIRED,
@@ -141,7 +133,7 @@ def _find_caller(
 
 
 def websocket_caller(websocket: WebSocket, services: Services) -> Caller:
-    """Identify the caller who opens a WebSocket, by which things are made; errors as of routes that change something.
+    """Identify the caller who opens a WebSocket, by which things are made; errors like a route that changes something.
 
     Browsers send no headers of a page's own with a WebSocket, but their cookie: the service's own page needs no more.
     Pages of other origins offer a subprotocol with their key.
@@ -188,7 +180,10 @@ def _identify(
         if not is_reading:
             _refuse_foreign_pages(request)
     elif services.store.keys.exist():
-        raise _key_required("The service asks for a key.", {}) if cookie is None else _ended_session(request)
+        if cookie is None:
+            raise _key_required("The service asks for a key.", {})
+        # The browser forgets the cookie. It is not counted as a wrong key: a browser that slept sends an old one.
+        raise _key_required("The browser's session has ended.", {"Set-Cookie": deletion(request)})
     else:
         key = None
     tenant, scopes = (DEFAULT_TENANT, frozenset(Scope)) if key is None else (key.tenant, key.scopes)
@@ -243,7 +238,7 @@ def _in_turn(find: _Find) -> Callable[..., AsyncIterator[Caller]]:
     return in_turn
 
 
-def _records_of(find: _Find) -> Callable[..., Coroutine[None, None, TenantRecords]]:
+def _tenant_records(find: _Find) -> Callable[..., Coroutine[None, None, TenantRecords]]:
     """Dependency with the records of the tenant of ``find``'s caller, in turn."""
     in_turn = _in_turn(find)
 
@@ -364,6 +359,6 @@ EventsViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.EVENTS))]
 AnyCallerDep = Annotated[Caller, Depends(_any_in_turn, scope="function")]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
-RecordsDep = Annotated[TenantRecords, Depends(_records_of(_authorize))]
+RecordsDep = Annotated[TenantRecords, Depends(_tenant_records(_authorize))]
 # Of a phone of a recording the uploads that it sent, and nothing else.
-UploadsDep = Annotated[TenantRecords, Depends(_records_of(_find_uploader))]
+UploadsDep = Annotated[TenantRecords, Depends(_tenant_records(_find_uploader))]

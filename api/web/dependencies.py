@@ -2,7 +2,7 @@
 
 import uuid
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Request
 
@@ -78,7 +78,7 @@ class Services:
         )
 
 
-def services_of(request: Request) -> Services:
+def app_services(request: Request) -> Services:
     """Parts of the service, from the app."""
     services: Services = request.app.state.services
     return services
@@ -86,15 +86,7 @@ def services_of(request: Request) -> Services:
 
 # Dependencies that do not wait are ``async``: others take a thread.
 async def _services(request: Request) -> Services:
-    return services_of(request)
-
-
-async def _session_id(session_id: Annotated[str, Path(description="Id of a session.", json_schema_extra=_UUID)]) -> str:
-    return canonical_id(session_id, "session")
-
-
-async def _job_id(job_id: Annotated[str, Path(description="Id of a job.", json_schema_extra=_UUID)]) -> str:
-    return canonical_id(job_id, "job")
+    return app_services(request)
 
 
 def canonical_id(value: str, kind: str) -> str:
@@ -105,34 +97,22 @@ def canonical_id(value: str, kind: str) -> str:
         raise NotFound(f"There is no such {kind}.") from None
 
 
-async def _upload_id(upload_id: Annotated[str, Path(description="Id of an upload.", json_schema_extra=_UUID)]) -> str:
-    return canonical_id(upload_id, "upload")
+def _path_id(kind: str, article: str = "a") -> Any:
+    """Dependency on the id of a kind of record in the path."""
+    described = Path(alias=f"{kind}_id", description=f"Id of {article} {kind}.", json_schema_extra=_UUID)
 
+    async def path_id(value: Annotated[str, described]) -> str:
+        return canonical_id(value, kind)
 
-async def _calibration_id(
-    calibration_id: Annotated[str, Path(description="Id of a calibration.", json_schema_extra=_UUID)],
-) -> str:
-    return canonical_id(calibration_id, "calibration")
-
-
-async def _recording_id(
-    recording_id: Annotated[str, Path(description="Id of a recording.", json_schema_extra=_UUID)],
-) -> str:
-    return canonical_id(recording_id, "recording")
-
-
-async def _character_id(
-    character_id: Annotated[str, Path(description="Id of a character.", json_schema_extra=_UUID)],
-) -> str:
-    return canonical_id(character_id, "character")
+    return Depends(path_id)
 
 
 ServicesDep = Annotated[Services, Depends(_services)]
-SessionId = Annotated[str, Depends(_session_id)]
-CalibrationId = Annotated[str, Depends(_calibration_id)]
-CharacterId = Annotated[str, Depends(_character_id)]
-RecordingId = Annotated[str, Depends(_recording_id)]
-JobId = Annotated[str, Depends(_job_id)]
-UploadId = Annotated[str, Depends(_upload_id)]
+SessionId = Annotated[str, _path_id("session")]
+CalibrationId = Annotated[str, _path_id("calibration")]
+CharacterId = Annotated[str, _path_id("character")]
+RecordingId = Annotated[str, _path_id("recording")]
+JobId = Annotated[str, _path_id("job")]
+UploadId = Annotated[str, _path_id("upload", "an")]
 Limit = Annotated[int, Query(ge=1, le=200, description="How many at most.")]
 Cursor = Annotated[uuid.UUID | None, Query(description="`next_cursor` of the page before.")]

@@ -47,7 +47,7 @@ class Download:
     remedy: str | None = None  # Advice if a file that is no result is missing or damaged
 
     @classmethod
-    def of(cls, result: Result, name: str | None = None) -> Self:
+    def from_result(cls, result: Result, name: str | None = None) -> Self:
         """Result file, under its own name or another one."""
         return cls(name or result.name, result.media_type, result.key, result.num_bytes, result.sha256)
 
@@ -121,7 +121,7 @@ def send_file(
             conditions.range if conditions.if_range in {None, etag} else None, file.num_bytes
         )
         stack.pop_all()
-    return Stream(blocks_of(content, sent), status, headers=headers | sizes, media_type=file.media_type, file=content)
+    return Stream(file_blocks(content, sent), status, headers=headers | sizes, media_type=file.media_type, file=content)
 
 
 def opened(services: Services, file: Download) -> BinaryIO:
@@ -216,7 +216,7 @@ async def _in_turns(threads: FairThreads, owner: str, content: Iterator[bytes]) 
         yield block
 
 
-def blocks_of(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
+def file_blocks(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
     """Read a range of a file in blocks, and close the file."""
     with file:
         file.seek(sent.start)

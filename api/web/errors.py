@@ -229,7 +229,7 @@ def error_item(problem: Problem, steps: tuple[str | int, ...] | None = ()) -> Er
     )
 
 
-def title_of(status: int) -> str:
+def status_title(status: int) -> str:
     """Name of an HTTP status."""
     return _TITLES.get(status) or HTTPStatus(status).phrase
 
@@ -237,7 +237,7 @@ def title_of(status: int) -> str:
 def problem_response(request: HTTPConnection, error: ApiError) -> Response:
     """Build the response from an error."""
     problem = ProblemDetails(
-        title=title_of(error.status),
+        title=status_title(error.status),
         status=error.status,
         detail=error.detail,
         instance=request.scope["path"],

@@ -26,7 +26,7 @@ _SERVED = frozenset({".css", ".html", ".js", ".map", ".png", ".svg"})
 # Another version of the service has other files of the same names, so browsers revalidate them each time.
 _REVALIDATED = {"Cache-Control": "no-cache"}
 _POLICY = SAFE_HEADERS["Content-Security-Policy"]
-# The page shows videos and pictures of captures, also those that it draws itself.
+# The page shows videos and pictures of captures, also pictures that it draws itself.
 _PAGE_POLICY = _POLICY.replace("img-src 'self'", "img-src 'self' blob: data:").replace(
     "media-src 'self'", "media-src 'self' blob:"
 )

@@ -1,20 +1,15 @@
 """Resources of the web API: the one place where each is registered."""
 
+from api.web import callers, links, motion, options, people, results
 from api.web.calibrations import routes as calibrations
-from api.web.callers import routes as callers
 from api.web.characters import routes as characters
 from api.web.contract.description import Resource
 from api.web.events import routes as events
 from api.web.health import routes as health
 from api.web.jobs import routes as jobs
-from api.web.links import routes as links
 from api.web.live import routes as live
-from api.web.motion import routes as motion
-from api.web.options import routes as options
-from api.web.people import routes as people
 from api.web.recordings import routes as recordings
 from api.web.recordings import sockets
-from api.web.results import routes as results
 from api.web.sessions import routes as sessions
 from api.web.sessions import thumbnails, videos
 from api.web.uploads import routes as uploads

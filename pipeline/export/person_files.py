@@ -16,7 +16,8 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
-from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset, Timeline
+from pipeline.core.options.config import Body, Preset, Timeline
+from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.core.progress import OnShare, part_of, split
 from pipeline.export.scene import file_origin_m
 from pipeline.export.timelines import presence, unknown_outside

@@ -15,17 +15,8 @@ from pipeline.calibration.write import encode as encode_calibration
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import PipelineError, Problem
-from pipeline.core.options.config import (
-    FILE_FORMATS,
-    Body,
-    Export,
-    JobChoices,
-    Preset,
-    Timeline,
-    ending_of,
-    installed_formats,
-    of_people,
-)
+from pipeline.core.options.config import Body, JobChoices, Preset, Timeline
+from pipeline.core.options.file_formats import FILE_FORMATS, Export, file_ending, formats_of_people, installed_formats
 from pipeline.core.options.rules import file_problems, format_problems, require
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.findings import TAKE_TOO_LARGE
@@ -126,7 +117,7 @@ def _write_recording(take: Reconstruction, folder: Path, exports: Collection[Exp
     from pipeline.export.recording.rerun_file import write_recording  # noqa: PLC0415 - imports an optional package
 
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{TAKE}.{ending_of('rerun')}"
+    path = folder / f"{TAKE}.{file_ending('rerun')}"
     write_recording(take, path)
     return [path]
 
@@ -193,7 +184,7 @@ def write_files(
             *format_problems(exports, installed_formats()),
         )
     )
-    exports, shown = of_people(exports), at_rate(reconstruction, frame_rate_hz)
+    exports, shown = formats_of_people(exports), at_rate(reconstruction, frame_rate_hz)
     folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
 
@@ -223,10 +214,10 @@ def write_files(
             complete(of_takes.path(export))
         on_take(1.0)
     check = {
-        name: _angles_found_in(of_people.values())
+        name: _angles_found_in(people_files.values())
         if _holds_angles(name)
-        else _found_in(of_people, of_takes.distances_mm.get(name))
-        for name, of_people in written.items()
+        else _found_in(people_files, of_takes.distances_mm.get(name))
+        for name, people_files in written.items()
     }
     origin_m = file_origin_m(shown.cameras)
     for export in exports:
@@ -275,7 +266,7 @@ def keep_people(
     people = islice(take_people(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
-        paths = _paths(person, folder, folder, of_people(exports))
+        paths = _paths(person, folder, folder, formats_of_people(exports))
         for _ in write_person(person, paths, preset, kept, on_person):
             pass
         for path in paths.values():
@@ -306,7 +297,7 @@ class _TakeFiles:
 
     def path(self, export: Export) -> Path:
         """Path of the file of a format."""
-        return self._folder / f"{TAKE}.{ending_of(export)}"
+        return self._folder / f"{TAKE}.{file_ending(export)}"
 
     def write(self, export: Export, on_share: OnShare) -> bool:
         """Write the file of a format and read it back; return whether there is one."""
@@ -345,7 +336,7 @@ def at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reco
 def _paths(person: PersonOfTake, folder: Path, parts_folder: Path, exports: Collection[Export]) -> dict[str, Path]:
     """Paths of a person's files by format, and of the part of ``skeletons.json``."""
     stem = f"person-{person.track.track_id}"
-    of_files = {str(export): folder / f"{stem}.{ending_of(export)}" for export in exports}
+    of_files = {str(export): folder / f"{stem}.{file_ending(export)}" for export in exports}
     return {SKELETONS: parts_folder / f"{stem}.{SKELETONS}", **of_files}
 
 
@@ -367,15 +358,15 @@ def _angles_found_in(files: Iterable[KeptFile]) -> dict[str, Any]:
     return {"max_difference_deg": round(max(found_deg), _DECIMALS_DEG) if found_deg else None}
 
 
-def _found_in(of_people: Mapping[int, KeptFile], of_take_mm: float | None) -> dict[str, Any]:
+def _found_in(people_files: Mapping[int, KeptFile], of_take_mm: float | None) -> dict[str, Any]:
     """Entry of ``metrics.json`` about the files of a format, by the number of the person's track.
 
     ``of_take_mm`` is the largest distance in the file of the take; ``None``: there is no such file.
     """
-    found_mm = [*(file.distance_mm for file in of_people.values()), of_take_mm]
+    found_mm = [*(file.distance_mm for file in people_files.values()), of_take_mm]
     distances_mm = [distance_mm for distance_mm in found_mm if distance_mm is not None]
     entry: dict[str, Any] = {"max_distance_mm": round(max(distances_mm), _DECIMALS_MM) if distances_mm else None}
-    between = [(file.between, track_id) for track_id, file in of_people.items() if file.between is not None]
+    between = [(file.between, track_id) for track_id, file in people_files.items() if file.between is not None]
     if between:
         worst, track_id = max(between, key=lambda item: item[0].distance_mm)
         entry["between_frames"] = {

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.capture.preflight_record import Preflight
-from pipeline.core.options.config import FILE_FORMATS, Export, ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.run.engine.stage import Cut, FrameCut
 
 _ASSUMED_PEOPLE = 3

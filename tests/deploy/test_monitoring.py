@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from api.web.health.metrics import RequestMetrics
+from api.web.metrics import RequestMetrics
 from worker.store.files.disk import DiskSpace
 from worker.store.store import JobStore
 

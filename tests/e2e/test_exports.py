@@ -22,15 +22,8 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
-from pipeline.core.options.config import (
-    FILE_FORMATS,
-    Export,
-    Preset,
-    ReconstructionConfig,
-    ending_of,
-    installed_formats,
-    of_people,
-)
+from pipeline.core.options.config import Preset, ReconstructionConfig
+from pipeline.core.options.file_formats import FILE_FORMATS, Export, file_ending, formats_of_people, installed_formats
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.writers import fbx
@@ -53,7 +46,7 @@ from tests.pipeline.export.blender_curves import positions_in_blender
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import encoded, half_way_of, orders_in, tumbling, with_fingers
 
-EXPORTS = of_people(installed_formats())
+EXPORTS = formats_of_people(installed_formats())
 OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_presets)
 PRESET_NAMES = tuple(PRESETS)
 # Files of the others are written and read by the slow tests: two of them have all there is in axes and units.
@@ -98,7 +91,7 @@ class ExportedCapture:
 
     def paths(self, export: Export, preset: Preset = "default") -> dict[Path, SkeletonMotion]:
         folder = self.of_preset(preset)
-        return {folder / f"{person.name}.{ending_of(export)}": person for person in self.reconstruction.motions}
+        return {folder / f"{person.name}.{file_ending(export)}": person for person in self.reconstruction.motions}
 
     def of_preset(self, preset: Preset) -> Path:
         """Folder of a preset's files."""

@@ -18,15 +18,8 @@ import pytest
 from api.web.contract.openapi import COMMITTED
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.data.cameras import FrameTimes
-from pipeline.core.options.config import (
-    Export,
-    Method,
-    Preset,
-    ReconstructionConfig,
-    Smoothing,
-    installed_formats,
-    of_people,
-)
+from pipeline.core.options.config import Method, Preset, ReconstructionConfig, Smoothing
+from pipeline.core.options.file_formats import Export, formats_of_people, installed_formats
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.evaluation.camera_errors import disturb_calibration
@@ -70,7 +63,9 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
     ("method", "smoothing", "exports", "preset"),
     [
         ("tracking", "none", ("bvh",), "unreal"),
-        pytest.param(*("clustering", "butterworth", of_people(installed_formats()), "default"), marks=pytest.mark.slow),
+        pytest.param(
+            *("clustering", "butterworth", formats_of_people(installed_formats()), "default"), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_same_files_as_without_the_service(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.core.options.config import is_installed
+from pipeline.core.options.file_formats import is_installed
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = {

@@ -17,7 +17,8 @@ _PROGRAM = """
 import json, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from pipeline.core.options.config import CHOICES, FILE_FORMATS
+from pipeline.core.options.config import CHOICES
+from pipeline.core.options.file_formats import FILE_FORMATS
 science = {"numpy", "scipy"} & sys.modules.keys()
 import multicap
 folder = Path(sys.argv[2])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from pipeline.capture.preflight_record import Preflight
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit
 from pipeline.core.options.job_choices import VisualChoices
 from pipeline.run.engine.code import stage_codes
@@ -52,7 +53,16 @@ def plan_job(
     identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
     ``worker.store.model.jobs.JobRecord``.
     """
-    config = job_config(spec, making, edits, revision, character)
+    return plan_config(session, job_config(spec, making, edits, revision, character), codes, provider)
+
+
+def plan_config(
+    session: PlannableSession,
+    config: ReconstructionConfig,
+    codes: Mapping[str, str] | None = None,
+    provider: str = "",
+) -> tuple[StagePlan, ...]:
+    """Cut a job with a configuration into stages and chunks; see ``plan_job``."""
     stages = plan(session_facts(session), config, codes or stage_codes(provider), session.chunk_frames)
     memory = foreseen_memory(session.preflight, config)
     return tuple(

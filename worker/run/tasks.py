@@ -15,7 +15,8 @@ from pathlib import Path
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from pipeline.core.options.config import Body, installed_formats
+from pipeline.core.options.config import Body
+from pipeline.core.options.file_formats import installed_formats
 from pipeline.core.runtime.kernel_cache import is_complete
 from pipeline.detection.providers.find import current_provider
 from pipeline.run.engine.code import stage_codes

@@ -8,7 +8,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from pipeline.core.options.choices import Choice
 from pipeline.core.options.config import CHOICES, JobChoices, ReconstructionConfig
-from pipeline.core.options.rules import value_faults, value_of
+from pipeline.core.options.rules import plain_value, value_faults
 
 Priority = Literal["preview", "normal", "batch"]
 
@@ -24,7 +24,7 @@ def _field(choice: Choice) -> tuple[Any, Any]:
                 for steps, problem in found
             ]
             raise ValidationError.from_exception_data(choice.name, errors)
-        return value_of(choice, value)
+        return plain_value(choice, value)
 
     field = Field(default=choice.default, description=choice.description)
     return Annotated[Any, PlainValidator(check), WithJsonSchema(dict(choice.schema))], field

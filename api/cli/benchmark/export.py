@@ -18,7 +18,8 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import Export, formats_of_people, installed_formats
 from pipeline.core.options.rules import require, value_problems
 from pipeline.export.character.character_files import write_character_files
 from pipeline.export.character.source import CharacterSource
@@ -119,7 +120,7 @@ def export(
     """Time formats of a long take, from memory to verified files; simulated people, four cameras."""
     with reporting(as_json):
         warm_up()
-        chosen = of_people(installed_formats()) if exports is None else tuple(exports.split(","))
+        chosen = formats_of_people(installed_formats()) if exports is None else tuple(exports.split(","))
         require(value_problems({"exports": chosen}))
         source = None if character is None else CharacterSource(character)
         result = measure(people, frames, cast(Collection[Export], chosen), source)

@@ -3,7 +3,7 @@
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting
-from pipeline.core.options.config import installed_formats
+from pipeline.core.options.file_formats import installed_formats
 from pipeline.export.opensim import installed
 
 app = typer.Typer(help="The generic model of OpenSim.", no_args_is_help=True)

@@ -1,19 +1,24 @@
-"""Intake of calibrations, from a form or from uploads: what each method needs, and the check of the files."""
+"""Intake of calibrations: their form, what each method needs, the check of the files, and the job that makes one."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from fastapi import Request
 
+from api.web.calibrations import examples
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
-from api.web.dependencies import Services
+from api.web.contract.examples import UPLOAD_IDS
+from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies.form import Form, ReceivedFile
-from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS
+from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS, FormKind
+from api.web.http.idempotency import Answer
 from api.web.jobs.queueing import installed_on_workers
-from api.web.sessions.intake import CheckedSession, arguments_of, limit_problems, located, record_path_in
+from api.web.jobs.schemas import JobOut
+from api.web.sessions.intake import CheckedSession, limit_problems, located, preflight_arguments, record_path_in, stored
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
-from api.web.sessions.receiving import Sent, adopted, document, form_of
+from api.web.sessions.receiving import Sent, adopted, document, sent_form
 from api.web.sessions.schemas import Manifest
 from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.capture.preflight_record import Preflight
@@ -21,8 +26,11 @@ from pipeline.core.errors import listed
 from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
-from worker.run.planning import has_videos
+from worker.run import tracing
+from worker.run.planning import has_videos, plan_job
+from worker.store.model.jobs import JobRecord
 from worker.store.model.sessions import Session
+from worker.store.model.work import StagePlan
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
@@ -60,7 +68,7 @@ class CheckedCalibration:
     Parameters
     ----------
     content
-        A file, videos that were sent, or a session that is there already.
+        A file, videos that were sent, or a stored session.
     has_intrinsics
         Whether the intrinsics of the cameras are given.
     has_photographs
@@ -98,7 +106,7 @@ async def check_calibration(
         form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
         part, upload_ids, errors = "", sent.content.upload_ids(), [*form.errors]
     else:
-        form = form_of(sent)
+        form = sent_form(sent)
         spec, spec_problems = document(sent, SPEC, CalibrationSpec)
         part, upload_ids, errors = SPEC, (), [*form.errors, *spec_problems]
     if spec is None:
@@ -154,10 +162,12 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
     def pointer(name: str) -> str:
         return pointer_to(name) if name in form.files else _pointer(part, name)
 
+    # Parts that an error names already have no files.
+    reported = {part for error in form.errors for part in (error.pointer or "").split("/")[1:2]}
     errors = [
         ErrorItem(code=MISSING_PART, message=f"The method {spec.method} needs {name}.", pointer=pointer(name))
         for name in needed
-        if name not in given and not _is_reported(form, name)
+        if name not in given and name not in reported
     ]
     errors += [
         ErrorItem(
@@ -185,11 +195,6 @@ def _missing_networks(services: Services) -> list[ErrorItem]:
 
 def _pointer(part: str, field: str) -> str:
     return pointer_to(part, field) if part else pointer_to(field)
-
-
-def _is_reported(form: Form, part: str) -> bool:
-    """Whether an error already names a part, whose files then are missing."""
-    return any((error.pointer or "").split("/")[1:2] == [part] for error in form.errors)
 
 
 async def _contents(
@@ -226,7 +231,7 @@ async def _checked_footage(
     # From here on photographs are sequences of images.
     footage = replace(form, files={**form.files, VIDEOS: photographs, IMAGES: ()}) if photographs else form
     record_path = record_path_in(sent.folder)
-    arguments = arguments_of(footage, manifest, services.settings.max_session_joints)
+    arguments = preflight_arguments(footage, manifest, services.settings.max_session_joints)
     if photographs:
         arguments.append("--photographs")
     if spec.board is not None:
@@ -249,3 +254,61 @@ async def _checked_footage(
     if errors:
         raise unprocessable(errors)
     return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, upload_ids)
+
+
+@contextlib.contextmanager
+def begun_calibration(
+    services: Services, records: TenantRecords, checked: CheckedCalibration
+) -> Iterator[tuple[TenantRecords, JobRecord]]:
+    """Store what was sent for a calibration, and record it with the job that makes it; all or nothing.
+
+    The block gets the open transaction and the job. A worker is woken after it.
+    """
+    content, making, provider = checked.content, checked.choices(), services.store.workers.provider()
+    if isinstance(content, ReadFile):
+        raise TypeError("a file is a calibration already")
+    if isinstance(content, Session):
+        services.disk.require_room()
+        stages = plan_job(content, JobSpec(), making=making, provider=provider)
+        with records.transaction() as work:
+            yield work, _begin(services, work, checked, content.id, stages)
+    else:
+        with stored(services, content) as new:
+            stages = plan_job(new, JobSpec(), making=making, provider=provider)
+            with records.transaction() as work:
+                new.add_to(work, "calibration")
+                yield work, _begin(services, work, checked, new.id, stages)
+    # When the broker is away, the reaper publishes later.
+    services.queue.publish()
+
+
+def accepted(job: JobRecord) -> Answer:
+    """Answer with the job of a calibration."""
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
+    return Answer(202, headers, JobOut.from_job(job).model_dump_json())
+
+
+def _begin(
+    services: Services, work: TenantRecords, checked: CheckedCalibration, session_id: str, stages: tuple[StagePlan, ...]
+) -> JobRecord:
+    """Queue the job of a calibration in an open transaction, which records both."""
+    retention_s = services.settings.retention_s
+    job = work.jobs.add(session_id, JobSpec(), stages, retention_s, tracing.current(), checked.choices())
+    work.calibrations.begin(job, checked.name)
+    return job
+
+
+CALIBRATION_FORM = FormKind(
+    name="CalibrationForm",
+    noun="calibration",
+    parts={
+        CALIBRATION: "Calibration file, for the method `file`.",
+        VIDEOS: "Videos of a board or of people.",
+        IMAGES: "Photographs of a board in place of videos: for each camera a zip, named as the camera.",
+        INTRINSICS: "Calibration file whose intrinsics are kept, and poses ignored.",
+    },
+    documents={SPEC: CalibrationSpec},
+    uploaded=UploadedCalibration,
+    form_example={VIDEOS: ["cam_0.mp4", "cam_1.mp4"], SPEC: examples.SPEC},
+    uploaded_example={VIDEOS: UPLOAD_IDS[:2], **examples.SPEC},
+)

@@ -7,9 +7,14 @@ from fastapi import APIRouter, Body, Query, Response, status
 
 from api.web.auth import RecordsDep
 from api.web.calibrations import examples
-from api.web.calibrations.beginning import accepted, begun_calibration
-from api.web.calibrations.form import CALIBRATION_FORM
-from api.web.calibrations.intake import CheckedCalibration, ReadFile, check_calibration
+from api.web.calibrations.intake import (
+    CALIBRATION_FORM,
+    CheckedCalibration,
+    ReadFile,
+    accepted,
+    begun_calibration,
+    check_calibration,
+)
 from api.web.calibrations.schemas import (
     MEDIA_TYPES,
     CalibrationChanges,
@@ -25,7 +30,7 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.jobs.schemas import JobOut
-from api.web.sessions.creation import Creation, Texts, add_creation
+from api.web.sessions.receiving import Creation, Texts, add_creation
 from pipeline.core.problems.requests import NOT_FINISHED, NOT_FOUND
 from worker.store.files.unneeded import remove_files
 
@@ -53,7 +58,9 @@ def _add_file(services: Services, idempotent: IdempotentRequest, checked: Checke
         work.uploads.use(checked.upload_ids)
         calibration = work.calibrations.add(checked.name, source, sent.contents.files)
         headers = {"Location": f"/v1/calibrations/{calibration.id}"}
-        answer = idempotent.store(work, Answer(201, headers, CalibrationOut.of(calibration).model_dump_json()))
+        answer = idempotent.store(
+            work, Answer(201, headers, CalibrationOut.from_calibration(calibration).model_dump_json())
+        )
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
     return answer
@@ -111,7 +118,8 @@ def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = N
     found = records.calibrations.page(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = found[-1].id if len(found) == limit else None
     return CalibrationPage(
-        calibrations=tuple(CalibrationOut.of(calibration) for calibration in found), next_cursor=next_cursor
+        calibrations=tuple(CalibrationOut.from_calibration(calibration) for calibration in found),
+        next_cursor=next_cursor,
     )
 
 
@@ -124,7 +132,7 @@ def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = N
 )
 def get_calibration(calibration_id: CalibrationId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a calibration: its state, its cameras and its report."""
-    return conditional(CalibrationOut.of(records.calibrations.get(calibration_id)), if_none_match)
+    return conditional(CalibrationOut.from_calibration(records.calibrations.get(calibration_id)), if_none_match)
 
 
 @router.get(
@@ -174,9 +182,9 @@ def rename_calibration(
     """Rename a calibration. With `If-Match`, only an unchanged one."""
     with records.transaction() as work:
         if if_match is not None:
-            require_match(CalibrationOut.of(work.calibrations.get(calibration_id)), if_match)
+            require_match(CalibrationOut.from_calibration(work.calibrations.get(calibration_id)), if_match)
         calibration = work.calibrations.rename(calibration_id, changes.name)
-    return conditional(CalibrationOut.of(calibration), None)
+    return conditional(CalibrationOut.from_calibration(calibration), None)
 
 
 @router.delete(

@@ -201,24 +201,21 @@ class CalibrationOut(ResponseModel):
     links: CalibrationLinks
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Self:
+    def from_calibration(cls, calibration: Calibration) -> Self:
         """Build the response from a calibration."""
         address = f"/v1/calibrations/{calibration.id}"
         is_ready, has_job = calibration.files is not None, calibration.job_state is not None
         notes = calibration.source.get("notes", ())
+        text = None if calibration.files is None else calibration.files["multicap"]
         found = (calibration.report or {}).get("warnings", ())
-        return cls(
-            id=calibration.id,
-            name=calibration.name,
-            method=calibration.method,  # type: ignore[arg-type]
-            state="ready" if is_ready else _STATES[calibration.job_state],  # type: ignore[arg-type]
-            created_at=calibration.created_at,
+        return cls.from_record(
+            calibration,
+            state="ready" if is_ready else _STATES[calibration.job_state],
             source={name: value for name, value in calibration.source.items() if name != "notes"},
             warnings=(*notes, *(warning["message"] for warning in found)),
-            cameras=() if calibration.files is None else _cameras(calibration.files["multicap"]),
-            sha256=None if calibration.files is None else _digest(calibration.files["multicap"]),
-            report=None if calibration.report is None else dict(calibration.report),
-            error=JobError.of(calibration.problem) if calibration.problem else None,
+            cameras=() if text is None else _cameras(text),
+            sha256=None if text is None else hashlib.sha256(text.encode()).hexdigest(),
+            error=calibration.problem,
             links=CalibrationLinks(
                 self=address,
                 file=f"{address}/file" if is_ready else None,
@@ -233,10 +230,6 @@ class CalibrationPage(ResponseModel):
 
     calibrations: tuple[CalibrationOut, ...]
     next_cursor: NextCursor
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _cameras(text: str) -> tuple[CalibratedCamera, ...]:

@@ -1,4 +1,4 @@
-"""Intake of characters, from a form or from an upload: the check of the file, and its way to the artifact store."""
+"""Intake of characters: their form, the check of the file, and its way to the artifact store."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -7,12 +7,14 @@ from pathlib import Path
 
 from fastapi import Request
 
+from api.web.characters import examples
 from api.web.characters.schemas import CharacterSpec, UploadedCharacter
+from api.web.contract.examples import UPLOAD_IDS
 from api.web.dependencies import Services
 from api.web.downloads import Download, damaged_file, missing_file
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.form import ReceivedFile
-from api.web.http.bodies.form_kinds import CHARACTER, SPEC
+from api.web.http.bodies.form_kinds import CHARACTER, SPEC, FormKind
 from api.web.sessions.preflight import (
     CharacterBones,
     CharacterContents,
@@ -20,7 +22,9 @@ from api.web.sessions.preflight import (
     InvalidFilesError,
     character_wait_s,
 )
-from api.web.sessions.receiving import Sent, adopted, document, form_of, spool_folder
+from api.web.sessions.receiving import Sent, adopted, document, sent_form, spool_folder
+from pipeline.core.problems.model import Code
+from pipeline.core.problems.requests import MISSING_PART
 from pipeline.core.problems.sessions import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import character_key, character_prefix
@@ -63,7 +67,7 @@ async def check_character(request: Request, services: Services, records: TenantR
         form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
         pointer, upload_ids, errors = pointer_to(_BONES), sent.content.upload_ids(), [*form.errors]
     else:
-        form = form_of(sent)
+        form = sent_form(sent)
         spec, spec_problems = document(sent, SPEC, CharacterSpec)
         pointer, upload_ids, errors = pointer_to(SPEC, _BONES), (), [*form.errors, *spec_problems]
     if spec is None or errors:
@@ -83,8 +87,8 @@ async def check_character(request: Request, services: Services, records: TenantR
 def stored_character(services: Services, checked: CheckedCharacter) -> Iterator[tuple[str, StoredCharacterFile]]:
     """Put the file of a character into the artifact store; the block records the character under the id.
 
-    If the block fails, the file is removed; else that of its upload is. The reaper removes the file of a process that
-    is killed in between, and that of a transaction whose answer was lost, if it was not committed.
+    If the block fails, the file is removed; else the file of its upload is. The reaper removes the file of a process
+    that is killed in between, and of a transaction whose answer was lost, if it was not committed.
     """
     character_id = services.store.characters.reserve_id()
     sent, key = checked.file, character_key(character_id)
@@ -105,7 +109,7 @@ def stored_character(services: Services, checked: CheckedCharacter) -> Iterator[
 async def check_again(
     services: Services, owner: str, character: Character, corrections: Mapping[str, str | None]
 ) -> CharacterContents:
-    """Recognise the bones of a stored character anew, with other corrections.
+    """Recognise the bones of a stored character again, with other corrections.
 
     Raises
     ------
@@ -128,18 +132,18 @@ async def check_again(
             raise unprocessable([_located(item, pointer, pointer) for item in invalid.errors]) from None
 
 
-def download_of(character: Character) -> Download:
+def character_download(character: Character) -> Download:
     """File of a character as it was sent."""
     file, media_type = character.file, MEDIA_TYPES[character.facts.get("format") == _FBX]
     return Download(file.name, media_type, file.key, file.num_bytes, file.sha256, remedy="Send the character again.")
 
 
-def facts_of(contents: CharacterContents) -> dict[str, object]:
+def stored_facts(contents: CharacterContents) -> dict[str, object]:
     """Facts that lists show, as they are stored."""
     return contents.model_dump(mode="json", include=set(CharacterFacts.model_fields))
 
 
-def bones_of(contents: CharacterContents) -> dict[str, object]:
+def stored_bones(contents: CharacterContents) -> dict[str, object]:
     """Bones and skeleton, as they are stored."""
     return contents.model_dump(mode="json", include=set(CharacterBones.model_fields))
 
@@ -151,9 +155,9 @@ def _read_stored(
         with services.artifacts.local_path(character.file.key, character.file.sha256) as path:
             return services.preflight.read_character(path, corrections, folder)
     except NotFound:
-        raise missing_file(download_of(character)) from None
+        raise missing_file(character_download(character)) from None
     except DamagedArtifact as error:
-        raise damaged_file(download_of(character)) from error
+        raise damaged_file(character_download(character)) from error
 
 
 def _located(item: ErrorItem, bones: str, character: str) -> ErrorItem:
@@ -162,3 +166,20 @@ def _located(item: ErrorItem, bones: str, character: str) -> ErrorItem:
     return item.model_copy(
         update={"pointer": bones if is_of_bones else character, "file": None if is_of_bones else item.file}
     )
+
+
+def _faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
+    if not counts[CHARACTER]:
+        yield MISSING_PART, "There is no character: send its file, GLB, VRM or FBX.", CHARACTER
+
+
+CHARACTER_FORM = FormKind(
+    name="CharacterForm",
+    noun="character",
+    parts={CHARACTER: "File of the character: GLB (binary glTF 2.0) or VRM with everything inside, or binary FBX 7."},
+    documents={SPEC: CharacterSpec},
+    uploaded=UploadedCharacter,
+    form_example={CHARACTER: "robot.vrm", SPEC: examples.SPEC},
+    uploaded_example={CHARACTER: UPLOAD_IDS[0], **examples.SPEC},
+    faults=_faults,
+)

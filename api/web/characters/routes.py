@@ -7,16 +7,16 @@ from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
 from api.web.characters import examples
-from api.web.characters.form import CHARACTER_FORM
 from api.web.characters.intake import (
+    CHARACTER_FORM,
     MEDIA_TYPES,
     CheckedCharacter,
-    bones_of,
+    character_download,
     check_again,
     check_character,
-    download_of,
-    facts_of,
+    stored_bones,
     stored_character,
+    stored_facts,
 )
 from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
 from api.web.contract.description import Resource, answer, file_content, location, problems
@@ -26,8 +26,8 @@ from api.web.downloads import ConditionsDep, file_responses, send_file
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
-from api.web.sessions.creation import Creation, Texts, add_creation
 from api.web.sessions.preflight import CharacterContents
+from api.web.sessions.receiving import Creation, Texts, add_creation
 from worker.store.files.unneeded import remove_files
 from worker.store.model.characters import Character
 from worker.store.tenant_records import TenantRecords
@@ -42,7 +42,7 @@ _FILE = file_content(MEDIA_TYPES, "(the file)")
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCharacter) -> Answer:
     """Store a character and its file."""
-    facts, bones = facts_of(checked.contents), bones_of(checked.contents)
+    facts, bones = stored_facts(checked.contents), stored_bones(checked.contents)
     with (
         stored_character(services, checked) as (character_id, file),
         idempotent.records.transaction() as work,
@@ -50,7 +50,7 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedChar
         work.uploads.use(checked.upload_ids)
         character = work.characters.add(character_id, checked.name, file, facts, bones, checked.spec.bones)
         headers = {"Location": f"/v1/characters/{character.id}"}
-        return idempotent.store(work, Answer(201, headers, CharacterOut.of(character).model_dump_json()))
+        return idempotent.store(work, Answer(201, headers, CharacterOut.from_bones(character).model_dump_json()))
 
 
 _CREATE = """\
@@ -95,7 +95,7 @@ def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     found = records.characters.page(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = found[-1].id if len(found) == limit else None
     return CharacterPage(
-        characters=tuple(CharacterSummaryOut.of(character) for character in found), next_cursor=next_cursor
+        characters=tuple(CharacterSummaryOut.from_character(character) for character in found), next_cursor=next_cursor
     )
 
 
@@ -108,7 +108,7 @@ def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
 )
 def get_character(character_id: CharacterId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a character: facts about its file, the bone of each joint and how it was recognised, and its skeleton."""
-    return conditional(CharacterOut.of(records.characters.get(character_id)), if_none_match)
+    return conditional(CharacterOut.from_bones(records.characters.get(character_id)), if_none_match)
 
 
 @router.get(
@@ -129,7 +129,7 @@ def get_character_file(
     conditions: ConditionsDep,
 ) -> Response:
     """Download the file of a character as it was sent, or a range of it."""
-    return send_file(request, services, download_of(records.characters.get(character_id)), conditions)
+    return send_file(request, services, character_download(records.characters.get(character_id)), conditions)
 
 
 @small.patch(
@@ -156,14 +156,14 @@ async def change_character(
     if changes.bones is not None:
         contents = await check_again(services, request.state.caller.owner, character, changes.bones)
     changed = await run_in_threadpool(_change, records, character_id, changes, contents, if_match)
-    return conditional(CharacterOut.of(changed), None)
+    return conditional(CharacterOut.from_bones(changed), None)
 
 
 def _matching(records: TenantRecords, character_id: str, if_match: str | None) -> Character:
     """Read a character, in the version that the client has."""
     character = records.characters.get(character_id)
     if if_match is not None:
-        require_match(CharacterOut.of(character), if_match)
+        require_match(CharacterOut.from_bones(character), if_match)
     return character
 
 
@@ -179,7 +179,9 @@ def _change(
         if changes.name is not None:
             character = work.characters.rename(character_id, changes.name)
         if contents is not None and changes.bones is not None:
-            character = work.characters.correct(character_id, facts_of(contents), bones_of(contents), changes.bones)
+            character = work.characters.correct(
+                character_id, stored_facts(contents), stored_bones(contents), changes.bones
+            )
         return character
 
 

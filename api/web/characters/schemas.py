@@ -67,12 +67,6 @@ class CharacterLinks(ResponseModel):
     self: str = Field(description="Path of the character.")
     file: str = Field(description="Path of the file.")
 
-    @classmethod
-    def of(cls, character_id: str) -> Self:
-        """Paths of a character with an id."""
-        address = f"/v1/characters/{character_id}"
-        return cls(self=address, file=f"{address}/file")
-
 
 class CharacterSummaryOut(ResponseModel):
     """Character of the user's own, without its bones."""
@@ -94,9 +88,21 @@ class CharacterSummaryOut(ResponseModel):
     links: CharacterLinks
 
     @classmethod
-    def of(cls, character: CharacterSummary) -> "CharacterSummaryOut":
-        """Build the response from a character."""
-        return CharacterSummaryOut(**_summary(character))
+    def from_character(cls, character: CharacterSummary, **more: Any) -> Self:
+        """Build the response from a character; ``more`` are the fields of its bones."""
+        address, file = f"/v1/characters/{character.id}", character.file
+        links = CharacterLinks(self=address, file=f"{address}/file")
+        return cls(
+            id=character.id,
+            name=character.name,
+            created_at=character.created_at,
+            file=file.name,
+            num_bytes=file.num_bytes,
+            sha256=file.sha256,
+            links=links,
+            **character.facts,
+            **more,
+        )
 
 
 class JointOut(ResponseModel):
@@ -133,11 +139,9 @@ class CharacterOut(CharacterSummaryOut):
     corrections: dict[str, str | None] = Field(description="Bones by joint that were stated; null: no bone.")
 
     @classmethod
-    def of(cls, character: CharacterSummary) -> "CharacterOut":
-        """Build the response from a character."""
-        if not isinstance(character, Character):
-            raise TypeError("the character has no bones")
-        return CharacterOut(**_summary(character), **character.bones, corrections=dict(character.corrections))
+    def from_bones(cls, character: Character) -> Self:
+        """Build the response from a character with its bones."""
+        return cls.from_character(character, **character.bones, corrections=dict(character.corrections))
 
 
 class CharacterPage(ResponseModel):
@@ -145,17 +149,3 @@ class CharacterPage(ResponseModel):
 
     characters: tuple[CharacterSummaryOut, ...]
     next_cursor: NextCursor
-
-
-def _summary(character: CharacterSummary) -> dict[str, Any]:
-    file = character.file
-    return {
-        "id": character.id,
-        "name": character.name,
-        "created_at": character.created_at,
-        "file": file.name,
-        "num_bytes": file.num_bytes,
-        "sha256": file.sha256,
-        **character.facts,
-        "links": CharacterLinks.of(character.id),
-    }

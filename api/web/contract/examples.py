@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from api.web.errors import title_of
+from api.web.errors import status_title
 from pipeline.core.problems.requests import (
     CHECKSUM_MISMATCH,
     CLIENT_TOO_SLOW,
@@ -70,7 +70,7 @@ def problem(status: int) -> dict[str, Any]:
     code, detail = _PROBLEMS[status]
     return {
         "type": "about:blank",
-        "title": title_of(status),
+        "title": status_title(status),
         "status": status,
         "detail": detail,
         "instance": f"/v1/jobs/{JOB_ID}",

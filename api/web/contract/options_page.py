@@ -5,9 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from api.web.contract.documentation import write_or_check
-from pipeline.core.options.choices import Choice, Value, choices_of
-from pipeline.core.options.config import CHOICES, ReconstructionConfig
-from pipeline.core.options.purposes import PURPOSES, Purpose
+from pipeline.core.options.choices import Choice, Value, declared_choices
+from pipeline.core.options.config import CHOICES, PURPOSES, Purpose, ReconstructionConfig
 
 PAGE = Path(__file__).parents[3] / "docs" / "options.md"
 
@@ -35,7 +34,7 @@ Results do not depend on these options.
 
 def document() -> str:
     """Write the page as Markdown."""
-    local = [choice for choice in choices_of(ReconstructionConfig) if choice.name not in CHOICES]
+    local = [choice for choice in declared_choices(ReconstructionConfig) if choice.name not in CHOICES]
     lines = [
         _INTRODUCTION,
         "| field of a job | option | meaning | values | default |",

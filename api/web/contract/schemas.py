@@ -1,6 +1,5 @@
 """Parts that several bodies have."""
 
-import functools
 import unicodedata
 from typing import Annotated, Any, Self
 
@@ -10,7 +9,6 @@ from pydantic_core import PydanticCustomError
 from pipeline.core.findings import Severity
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import CONTROL_CHARACTERS
-from pipeline.run.space import ForeseenSpace
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
@@ -28,6 +26,12 @@ class ResponseModel(BaseModel):
     """Base of the bodies of responses."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    @classmethod
+    def from_record(cls, record: object, **computed: Any) -> Self:
+        """Build the response from the attributes of a record with the names of the fields, and from computed fields."""
+        values = {name: getattr(record, name) for name in cls.model_fields if name not in computed}
+        return cls.model_validate(values | computed, from_attributes=True)
 
 
 class FindingOut(ResponseModel):
@@ -55,18 +59,3 @@ class SpaceOut(ResponseModel):
         description="Number of people that was assumed: of keypoints as many as a camera shows at a time, of videos "
         "three, and at most `people` of the spec."
     )
-
-    @classmethod
-    def of(cls, space: ForeseenSpace) -> Self:
-        """Build the response from what was foreseen."""
-        return cls(store_bytes=space.store_bytes, scratch_bytes=space.scratch_bytes, num_people=space.num_people)
-
-
-def fields_of(record: object, model: type[BaseModel], without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Values of a model's fields from the attributes of a record with the same names."""
-    return {name: getattr(record, name) for name in _names(model, without)}
-
-
-@functools.cache
-def _names(model: type[BaseModel], without: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(name for name in model.model_fields if name not in without)

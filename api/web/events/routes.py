@@ -70,7 +70,7 @@ async def _events(services: Services, caller: Caller, watch: Watch) -> AsyncIter
         if update.job is None:
             yield ServerSentEvent(event="gone", data="{}")
         else:
-            job = JobOut.of(update.job)
+            job = JobOut.from_job(update.job)
             document = (job.for_link() if caller.link else job).model_dump_json()
             yield ServerSentEvent(event="job", id=str(update.event), data=document, retry=_RETRY_MS)
 

@@ -7,15 +7,16 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
+from pydantic import Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.web.auth import AdminDep
 from api.web.contract.description import Resource, answer, problems
+from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.errors import ErrorItem, database_damaged, problem_response, service_unavailable
-from api.web.health import examples
-from api.web.health.metrics import RequestMetrics
-from api.web.health.schemas import Health, ProviderOut, Readiness
+from api.web.metrics import RequestMetrics
+from pipeline.core.options.providers import ProviderName
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.requests import (
     ARTIFACTS_UNAVAILABLE,
@@ -33,6 +34,43 @@ from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.repositories.work.workers import installed_detectors
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
+
+
+class Health(ResponseModel):
+    """Liveness of the API process."""
+
+    status: str = "ok"
+    version: str = Field(description="Version of Multicap, as `multicap --version` prints it.")
+
+
+class ProviderOut(ResponseModel):
+    """Execution provider of the networks of some worker processes."""
+
+    name: ProviderName = Field(description="Name, such as `cuda`.")
+    device: str = Field(description="Name of its device; empty if it tells none.")
+    note: str = Field(description="Why it is not the one that was asked for; empty if it is.")
+    workers: int = Field(description="Number of ready worker processes with it.")
+
+
+class Readiness(ResponseModel):
+    """Readiness of the service: a worker could start a job now."""
+
+    status: str = "ready"
+    checks: dict[str, bool] = Field(description="Passed checks by name.")
+    providers: tuple[ProviderOut, ...] = Field(description="Execution providers of the ready worker processes.")
+    disk_free_bytes: int = Field(description="Free bytes on the disk of the data folder.")
+
+
+ANSWERS: dict[str, Any] = {
+    "Health": {"status": "ok", "version": "1.0.0"},
+    "Readiness": {
+        "status": "ready",
+        "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
+        "providers": [{"name": "cuda", "device": "NVIDIA GeForce RTX 4090", "note": "", "workers": 4}],
+        "disk_free_bytes": 214748364800,
+    },
+}
+
 
 router = APIRouter(tags=["health"])
 
@@ -173,4 +211,4 @@ def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
     return ErrorItem(code=WORKER_STARTING, message=message)
 
 
-RESOURCE = Resource(router=router, is_open=True, answers=examples.ANSWERS)
+RESOURCE = Resource(router=router, is_open=True, answers=ANSWERS)

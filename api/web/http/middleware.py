@@ -17,7 +17,7 @@ from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.web.errors import ApiError, handle, problem_response
-from api.web.health.metrics import RequestMetrics
+from api.web.metrics import RequestMetrics
 from pipeline.core.problems.requests import HOST_NOT_ALLOWED, ORIGIN_NOT_ALLOWED
 
 _log = structlog.get_logger(__name__)

@@ -13,7 +13,7 @@ from uuid import UUID
 
 import structlog
 
-from api.web.characters.intake import download_of
+from api.web.characters.intake import character_download
 from api.web.dependencies import Services
 from api.web.downloads import opened
 from api.web.errors import ApiError
@@ -32,7 +32,7 @@ from pipeline.core.problems.requests import (
 )
 from pipeline.run.space import foreseen_space, shown_bytes
 from worker.run import tracing
-from worker.run.planning import PlannableSession, has_videos, plan_job
+from worker.run.planning import PlannableSession, has_videos, plan_config, plan_job
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.artifacts import job_character_key, job_prefix
@@ -64,7 +64,7 @@ class QueuedSession(PlannableSession, Protocol):
 
 
 def installed_on_workers(services: Services, *, has_videos: bool) -> Installed:
-    """What every worker has installed; without workers nothing is known, and jobs wait for one.
+    """Names that every worker has installed; without workers nothing is known, and jobs wait for one.
 
     Only sessions of videos need networks.
     """
@@ -90,7 +90,7 @@ def check_spec(spec: JobSpec, session: Preflight | None, limits: SpecLimits) -> 
     """Find everything that is wrong with the spec of a job.
 
     Problems of choices have their field. A job without ``force`` is also refused for errors of the session with which
-    nobody could be located; the other errors are judged with the people, in the job.
+    no person could be located; the job judges the other errors with the people.
 
     Parameters
     ----------
@@ -157,9 +157,10 @@ def queued_job(
     """
     with _copied_character(services, records, spec.character) as moved:
         character = None if moved is None else moved[1]
-        stages = plan_job(session, spec, character=character, provider=services.store.workers.provider())
+        config = replace(spec.config, character=None if character is None else character.digest)
+        stages = plan_config(session, config, provider=services.store.workers.provider())
         character_bytes = 0 if character is None else character.file.num_bytes
-        needed_bytes = foreseen_space(session.preflight, spec.config, character_bytes).store_bytes
+        needed_bytes = foreseen_space(session.preflight, config, character_bytes).store_bytes
         # Of a bucket nothing is known; the space that workers need meanwhile is on their own disks.
         if not services.settings.artifacts_url and not services.disk.has_room(needed_bytes):
             free = shown_bytes(max(0, services.disk.free_bytes - services.disk.headroom_bytes))
@@ -206,7 +207,7 @@ def _copied_character(
         services.settings.spool_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=services.settings.spool_dir) as folder:
             path = Path(folder) / "file"
-            with opened(services, download_of(character)) as source, path.open("xb") as copy:
+            with opened(services, character_download(character)) as source, path.open("xb") as copy:
                 shutil.copyfileobj(source, copy)
             services.artifacts.put_file(file.key, path)
         try:

@@ -1,13 +1,14 @@
-"""Jobs: reconstruct a session, follow it, cancel, retry, delete."""
+"""Jobs: reconstruct a session, follow it, cancel, retry, delete; and the webhook of a job's end."""
 
 import uuid
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Response, status
+from fastapi import APIRouter, Body, FastAPI, Query, Response, status
+from starlette.routing import BaseRoute
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
 from api.web.contract.description import RETRY_AFTER, Resource, Responses, answer, location, problems
-from api.web.contract.examples import JOB_ID
+from api.web.contract.examples import JOB_ID, SESSION_ID
 from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
@@ -21,11 +22,10 @@ from api.web.jobs.queueing import (
     spec_limits,
     with_session_choices,
 )
-from api.web.jobs.schemas import AttemptList, AttemptOut, JobOut, JobPage
-from api.web.jobs.webhooks import job_ended_callbacks
-from api.web.sessions.creation import Creation, Texts, add_creation
+from api.web.jobs.schemas import AttemptList, AttemptOut, JobEnded, JobOut, JobPage
 from api.web.sessions.form import CAPTURE_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job
+from api.web.sessions.receiving import Creation, Texts, add_creation
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.requests import CONFLICT
 from worker.run import tracing
@@ -35,6 +35,41 @@ from worker.store.model.jobs import JobKind, JobRecord
 from worker.store.model.states import RETRYABLE, JobState
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
+
+_ENDED = "Receive a job's end"
+_GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
+_EXAMPLE: dict[str, Any] = {
+    "type": "job.succeeded",
+    "timestamp": "2026-03-01T09:32:10.250000Z",
+    "data": {"id": JOB_ID, "session_id": SESSION_ID, "state": "succeeded", "attempt": 1, "warnings": []},
+}
+
+
+def _job_ended(
+    message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": _EXAMPLE}})],
+) -> None:
+    """The service sends this message to the `callback_url` of the job's spec when the job has ended.
+
+    It repeats the message for a day, until the receiver answers with 2xx or 410.
+    """
+
+
+def declare_webhooks(app: FastAPI) -> None:
+    """Declare the webhooks that the service sends."""
+    app.webhooks.post("job-ended", operation_id="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
+        _job_ended
+    )
+
+
+def job_ended_callbacks(operation_id: str, pointer: str) -> list[BaseRoute]:
+    """Declare the webhook of an operation; ``pointer`` leads to the receiver's URL in the request's body."""
+    router = APIRouter()
+    address = f"{{$request.body#{pointer}}}"
+    router.post(address, operation_id=operation_id, name="jobEnded", summary=_ENDED, status_code=204, responses=_GONE)(
+        _job_ended
+    )
+    return router.routes
+
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.
@@ -159,7 +194,7 @@ def list_session_jobs(
 )
 def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a job: its state, its stages, how far they are."""
-    job = JobOut.of(records.jobs.get(job_id))
+    job = JobOut.from_job(records.jobs.get(job_id))
     return conditional(job.for_link() if viewer.link else job, if_none_match)
 
 
@@ -171,7 +206,7 @@ def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match
 )
 def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
-    return AttemptList(attempts=tuple(AttemptOut.of(attempt) for attempt in records.jobs.attempts(job_id)))
+    return AttemptList(attempts=tuple(AttemptOut.from_attempt(attempt) for attempt in records.jobs.attempts(job_id)))
 
 
 @small.post(
@@ -280,12 +315,12 @@ def _page(
     after = str(cursor) if cursor else None
     jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
-    return JobPage(jobs=tuple(JobOut.of(job) for job in jobs), next_cursor=next_cursor)
+    return JobPage(jobs=tuple(JobOut.from_job(job) for job in jobs), next_cursor=next_cursor)
 
 
 def _accepted(job: JobRecord) -> Answer:
     headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
-    return Answer(202, headers, JobOut.of(job).model_dump_json())
+    return Answer(202, headers, JobOut.from_job(job).model_dump_json())
 
 
 CREATION = Resource(router=router, forms=(CAPTURE_FORM,))

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
 from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.model import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME
@@ -12,7 +12,6 @@ from worker.store.model.jobs import (
     Attempt,
     Failure,
     JobKind,
-    JobProblem,
     JobRecord,
     StageProgress,
     is_worth_a_retry,
@@ -37,16 +36,11 @@ class StageOut(ResponseModel):
     reused: bool = Field(description="Whether the outputs of an earlier job were used.")
 
     @classmethod
-    def of(cls, stage: StageProgress) -> Self:
+    def from_stage(cls, stage: StageProgress) -> Self:
         """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
         declared = STAGE_BY_NAME[stage.name]
-        return cls(
-            label=declared.label,
-            unit=declared.unit,
-            fraction=min(1.0, fraction),
-            **fields_of(stage, cls, without=("label", "unit", "fraction")),
-        )
+        return cls.from_record(stage, label=declared.label, unit=declared.unit, fraction=min(1.0, fraction))
 
 
 class SessionErrorOut(ResponseModel):
@@ -73,12 +67,6 @@ class JobError(ResponseModel):
         "same.",
     )
 
-    @classmethod
-    def of(cls, problem: JobProblem) -> Self:
-        """Build the response from a problem."""
-        errors = tuple(SessionErrorOut(**fields_of(error, SessionErrorOut)) for error in problem.errors)
-        return cls(errors=errors, **fields_of(problem, cls, without=("errors",)))
-
 
 class FailureOut(ResponseModel):
     """Failed attempt at a chunk of a stage."""
@@ -90,13 +78,9 @@ class FailureOut(ResponseModel):
     reason: JobError = Field(description="Error of the attempt.")
 
     @classmethod
-    def of(cls, failure: Failure) -> Self:
+    def from_failure(cls, failure: Failure) -> Self:
         """Build the response from a failure."""
-        return cls(
-            chunk=failure.chunk_index,
-            reason=JobError.of(failure.problem),
-            **fields_of(failure, cls, without=("chunk", "reason")),
-        )
+        return cls.from_record(failure, chunk=failure.chunk_index, reason=failure.problem)
 
 
 class AttemptOut(ResponseModel):
@@ -111,13 +95,10 @@ class AttemptOut(ResponseModel):
     failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
 
     @classmethod
-    def of(cls, attempt: Attempt) -> Self:
+    def from_attempt(cls, attempt: Attempt) -> Self:
         """Build the response from an attempt."""
-        return cls(
-            error=JobError.of(attempt.problem) if attempt.problem else None,
-            failures=tuple(FailureOut.of(failure) for failure in attempt.failures),
-            **fields_of(attempt, cls, without=("error", "failures")),
-        )
+        failures = tuple(map(FailureOut.from_failure, attempt.failures))
+        return cls.from_record(attempt, error=attempt.problem, failures=failures)
 
 
 class AttemptList(ResponseModel):
@@ -217,27 +198,17 @@ class JobOut(ResponseModel):
     links: JobLinks
 
     @classmethod
-    def of(cls, job: JobRecord) -> Self:
+    def from_job(cls, job: JobRecord) -> Self:
         """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
-        return cls(
-            **fields_of(
-                job,
-                cls,
-                without=(
-                    *("kind", "calibration_id", "provider", "stages", "error", "waiting_for"),
-                    *("result_warnings", "visuals_job", "space", "links"),
-                ),
-            ),
+        runs_networks = any(STAGE_BY_NAME[stage.name].runs_networks for stage in job.stages)
+        return cls.from_record(
+            job,
             kind=job_kind(job.making),
             calibration_id=job.id if job_kind(job.making) == "calibration" else None,
-            provider=provider_name(job.provider) if _runs_networks(job) else None,
-            stages=tuple(StageOut.of(stage) for stage in job.stages),
-            error=JobError.of(job.problem) if job.problem else None,
-            visuals_job=None if job.visuals_job is None else VisualsJobOut(**fields_of(job.visuals_job, VisualsJobOut)),
-            waiting_for=JobError.of(job.waiting_for) if job.waiting_for else None,
-            space=None if job.space is None else SpaceOut.of(job.space),
-            result_warnings=tuple(WarningOut(**fields_of(warning, WarningOut)) for warning in job.result_warnings),
+            provider=provider_name(job.provider) if runs_networks else None,
+            stages=tuple(map(StageOut.from_stage, job.stages)),
+            error=job.problem,
             links=JobLinks(
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
@@ -258,12 +229,8 @@ class JobOut(ResponseModel):
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
 
 
-def _runs_networks(job: JobRecord) -> bool:
-    return any(STAGE_BY_NAME[stage.name].runs_networks for stage in job.stages)
-
-
 def _may_make_visuals(job: JobRecord) -> bool:
-    """Whether a request makes the visuals of a job anew."""
+    """Whether a request rebuilds the visuals of a job."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
     can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)
     return job.state is JobState.SUCCEEDED and can_make and (job.has_old_visuals or has_failed)

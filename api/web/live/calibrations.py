@@ -1,4 +1,4 @@
-"""Calibrations of live captures: those that clients send are checked in a fork, as they are strangers' files."""
+"""Calibrations of live captures: files of clients are checked in a fork, as they come from strangers."""
 
 import json
 import os

@@ -21,7 +21,7 @@ _log = structlog.get_logger(__name__)
 
 _LOGGED_BYTES = 4000
 _ANSWERS_TO_START = 6
-# Of the service's environment the forks get these names, and those that begin with the prefixes: no passwords, no keys.
+# Of the service's environment the forks get these names, and names that begin with the prefixes: no passwords, no keys.
 _NAMES = frozenset({"HOME", "LANG", "LD_LIBRARY_PATH", "MULTICAP_HOME", "PATH", "TMPDIR", "TZ", "USER"})
 _PREFIXES = ("LC_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 # A process that forks must have no threads, and OpenBLAS would start some.

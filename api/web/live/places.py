@@ -18,7 +18,7 @@ _PAUSE, _MAX_PAUSE_S = 2.0, 0.5
 
 
 class LivePlaces:
-    """Counts of open live captures, and of those of the last minute that ended by a client's fault.
+    """Counts of open live captures, and of captures of the last minute that ended by a client's fault.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Process that computes a live capture, with limits on its memory; a crash or a hang of it is that of one capture."""
+"""Process that computes a live capture, with limits on its memory; its crash or hang ends one capture."""
 
 import asyncio
 import contextlib

@@ -17,10 +17,10 @@ from api.web.http.websockets import SocketProblem
 from api.web.live.backlog import Backlog, Waiting
 from api.web.live.intake import Intake, require_size, wrong_message
 from api.web.live.keeping import KeptPackets
-from api.web.live.metrics import LiveMetrics
 from api.web.live.problems import failed
 from api.web.live.process import CaptureProcess
 from api.web.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
+from api.web.metrics import LiveMetrics
 from api.web.settings import Settings
 from pipeline.core.problems.requests import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
 from pipeline.run.live.packets import CaptureAnswer, Dropped, with_dropped

@@ -23,13 +23,12 @@ from api.web.live.calibrations import calibration_file
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
-from api.web.live.metrics import LiveMetrics
 from api.web.live.problems import failed, is_fault
 from api.web.live.process import CaptureProcess, capture_process
 from api.web.live.relay import Relay, receive
 from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
+from api.web.metrics import LiveMetrics
 from api.web.sessions.receiving import spool_folder
-from api.web.settings import Settings
 from pipeline.core.problems.requests import LIVE_FIELDS, LIVE_MESSAGE
 from pipeline.run.live.packets import CaptureAnswer
 from worker.store.model.rights import Actor
@@ -113,10 +112,14 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
             intake = Intake(cameras, start.layout, settings.max_live_people)
             rate_hz = start.frame_rate_hz * len(cameras)
             relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
+            limits = {
+                "message_bytes": settings.max_live_message_bytes,
+                "messages_per_s": settings.max_live_messages_per_s,
+                "people": settings.max_live_people,
+                "idle_s": settings.live_idle_s,
+            }
             request_id = websocket.state.request_id
-            await _send(
-                websocket, LiveReady(**ready, layout=start.layout, limits=_limits(settings), request_id=request_id)
-            )
+            await _send(websocket, LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
             await relay.run(key_ended)
         session_id = None
         if kept is not None:
@@ -160,15 +163,6 @@ async def _ready(
             errors = [ErrorItem(**problem) for problem in json.loads(answer)]
             raise SocketProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
         yield process, json.loads(answer)
-
-
-def _limits(settings: Settings) -> dict[str, float]:
-    return {
-        "message_bytes": settings.max_live_message_bytes,
-        "messages_per_s": settings.max_live_messages_per_s,
-        "people": settings.max_live_people,
-        "idle_s": settings.live_idle_s,
-    }
 
 
 async def _send(websocket: WebSocket, message: BaseModel) -> None:

@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from api.web.http.websockets import SocketProblemOut
-from api.web.motion.schemas import MotionPose
+from api.web.motion import MotionPose
 from api.web.sessions.schemas import SessionName, Up
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S
 

@@ -6,8 +6,7 @@ import time
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket
 
-from api.web.recordings.clock import server_s
-from api.web.recordings.intake import RecordingIntake, parsed
+from api.web.recordings.intake import RecordingIntake, parsed, server_s
 from api.web.recordings.messages import (
     HOST_MESSAGES,
     HOST_RECEIVED,
@@ -23,7 +22,7 @@ from api.web.recordings.messages import (
     LivePhoneOut,
     Pong,
 )
-from api.web.recordings.phones import limits_of, refusal_of, send
+from api.web.recordings.phones import recording_limits, refusal_message, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
 from api.web.recordings.schemas import RecordingOut
 from api.web.settings import Settings
@@ -65,7 +64,7 @@ class HostConnection:
             try:
                 recording = await run_in_threadpool(self._change, message)
             except Exception as error:
-                await send(self._websocket, refusal_of(error, self._websocket.state.request_id), self._settings)
+                await send(self._websocket, refusal_message(error, self._websocket.state.request_id), self._settings)
             else:
                 self._room.changed(recording)
 
@@ -92,7 +91,7 @@ class HostConnection:
             case HostStart():
                 settings = {} if message.settings is None else message.settings.model_dump()
                 self._disk.require_room()
-                start_s, limits = server_s() + _START_LEAD_S, limits_of(self._settings)
+                start_s, limits = server_s() + _START_LEAD_S, recording_limits(self._settings)
                 return recordings.start_take(recording_id, message.name, settings, start_s, limits)
             case HostStop():
                 return self._disk.using_reserve(lambda: recordings.stop_take(recording_id, server_s() + _STOP_LEAD_S))
@@ -112,7 +111,7 @@ class HostConnection:
         is_new = room.recording.revision != self._shown_revision
         self._shown_revision = room.recording.revision
         return HostState(
-            recording=RecordingOut.of(room.recording, now_s) if is_new else None,
+            recording=RecordingOut.from_recording(room.recording, now_s) if is_new else None,
             live=tuple(
                 LivePhoneOut(number=number, is_connected=phone.is_connected, status=phone.status, hello=phone.hello)
                 for number, phone in sorted(room.live.items())

@@ -1,7 +1,9 @@
-"""RecordingIntake of messages: what phones and hosts send is checked here, before anything is done with it."""
+"""Intake of messages of phones and hosts: clock, sizes, rates and fields, checked before anything is done with them."""
 
+import asyncio
 import struct
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Awaitable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -12,15 +14,32 @@ from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.validation import model_items
 from api.web.http.rates import Pace
 from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem
-from api.web.recordings.clock import in_time
 from api.web.settings import Settings
 from pipeline.core.problems.requests import (
     RECORDING_FIELDS,
+    RECORDING_IDLE,
     RECORDING_MESSAGE,
     RECORDING_THUMBNAIL,
     RECORDING_TOO_FAST,
     RECORDING_TOO_LARGE,
 )
+
+_Result = TypeVar("_Result")
+
+
+def server_s() -> float:
+    """Seconds since 1970; machines with API processes keep their clocks alike, such as by NTP."""
+    return time.time()
+
+
+async def in_time(way: Awaitable[_Result], wait_s: float | None, what: str) -> _Result:
+    """Wait for a client; raises ``SocketProblem`` with the sentence ``what`` after ``wait_s``."""
+    try:
+        async with asyncio.timeout(wait_s):
+            return await way
+    except TimeoutError:
+        raise SocketProblem(RECORDING_IDLE, f"{what} for {wait_s:g} s.") from None
+
 
 _Message = TypeVar("_Message")
 _NO_PLACES = FieldPlaces(lambda: ({}, {}))

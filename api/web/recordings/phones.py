@@ -9,8 +9,8 @@ from starlette.websockets import WebSocket
 from api.web.errors import as_api_error
 from api.web.http.rates import Pace
 from api.web.http.websockets import SocketProblem
-from api.web.recordings.clock import in_time, server_s
-from api.web.recordings.intake import RecordingIntake, parsed, require_jpeg
+from api.web.metrics import RecordingMetrics
+from api.web.recordings.intake import RecordingIntake, in_time, parsed, require_jpeg, server_s
 from api.web.recordings.messages import (
     PHONE_MESSAGES,
     PHONE_RECEIVED,
@@ -31,7 +31,6 @@ from api.web.recordings.messages import (
     StopOut,
     UploadOut,
 )
-from api.web.recordings.metrics import RecordingMetrics
 from api.web.recordings.rooms import RecordingOver, Room, Side
 from api.web.recordings.schemas import VideoSettings
 from api.web.settings import Settings
@@ -58,7 +57,7 @@ class _Told:
     is_gone: bool
 
     @classmethod
-    def of(cls, take: RecordingTake) -> "_Told":
+    def from_take(cls, take: RecordingTake) -> "_Told":
         return cls(take.is_stopped, take.is_upload_wanted, take.is_used or take.is_discarded)
 
 
@@ -92,7 +91,7 @@ class PhoneConnection:
         self._require_here(recording)
         phone = recording.phone(self._number)
         self._name = phone.name if phone is not None else ""
-        self._told = {take.number: _Told.of(take) for take in recording.takes}
+        self._told = {take.number: _Told.from_take(take) for take in recording.takes}
         await self._send(
             PhoneWelcome(
                 number=self._number,
@@ -178,11 +177,11 @@ class PhoneConnection:
             case PhoneStopped():
                 return recordings.clip_stopped(recording_id, message.take, self._number, facts)
             case PhoneFile():
-                return recordings.add_file(recording_id, message.take, self._number, _file_of(message))
+                return recordings.add_file(recording_id, message.take, self._number, _clip_file(message))
 
     async def _answer(self, error: Exception) -> None:
         """State why something was not done; the connection goes on."""
-        await self._send(refusal_of(error, self._websocket.state.request_id))
+        await self._send(refusal_message(error, self._websocket.state.request_id))
 
     def _news(self, recording: RecordingSession) -> list[BaseModel]:
         """Messages about what the phone was not told yet."""
@@ -192,8 +191,8 @@ class PhoneConnection:
             self._name = phone.name
             news.append(RenameOut(name=phone.name))
         for take in recording.takes:
-            news += _news_of(take, self._told.get(take.number))
-            self._told[take.number] = _Told.of(take)
+            news += _take_news(take, self._told.get(take.number))
+            self._told[take.number] = _Told.from_take(take)
         return news
 
     async def _send(self, message: BaseModel) -> None:
@@ -217,7 +216,7 @@ async def send(websocket: WebSocket, message: BaseModel | bytes, settings: Setti
     await in_time(way, settings.recording_idle_s, "The client took nothing")
 
 
-def refusal_of(error: Exception, request_id: str) -> RecordingProblemOut:
+def refusal_message(error: Exception, request_id: str) -> RecordingProblemOut:
     """Message about something that was not done, after which the connection goes on."""
     refusal = as_api_error(error)
     return RecordingProblemOut(
@@ -231,12 +230,12 @@ def refusal_of(error: Exception, request_id: str) -> RecordingProblemOut:
     )
 
 
-def limits_of(settings: Settings) -> RecordingLimits:
+def recording_limits(settings: Settings) -> RecordingLimits:
     """Limits of recordings of this service."""
     return RecordingLimits(settings.max_recording_phones, settings.max_recording_takes, settings.max_take_s)
 
 
-def _news_of(take: RecordingTake, told: _Told | None) -> list[BaseModel]:
+def _take_news(take: RecordingTake, told: _Told | None) -> list[BaseModel]:
     is_gone = take.is_used or take.is_discarded
     if told is None:
         if take.is_stopped or is_gone:
@@ -277,7 +276,7 @@ def _offered(take: RecordingTake, phone: int, now_s: float) -> OfferedTake:
     )
 
 
-def _file_of(message: PhoneFile) -> ClipFile:
+def _clip_file(message: PhoneFile) -> ClipFile:
     known = {"type", "take", "part", "upload_id", "num_bytes", "first_frame_s", "std_s", "duration_s"}
     return ClipFile(
         part=message.part,

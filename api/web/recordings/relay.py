@@ -2,7 +2,7 @@
 
 Nothing depends on them: rows are the truth, and every process polls the revisions of its open recordings. Messages make
 changes known at once, and carry what is no row: what phones say of themselves, and thumbnails. Of each kind only the
-newest message of a phone waits to be sent, so that a slow broker holds up nobody.
+newest message of a phone waits to be sent, so that a slow broker delays no other phone.
 """
 
 import asyncio
@@ -49,7 +49,7 @@ class RecordingRelay:
     """
 
     def __init__(self, broker_url: str) -> None:
-        self._client: redis.asyncio.Redis = _client_of(broker_url)
+        self._client: redis.asyncio.Redis = _open_client(broker_url)
         self._origin = uuid.uuid4().bytes
         self._channels: set[str] = set()
         self._subscribed: set[str] = set()
@@ -138,7 +138,7 @@ class RecordingRelay:
         self.is_away = is_away
 
 
-def _client_of(broker_url: str) -> redis.asyncio.Redis:
+def _open_client(broker_url: str) -> redis.asyncio.Redis:
     """Client of the broker, whose address is Celery's."""
     address = broker_url.partition(";")[0]
     if address.startswith(_SOCKET_SCHEME):

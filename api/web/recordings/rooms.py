@@ -236,7 +236,7 @@ class Rooms:
             yield
         finally:
             self.num_greeting[recording_id] -= 1
-            self.num_greeting += Counter()  # without those of nobody
+            self.num_greeting += Counter()  # drops counts of zero
 
     async def run(self) -> None:
         """Keep the rooms up to date until it is canceled."""

@@ -10,14 +10,13 @@ from starlette.concurrency import run_in_threadpool
 from api.web.auth import RecordsDep
 from api.web.contract.description import Resource, answer, location, problems
 from api.web.contract.examples import JOB_ID, SESSION_ID
-from api.web.contract.schemas import fields_of
 from api.web.dependencies import Cursor, Limit, RecordingId, Services, ServicesDep
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.idempotency import IdempotentRequestDep
 from api.web.jobs.schemas import JobOut
 from api.web.recordings import examples
-from api.web.recordings.clock import server_s
+from api.web.recordings.intake import server_s
 from api.web.recordings.schemas import (
     JoinOut,
     NewRecordingOut,
@@ -83,7 +82,7 @@ def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     found, now_s = records.recordings.page(limit=limit, after=str(cursor) if cursor else None), server_s()
     next_cursor = found[-1].id if len(found) == limit else None
     return RecordingPage(
-        recordings=tuple(RecordingOut.of(recording, now_s) for recording in found), next_cursor=next_cursor
+        recordings=tuple(RecordingOut.from_recording(recording, now_s) for recording in found), next_cursor=next_cursor
     )
 
 
@@ -95,7 +94,7 @@ def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
 )
 def get_recording(recording_id: RecordingId, records: RecordsDep) -> RecordingOut:
     """Read a recording: its phones, and its takes with the clips of the phones."""
-    return RecordingOut.of(records.recordings.get(recording_id), server_s())
+    return RecordingOut.from_recording(records.recordings.get(recording_id), server_s())
 
 
 @router.post(
@@ -208,7 +207,7 @@ def _new(request: Request, services: Services, recording: RecordingSession, secr
         qr_svg=svg.getvalue().decode(),
         expires_at=recording.expires_at,
     )
-    return NewRecordingOut(**fields_of(RecordingOut.of(recording, server_s()), RecordingOut), join=join)
+    return NewRecordingOut.from_recording(recording, server_s(), join=join)
 
 
 RESOURCE = Resource(router=router, answers=examples.ANSWERS)

@@ -8,13 +8,11 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.web.calibrations.schemas import BOARD_PATTERN
-from api.web.contract.schemas import Id, NextCursor, ResponseModel, fields_of, printable_name
+from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.core.problems.requests import WRONG_FORMAT
 from worker.store.model.recordings import (
-    ClipFile,
-    RecordingPhone,
     RecordingSession,
     RecordingTake,
     TakeClip,
@@ -128,11 +126,6 @@ class PhoneOut(ResponseModel):
     joined_at: AwareDatetime = Field(description="Time at which it joined first.")
     is_removed: bool = Field(description="Whether the host has removed it for good.")
 
-    @classmethod
-    def of(cls, phone: RecordingPhone) -> Self:
-        """Build the response from a phone."""
-        return cls(**fields_of(phone, cls))
-
 
 class ClipFileOut(ResponseModel):
     """Part of a clip that was uploaded completely."""
@@ -144,11 +137,6 @@ class ClipFileOut(ResponseModel):
     std_s: float = Field(description="Standard deviation of that time.")
     duration_s: float = Field(description="Duration of the video as the phone measured it.")
     facts: dict[str, Any] = Field(description="What else the phone says of it: the fields of its message `file`.")
-
-    @classmethod
-    def of(cls, file: ClipFile) -> Self:
-        """Build the response from a part."""
-        return cls(**{**fields_of(file, cls), "facts": dict(file.facts)})
 
 
 class ClipOut(ResponseModel):
@@ -164,16 +152,9 @@ class ClipOut(ResponseModel):
     )
 
     @classmethod
-    def of(cls, clip: TakeClip) -> Self:
+    def from_clip(cls, clip: TakeClip) -> Self:
         """Build the response from a clip."""
-        longest = clip.longest
-        return cls(
-            phone=clip.phone,
-            started=None if clip.started is None else dict(clip.started),
-            stopped=None if clip.stopped is None else dict(clip.stopped),
-            files=tuple(map(ClipFileOut.of, clip.files)),
-            used_part=None if longest is None else longest.part,
-        )
+        return cls.from_record(clip, used_part=None if clip.longest is None else clip.longest.part)
 
 
 class TakeOut(ResponseModel):
@@ -195,14 +176,10 @@ class TakeOut(ResponseModel):
     clips: tuple[ClipOut, ...] = Field(description="Clips of the phones, in the order of their numbers.")
 
     @classmethod
-    def of(cls, take: RecordingTake, now_s: float) -> Self:
+    def from_take(cls, take: RecordingTake, now_s: float) -> Self:
         """Build the response from a take, at a time by the service's clock."""
-        return cls(
-            **fields_of(take, cls, without=("state", "settings", "clips")),
-            state=take.state(now_s),
-            settings=VideoSettings(**take.settings) if take.settings else None,
-            clips=tuple(map(ClipOut.of, take.clips)),
-        )
+        clips = tuple(map(ClipOut.from_clip, take.clips))
+        return cls.from_record(take, state=take.state(now_s), settings=take.settings or None, clips=clips)
 
 
 class RecordingOut(ResponseModel):
@@ -216,13 +193,10 @@ class RecordingOut(ResponseModel):
     takes: tuple[TakeOut, ...] = Field(description="Takes, in the order of their numbers.")
 
     @classmethod
-    def of(cls, recording: RecordingSession, now_s: float) -> Self:
+    def from_recording(cls, recording: RecordingSession, now_s: float, **computed: Any) -> Self:
         """Build the response from a recording, at a time by the service's clock."""
-        return cls(
-            **fields_of(recording, RecordingOut, without=("phones", "takes")),
-            phones=tuple(map(PhoneOut.of, recording.phones)),
-            takes=tuple(TakeOut.of(take, now_s) for take in recording.takes),
-        )
+        takes = tuple(TakeOut.from_take(take, now_s) for take in recording.takes)
+        return cls.from_record(recording, takes=takes, **computed)
 
 
 class JoinOut(ResponseModel):

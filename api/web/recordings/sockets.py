@@ -15,11 +15,11 @@ from api.web.contract.description import Resource
 from api.web.dependencies import Services, canonical_id
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import LATER, SocketProblem, deny, problem_message, socket_problem
+from api.web.metrics import RecordingMetrics
 from api.web.recordings.hosts import HostConnection
 from api.web.recordings.intake import RecordingIntake
 from api.web.recordings.messages import EndedOut, RecordingProblemOut
-from api.web.recordings.metrics import RecordingMetrics
-from api.web.recordings.phones import PhoneConnection, limits_of, said_hello, send
+from api.web.recordings.phones import PhoneConnection, recording_limits, said_hello, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
 from pipeline.core.problems.requests import LINK_UNKNOWN, RECORDING_BUSY, RECORDING_LINK_ENDED
 from worker.store.errors import NotFound, PhoneRemoved
@@ -83,7 +83,7 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
             hello.phone_id,
             hello.name,
             hello.device,
-            limits_of(settings),
+            recording_limits(settings),
         )
     except PhoneRemoved:
         raise RecordingOver("removed") from None

@@ -9,9 +9,13 @@ from typing import Any
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 
-from api.web.calibrations.beginning import accepted, begun_calibration
-from api.web.calibrations.form import CALIBRATION_FORM
-from api.web.calibrations.intake import CheckedCalibration, check_calibration
+from api.web.calibrations.intake import (
+    CALIBRATION_FORM,
+    CheckedCalibration,
+    accepted,
+    begun_calibration,
+    check_calibration,
+)
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces
@@ -65,7 +69,7 @@ class TakeVideos:
         )
 
 
-def videos_of(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
+def take_videos(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
     """Videos of a take: of each phone its longest part, since a recording has no gaps.
 
     Raises ``ApiError`` if no phone has sent a clip of the take.
@@ -126,7 +130,7 @@ async def made_session(
         content, videos = await run_in_threadpool(_as_calibrated, records, take, spec, name), None
         sent = Sent(folder, kind, content, None, _NO_PLACES)
     else:
-        videos = videos_of(recording, take)
+        videos = take_videos(recording, take)
         manifest = Manifest(name=name, cameras=videos.cameras(), sync="auto", metadata=_source(recording, take))
         documents = {MANIFEST: manifest.model_dump_json(), CALIBRATION_ID: str(spec.calibration_id)}
         if spec.job is not None:
@@ -158,7 +162,7 @@ async def made_calibration(
     ApiError
         With all that is wrong.
     """
-    records, videos = idempotent.records, videos_of(recording, take)
+    records, videos = idempotent.records, take_videos(recording, take)
     choices = spec.spec(tuple(camera.model_dump(mode="json") for camera in videos.cameras()), take.name)
     documents = {SPEC: json.dumps({name: value for name, value in choices.items() if value not in (None, [])})}
     form = await _form(request, services, records, folder, CALIBRATION_FORM, videos, documents)

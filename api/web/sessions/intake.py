@@ -28,7 +28,7 @@ from api.web.http.bodies.form_kinds import (
 )
 from api.web.jobs.queueing import check_spec, queued_job, spec_limits, with_session_choices
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
-from api.web.sessions.receiving import Sent, adopted, document, form_of
+from api.web.sessions.receiving import Sent, adopted, document, sent_form
 from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
@@ -162,7 +162,7 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
                 preflight = await services.checks.run(
                     owner,
                     services.preflight.check,
-                    arguments_of(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
+                    preflight_arguments(form, arrival.manifest or Manifest(), services.settings.max_session_joints),
                     record_path,
                     allowance_s(form),
                     thumbnails,
@@ -235,7 +235,7 @@ def stored(services: Services, checked: CheckedSession, new: NewSession | None =
     """Put the files of a session into the artifact store; the block records the session in the database.
 
     If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
-    process that is killed in between, and those of a transaction whose answer was lost, if it was not committed.
+    process that is killed in between, and of a transaction whose answer was lost, if it was not committed.
     """
     new = new or new_session(services, checked)
     sources = [file for files in checked.form.files.values() for file in files]
@@ -275,7 +275,7 @@ def session_and_job(
 
 def _parsed(sent: Sent) -> Arrival:
     """Parse the documents of a form."""
-    form = form_of(sent)
+    form = sent_form(sent)
     manifest, manifest_errors = document(sent, MANIFEST, Manifest)
     spec, spec_problems = document(sent, SPEC, JobSpec)
     arrival = Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
@@ -380,7 +380,7 @@ def record_path_in(folder: Path) -> Path:
     return folder / f"{uuid_utils.uuid7()}.npz"
 
 
-def arguments_of(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
+def preflight_arguments(form: Form, manifest: Manifest, max_joints: int) -> list[str]:
     """Arguments of the preflight for a form."""
     paths: dict[str, list[str]] = {}
     for pointer, file in form.pointers().items():

@@ -287,7 +287,7 @@ class PreflightProgram:
         Parameters
         ----------
         corrections
-            Bones by joint that go before those that are recognised; ``None``: the joint has no bone.
+            Bones by joint, in place of the recognised bones; ``None``: the joint has no bone.
         folder
             Folder for temporary files, which the caller removes.
 

@@ -1,23 +1,26 @@
-"""Arrival of sessions, calibrations and characters: as a form with files, or as JSON that names uploads."""
+"""Records that clients send, as a form with files or as JSON that names uploads: how they arrive, and their routes."""
 
 import contextlib
 import shutil
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
 
 import anyio
 import uuid_utils
-from fastapi import Request
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
+from starlette.routing import BaseRoute
 
-from api.web.dependencies import Services
+from api.web.contract.description import request_body
+from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import (
+    EITHER_TYPE,
     FORM_TYPE,
     JSON_TYPE,
     KEYPOINTS,
@@ -30,7 +33,7 @@ from api.web.http.bodies.form_kinds import (
 from api.web.http.bodies.multipart import receive_form
 from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
-from api.web.http.idempotency import IdempotentRequest
+from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
 from pipeline.core.problems.requests import (
     MALFORMED_JSON,
@@ -115,7 +118,7 @@ async def received(
             yield Sent(folder, kind, names, names.model_dump(mode="json"), places)
         else:
             form = await receive_form(request, folder, services.limits, services.disk, kind, places)
-            yield Sent(folder, kind, form, _parts_of(form), places)
+            yield Sent(folder, kind, form, _fingerprint_parts(form), places)
 
 
 def _unsupported(types: Collection[str]) -> ApiError:
@@ -136,7 +139,7 @@ async def spool_folder(spool_dir: Path) -> AsyncIterator[Path]:
             await run_in_threadpool(shutil.rmtree, folder)
 
 
-def form_of(sent: Sent) -> Form:
+def sent_form(sent: Sent) -> Form:
     """Form that a client sent."""
     if not isinstance(sent.content, Form):
         raise TypeError("uploads are named")
@@ -146,12 +149,12 @@ def form_of(sent: Sent) -> Form:
 def document(sent: Sent, part: str, model: type[_Model]) -> tuple[_Model | None, list[ErrorItem]]:
     """Parse a JSON part of a form; a missing part has all defaults."""
     try:
-        return model.model_validate_json(form_of(sent).documents.get(part, b"{}")), []
+        return model.model_validate_json(sent_form(sent).documents.get(part, b"{}")), []
     except ValidationError as error:
         return None, model_items(error, model, sent.places, part)
 
 
-def _parts_of(form: Form) -> object:
+def _fingerprint_parts(form: Form) -> object:
     """Content of a form as JSON, independent of its encoding."""
     files = {pointer: [file.name, file.sha256] for pointer, file in form.pointers().items()}
     return files, {name: content.decode(errors="replace") for name, content in form.documents.items()}
@@ -228,3 +231,83 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
                 parts.copy(part, file.name, source)
     except NotFound:
         parts.reject_field(SESSION_ID, SESSION_UNKNOWN, "There is no such session.", "GET /v1/sessions lists them.")
+
+
+_Checked = TypeVar("_Checked")
+# Ends of paths and of ids of operations, by the bodies that they take.
+_WAYS = (
+    ("", "", EITHER_TYPE),
+    ("/from-files", "FromFiles", (FORM_TYPE,)),
+    ("/from-uploads", "FromUploads", (JSON_TYPE,)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Creation(Generic[_Checked]):
+    """How records are created."""
+
+    form: FormKind  # Kind of the form, or of the JSON in its place
+    # Checks what was sent; raises ``ApiError`` with all that is wrong
+    check: Callable[[Request, Services, TenantRecords, Sent], Awaitable[_Checked]]
+    add: Callable[[Services, IdempotentRequest, _Checked], Answer]  # Stores the files and the record, both or neither
+
+    async def respond(
+        self, request: Request, services: Services, idempotent: IdempotentRequest, types: Collection[str]
+    ) -> Response:
+        """Receive a body of one of the content types, check it and add the record; once for each idempotency key."""
+        async with received(request, services, idempotent, self.form, types) as sent:
+            if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
+                return earlier
+            async with idempotent.held():
+                checked = await self.check(request, services, idempotent.records, sent)
+                answer = await run_in_threadpool(self.add, services, idempotent, checked)
+        return answer.response()
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """Documentation of a route, with the webhooks that it causes."""
+
+    summary: str
+    description: str
+    callbacks: list[BaseRoute] | None = None
+
+
+def add_creation(
+    router: APIRouter,
+    path: str,
+    operation_id: str,
+    creation: Creation[Any],
+    texts: tuple[Texts, Texts, Texts],
+    **declared: Any,
+) -> None:
+    """Add an operation that takes a form with files or JSON that names uploads, and routes for one of these alone.
+
+    Generators of clients need one kind of body for each operation.
+
+    Parameters
+    ----------
+    texts
+        Documentation of the routes for both, for the form, and for JSON.
+    declared
+        What all three declare, as arguments of FastAPI's ``add_api_route``.
+    """
+
+    def endpoint(types: Collection[str]) -> Callable[..., Awaitable[Response]]:
+        async def create(request: Request, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+            return await creation.respond(request, services, idempotent, types)
+
+        return create
+
+    for (path_end, id_end, types), text in zip(_WAYS, texts, strict=True):
+        router.add_api_route(
+            path + path_end,
+            endpoint(types),
+            methods=["POST"],
+            operation_id=operation_id + id_end,
+            summary=text.summary,
+            description=text.description,
+            callbacks=text.callbacks,
+            openapi_extra=request_body(creation.form, types),
+            **declared,
+        )

@@ -12,9 +12,9 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.sessions import examples
-from api.web.sessions.creation import Creation, Texts, add_creation
 from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
+from api.web.sessions.receiving import Creation, Texts, add_creation
 from api.web.sessions.schemas import SessionChanges, SessionOut, SessionPage
 from worker.store.files.unneeded import remove_files
 from worker.store.model.sessions import Capture
@@ -35,7 +35,8 @@ State = Annotated[JobState | None, Query(description="Only sessions whose newest
 def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session and record it."""
     with stored(services, checked) as new, idempotent.records.transaction() as work:
-        return idempotent.store(work, _created(Capture(new.add_to(work))))
+        body = SessionOut.from_capture(Capture(new.add_to(work))).model_dump_json()
+        return idempotent.store(work, Answer(201, {"Location": f"/v1/sessions/{new.id}"}, body))
 
 
 _CREATE = """\
@@ -79,7 +80,7 @@ def list_sessions(
     """List sessions, the newest first: all of them, or those of a name or with a newest job in a state."""
     captures = records.sessions.page(limit=limit, after=str(cursor) if cursor else None, name=name, state=state)
     next_cursor = captures[-1].session.id if len(captures) == limit else None
-    return SessionPage(sessions=tuple(map(SessionOut.of, captures)), next_cursor=next_cursor)
+    return SessionPage(sessions=tuple(map(SessionOut.from_capture, captures)), next_cursor=next_cursor)
 
 
 @router.get(
@@ -93,7 +94,7 @@ def get_session(
     session_id: SessionId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Read a session: its files, what was found in them, and the number of its jobs with the newest one."""
-    session = SessionOut.of(records.sessions.capture(session_id))
+    session = SessionOut.from_capture(records.sessions.capture(session_id))
     return conditional(session.for_link() if viewer.link else session, if_none_match)
 
 
@@ -113,9 +114,9 @@ def rename_session(
     """Rename a session; its jobs and the names of their downloads follow. With `If-Match`, only an unchanged one."""
     with records.transaction() as work:
         if if_match is not None:
-            require_match(SessionOut.of(work.sessions.locked(session_id)), if_match)
+            require_match(SessionOut.from_capture(work.sessions.locked(session_id)), if_match)
         capture = work.sessions.rename(session_id, changes.name)
-    return conditional(SessionOut.of(capture), None)
+    return conditional(SessionOut.from_capture(capture), None)
 
 
 @router.delete(
@@ -130,11 +131,6 @@ def delete_session(session_id: SessionId, services: ServicesDep, records: Record
     # Its rows first, so that nothing is shown whose files are gone.
     services.disk.using_reserve(lambda: records.sessions.delete(session_id))
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
-
-
-def _created(capture: Capture) -> Answer:
-    headers = {"Location": f"/v1/sessions/{capture.session.id}"}
-    return Answer(201, headers, SessionOut.of(capture).model_dump_json())
 
 
 CREATION = Resource(router=router, forms=(SESSION_FORM,))

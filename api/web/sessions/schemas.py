@@ -9,13 +9,12 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, fields_of, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
 from pipeline.core.problems.requests import JSON_VALUE
 from pipeline.run.space import foreseen_space
-from worker.store.model.jobs import NewestJob
 from worker.store.model.sessions import Capture
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
@@ -256,7 +255,7 @@ class CameraOut(ResponseModel):
     )
 
     @classmethod
-    def of(cls, capture: Capture, number: int) -> Self:
+    def from_capture(cls, capture: Capture, number: int) -> Self:
         """Build the response from a camera of a session, by its number."""
         camera = capture.session.preflight.cameras[number]
         plays = camera.media_type is not None
@@ -267,8 +266,8 @@ class CameraOut(ResponseModel):
         )
         session, name = f"/v1/sessions/{capture.session.id}", quote(camera.name, safe="")
         path = f"{session}/videos/{name}"
-        return cls(
-            **fields_of(camera, cls, without=("plays_in_browsers", "video_link", "media_start_s", "thumbnails")),
+        return cls.from_record(
+            camera,
             plays_in_browsers=plays,
             video_link=path if is_sent_shown or is_copy_made else None,
             media_start_s=camera.media_start_s if is_sent_shown else 0.0,
@@ -312,16 +311,11 @@ class PreflightOut(ResponseModel):
     )
 
     @classmethod
-    def of(cls, capture: Capture) -> Self:
+    def from_capture(cls, capture: Capture) -> Self:
         """Build the response from a session and its proxies."""
         preflight = capture.session.preflight
-        return cls(
-            cameras=tuple(CameraOut.of(capture, number) for number in range(len(preflight.cameras))),
-            timebase=TimebaseOut(**fields_of(preflight.timebase, TimebaseOut)),
-            warnings=preflight.warnings,
-            findings=tuple(FindingOut(**fields_of(finding, FindingOut)) for finding in preflight.findings),
-            layout=None if preflight.layout is None else LayoutOut(**fields_of(preflight.layout, LayoutOut)),
-        )
+        cameras = tuple(CameraOut.from_capture(capture, number) for number in range(len(preflight.cameras)))
+        return cls.from_record(preflight, cameras=cameras)
 
 
 class SessionLinks(ResponseModel):
@@ -336,11 +330,6 @@ class NewestJobOut(ResponseModel):
 
     id: Id
     state: JobState = Field(description="State of the job.")
-
-    @classmethod
-    def of(cls, job: NewestJob | None) -> Self | None:
-        """Build the response from a job, if there is one."""
-        return None if job is None else cls(id=job.id, state=job.state)
 
 
 class SessionChanges(BaseModel):
@@ -389,33 +378,26 @@ class SessionOut(ResponseModel):
     links: SessionLinks
 
     @classmethod
-    def of(cls, capture: Capture) -> Self:
+    def from_capture(cls, capture: Capture) -> Self:
         """Build the response from a session and its jobs."""
         session = capture.session
         address = f"/v1/sessions/{session.id}"
         is_whole = session.purpose != "calibration"
-        return cls(
-            id=session.id,
-            name=session.name,
-            created_at=session.created_at,
+        return cls.from_record(
+            session,
             files=tuple(
-                FileOut(
-                    is_deleted=file not in session.stored_files, **fields_of(file, FileOut, without=("is_deleted",))
-                )
-                for file in session.files
+                FileOut.from_record(file, is_deleted=file not in session.stored_files) for file in session.files
             ),
             num_bytes=sum(file.num_bytes for file in session.stored_files),
-            videos_deleted_at=session.videos_deleted_at,
             duration_s=session.preflight.duration_s,
             num_jobs=capture.num_jobs,
-            newest_job=NewestJobOut.of(capture.newest_job),
-            proxies_job=NewestJobOut.of(capture.proxies_job),
+            newest_job=capture.newest_job,
+            proxies_job=capture.proxies_job,
             shows_blurred=capture.is_blurred,
-            preflight=PreflightOut.of(capture),
+            preflight=PreflightOut.from_capture(capture),
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,
-            space=SpaceOut.of(foreseen_space(session.preflight, JobSpec().config)) if is_whole else None,
-            metadata=dict(session.metadata),
+            space=foreseen_space(session.preflight, JobSpec().config) if is_whole else None,
             links=SessionLinks(self=address, jobs=f"{address}/jobs"),
         )
 

@@ -119,7 +119,9 @@ def _copy(session: Session, number: int, copy: Result | None, message: str, *, h
     if copy is None:
         raise ApiError(NOT_FINISHED, message, hint=hint)
     file = session.preflight.cameras[number].file
-    return replace(Download.of(copy, f"{file.rpartition('.')[0] or file}.mp4"), disposition="inline", remedy=remedy)
+    return replace(
+        Download.from_result(copy, f"{file.rpartition('.')[0] or file}.mp4"), disposition="inline", remedy=remedy
+    )
 
 
 def _sent(session: Session, camera: PreflightCamera, media_type: str) -> Download:

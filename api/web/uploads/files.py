@@ -12,8 +12,17 @@ from typing import BinaryIO
 from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
-from api.web.uploads.receiving import BLOCK_BYTES, Checksum, Compared, receive
-from api.web.uploads.spool import UNRECORDED_S, Writers, elsewhere, locked, require_offset
+from api.web.uploads.spool import (
+    BLOCK_BYTES,
+    UNRECORDED_S,
+    Checksum,
+    Compared,
+    Writers,
+    elsewhere,
+    locked,
+    receive,
+    require_offset,
+)
 from worker.store.errors import NotFound
 from worker.store.files.disk import DiskSpace, sync
 from worker.store.model.sessions import Upload

@@ -23,8 +23,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
-from api.web.uploads.receiving import Checksum, Compared, receive
-from api.web.uploads.spool import UNRECORDED_S, Writers, elsewhere, require_offset
+from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, Writers, elsewhere, receive, require_offset
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, NotFound
 from worker.store.files.disk import DiskSpace
 from worker.store.files.s3 import open_bucket, reached
@@ -138,7 +137,7 @@ class SharedUploads(Writers):
         return path
 
     def remove(self, upload_id: str) -> None:
-        """Remove the blocks of an upload and its file; those that can't be reached are left to ``sweep``."""
+        """Remove the blocks of an upload and its file; unreachable ones are left to ``sweep``."""
         (self._folder / upload_id).unlink(missing_ok=True)
         try:
             self._delete(upload_id, self._blocks(upload_id))

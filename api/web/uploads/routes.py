@@ -21,7 +21,7 @@ from api.web.errors import ApiError
 from api.web.http.bodies.form import name_error, too_large
 from api.web.http.bodies.reading import announced_bytes, drain
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
-from api.web.uploads.receiving import Checksum
+from api.web.uploads.spool import Checksum
 from pipeline.core.problems.requests import (
     CHECKSUM_INVALID,
     HEADER_INVALID,
@@ -242,15 +242,12 @@ def _begin(services: Services, idempotent: IdempotentRequest, length: int, name:
             with idempotent.records.transaction() as work:
                 keep_s = services.settings.upload_keep_s
                 upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s, services.uploads.name)
-                return idempotent.store(work, _begun(upload)).response()
+                headers = {"Location": f"/v1/uploads/{upload.id}", **_common_headers(upload)}
+                return idempotent.store(work, Answer(201, headers, "")).response()
         except BaseException as error:
             if not is_perhaps_recorded(error):
                 services.uploads.remove(upload_id)
             raise
-
-
-def _begun(upload: Upload) -> Answer:
-    return Answer(201, {"Location": f"/v1/uploads/{upload.id}", **_common_headers(upload)}, "")
 
 
 async def _append(

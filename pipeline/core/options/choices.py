@@ -73,7 +73,7 @@ class FileFormat(Value):
     has_presets: bool = False  # Whether names, axes, unit and rest pose come from a preset
     ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
     package: OptionalPackage | None = (
-        None  # Package that writes and reads the files, beside those that all formats need
+        None  # Package that writes and reads the files, beside the packages that all formats need
     )
     file: OptionalFile | None = None  # File that is needed too
     size: FileSize = FileSize()
@@ -143,12 +143,12 @@ def members(hint: Any) -> tuple[Any, ...]:
 _AnyValue = TypeVar("_AnyValue", bound=Value)
 
 
-def values_of(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
+def named_values(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
     """Values of a type of this module that are of a kind, by name, in the order of their declaration."""
     found = {}
     for member in members(hint):
         if get_origin(member) is tuple:
-            found.update(values_of(get_args(member)[0], kind))
+            found.update(named_values(get_args(member)[0], kind))
         elif get_origin(member) is Annotated:
             literal, value = get_args(member)
             if isinstance(value, kind):
@@ -164,7 +164,7 @@ def _schema(hint: Any, about: About) -> dict[str, Any]:
             return {"type": "array", "items": _schema(items[0], about), "uniqueItems": True}
         schemas = [_schema(item, about) for item in items]
         return {"type": "array", "prefixItems": schemas, "minItems": len(items), "maxItems": len(items)}
-    names = list(values_of(hint, Value))
+    names = list(named_values(hint, Value))
     branches: list[dict[str, Any]] = []
     if names:
         branches.append({"type": "string", **({"enum": names} if len(names) > 1 else {"const": names[0]})})
@@ -183,7 +183,7 @@ def _schema(hint: Any, about: About) -> dict[str, Any]:
     return branches[0] if len(branches) == 1 else {"anyOf": branches}
 
 
-def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:
+def declared_choices(declaration: type[Any]) -> tuple[Choice, ...]:
     """Choices that a dataclass declares, in their order; fields without ``About`` are left out."""
     hints = get_type_hints(declaration, include_extras=True)
     found = []
@@ -191,7 +191,7 @@ def choices_of(declaration: type[Any]) -> tuple[Choice, ...]:
         hint = hints[declared.name]
         if get_origin(hint) is Annotated:
             inner, about = get_args(hint)
-            named, schema = values_of(inner, Value), _schema(inner, about)
+            named, schema = named_values(inner, Value), _schema(inner, about)
             found.append(Choice(declared.name, _kind(inner), inner, named, declared.default, about, schema))
     return tuple(found)
 

@@ -6,24 +6,21 @@ choice's values is a ``Literal`` of all names. Beside the standard library it kn
 API imports this module.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from importlib.util import find_spec
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Literal, cast, get_args
 
 from pipeline.core.options.choices import (
     About,
-    FileFormat,
     Network,
     OtherNames,
     Value,
-    choices_of,
-    values_of,
+    declared_choices,
+    named_values,
 )
 from pipeline.core.options.edits import PeopleEdit, without_names
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
-from pipeline.core.runtime.packages.storage import home
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -313,7 +310,7 @@ class ReconstructionConfig(JobChoices):
     Parameters
     ----------
     tracking
-        Parameters of the tracker by name, instead of those that are derived from the session; see
+        Parameters of the tracker by name, in place of the parameters that are derived from the session; see
         ``tracking.parameters.TrackingParameters``.
     clustering
         Likewise, parameters of clustering; see ``clustering.parameters.ClusteringParameters``.
@@ -323,7 +320,7 @@ class ReconstructionConfig(JobChoices):
         Edits of the people who were found, in the order in which they were made.
     character
         Digest of the character onto which everybody is retargeted, see ``pipeline.export.character.source``; ``None``:
-        nobody is.
+        no retargeting.
     chunk_frames
         Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
@@ -388,13 +385,13 @@ def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str
     return tuple(found)
 
 
-CHOICES = {choice.name: choice for choice in choices_of(JobChoices)}
+CHOICES = {choice.name: choice for choice in declared_choices(JobChoices)}
 """Choices of jobs by name."""
-NETWORKS = cast(Mapping[Detector, Network], values_of(Detector, Network))
-"""Detector networks by name: those that find people in whole images."""
+NETWORKS = cast(Mapping[Detector, Network], named_values(Detector, Network))
+"""Detector networks by name, which find people in whole images."""
 
 JointsOfBody = Literal["body", "feet", "whole"]
-PROFILES = cast(Mapping[Profile, Value], values_of(Profile, Value))  # by name
+PROFILES = cast(Mapping[Profile, Value], named_values(Profile, Value))  # by name
 JOINTS: tuple[JointsOfBody, ...] = get_args(JointsOfBody)
 """Values of the choice ``joints`` that name joints."""
 
@@ -409,7 +406,7 @@ class Networks:
     hand: str | None = None  # Network that reads fingers in the crop of each hand; ``None`` without fingers
     # Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone
     refines_body: bool = False
-    # Network that reads the joints of leaning bodies again, in crops that 3D places; ``None``: nobody is detected again
+    # Network that reads the joints of leaning bodies again, in crops that 3D places; ``None``: no second detection
     again: str | None = None
     is_sized: bool = False  # Whether the size of the images for ``body`` follows the size of the people in them
 
@@ -435,32 +432,6 @@ _PROFILES: Mapping[Profile, _ProfileNetworks] = {
 _HAND = "mediapipe-hand"
 
 
-FILE_FORMATS = cast(Mapping[Export, FileFormat], values_of(Export, FileFormat))
-"""Formats of people's files by name."""
-
-
-def ending_of(export: Export) -> str:
-    """Ending of the names of a format's files, without the dot."""
-    return FILE_FORMATS[export].ending or export
-
-
-def of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
-    """Formats of people's files that have a writer; stages of their own make the others."""
-    return tuple(export for export in exports if FILE_FORMATS[export].writer is not None)
-
-
-def is_installed(export: Export) -> bool:
-    """True if the package and the file that a format needs are installed here, or it needs none."""
-    package, file = FILE_FORMATS[export].package, FILE_FORMATS[export].file
-    has_package = package is None or find_spec(package.module) is not None
-    return has_package and (file is None or (home() / file.path).is_file())
-
-
-def installed_formats() -> tuple[Export, ...]:
-    """Formats whose files can be written here."""
-    return tuple(filter(is_installed, FILE_FORMATS))
-
-
 def _networks_of_profiles() -> tuple[str, ...]:
     choices = (JobChoices(profile=profile, joints=joints) for profile in PROFILES for joints in JOINTS)
     return tuple(dict.fromkeys(name for choice in choices for name in choice.networks.names))
@@ -468,3 +439,62 @@ def _networks_of_profiles() -> tuple[str, ...]:
 
 NETWORKS_OF_PROFILES = _networks_of_profiles()
 """Names of the networks of all profiles."""
+
+
+@dataclass(frozen=True, slots=True)
+class Purpose:
+    """Purpose of a take: choices of a job that files for it need."""
+
+    name: str
+    label: str  # Name in forms and documentation
+    note: str  # Sentence that tells which files it gives
+    exports: tuple[Export, ...]
+    bvh: Preset = "default"
+
+    @property
+    def spec(self) -> dict[str, str | tuple[str, ...]]:
+        """Choices of a job's spec that the purpose sets."""
+        return {name: getattr(self, name) for name in CHOICES_OF_PURPOSES}
+
+
+CHOICES_OF_PURPOSES = tuple(field.name for field in fields(Purpose) if field.name in JobChoices.__dataclass_fields__)
+"""Choices that each purpose sets."""
+
+PURPOSES = (
+    Purpose("motion", "Any software", "BVH in standard names, which most software reads.", ("bvh",)),
+    Purpose(
+        "blender", "Blender", "BVH and FBX in names that Blender's symmetry tools know.", ("bvh", "fbx"), "blender"
+    ),
+    Purpose(
+        "unreal",
+        "Unreal Engine",
+        "FBX and BVH in the names of the mannequin and of MetaHuman.",
+        ("bvh", "fbx"),
+        "unreal",
+    ),
+    Purpose(
+        "unity", "Unity", "FBX that Unity maps to a humanoid by itself, and BVH.", ("bvh", "fbx"), "unity-humanoid"
+    ),
+    Purpose(
+        "maya",
+        "Maya, MotionBuilder",
+        "FBX that HumanIK characterises by its names, and BVH.",
+        ("bvh", "fbx"),
+        "humanik",
+    ),
+    Purpose(
+        "character",
+        "My own character",
+        "GLB, FBX and BVH of a figure of yours in motion, beside the people's own.",
+        ("bvh", "glb", "fbx"),
+    ),
+    Purpose("vrm", "VRM characters", "VRMA, an animation that every VRM character plays.", ("vrma",)),
+    Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
+    Purpose(
+        "research",
+        "Research",
+        "TRC for OpenSim, C3D and CSV with positions of the joints, and joint angles as CSV and MOT.",
+        ("trc", "c3d", "csv", "angles", "mot"),
+    ),
+)
+"""Purposes in the order of the form. The first one has the defaults."""

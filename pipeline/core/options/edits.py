@@ -1,7 +1,7 @@
 """Edits of people: who is who, put right by hand. Standard library only: the web API imports this module.
 
-Edits are data. Each one is applied to the people that the earlier edits leave, and the list of all of them says what a
-take is; without the list it is what the reconstruction found. Frames count in the reconstruction, also after a cut.
+Edits are data. Each edit is applied to the people that the earlier edits leave. Without edits a take is as the
+reconstruction found it. Frames are numbered as in the reconstruction, also after a cut.
 """
 
 import unicodedata
@@ -157,12 +157,12 @@ def without_names(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
     return tuple(edit for edit in edits if not isinstance(edit, Rename))
 
 
-def edit_of(document: Mapping[str, Any]) -> PeopleEdit:
-    """Edit from its JSON object, as ``document_of`` makes it."""
+def read_edit(document: Mapping[str, Any]) -> PeopleEdit:
+    """Edit from its JSON object, as ``edit_document`` makes it."""
     return _BY_ACTION[document["action"]](**document)
 
 
-def document_of(edit: PeopleEdit) -> dict[str, Any]:
+def edit_document(edit: PeopleEdit) -> dict[str, Any]:
     """JSON object of an edit."""
     return asdict(edit)
 
@@ -334,7 +334,7 @@ def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
 
 
 def _united(first: Sequence[Piece], second: Sequence[Piece]) -> Iterator[Piece]:
-    """Pieces of both, ascending; where they overlap, the first list's."""
+    """Pieces of both, ascending; where they overlap, pieces of the first."""
     return merge(first, _outside(first, second), key=_START)
 
 

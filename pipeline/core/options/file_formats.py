@@ -4,9 +4,12 @@ The web API imports this module. A format of people's files has a writer in ``pi
 other packages are added by entry points.
 """
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
-from pipeline.core.options.choices import FileFormat, FileSize, OptionalFile, OptionalPackage
+from pipeline.core.options.choices import FileFormat, FileSize, OptionalFile, OptionalPackage, named_values
+from pipeline.core.runtime.packages.storage import home
 from pipeline.core.runtime.plugins import load_plugins
 
 WRITERS = "multicap.writers"
@@ -161,3 +164,27 @@ PLUGINS = load_plugins(WRITERS, FileFormat)
 if not TYPE_CHECKING:
     for _name, _format in PLUGINS.items():
         Export |= Annotated[Literal[_name], _format]
+FILE_FORMATS = cast(Mapping[Export, FileFormat], named_values(Export, FileFormat))
+"""Formats of people's files by name."""
+
+
+def file_ending(export: Export) -> str:
+    """Ending of the names of a format's files, without the dot."""
+    return FILE_FORMATS[export].ending or export
+
+
+def formats_of_people(exports: Iterable[Export]) -> tuple[Export, ...]:
+    """Formats of people's files that have a writer; stages of their own make the others."""
+    return tuple(export for export in exports if FILE_FORMATS[export].writer is not None)
+
+
+def is_installed(export: Export) -> bool:
+    """True if the package and the file that a format needs are installed here, or it needs none."""
+    package, file = FILE_FORMATS[export].package, FILE_FORMATS[export].file
+    has_package = package is None or find_spec(package.module) is not None
+    return has_package and (file is None or (home() / file.path).is_file())
+
+
+def installed_formats() -> tuple[Export, ...]:
+    """Formats whose files can be written here."""
+    return tuple(filter(is_installed, FILE_FORMATS))

@@ -38,7 +38,7 @@ class KnownPoint:
 class CalibrationChoices:
     """Choices of a calibration from a board, or from people."""
 
-    # Specification of the board, as in ``pipeline.calibration.board.spec``; ``None``: people calibrate
+    # Specification of the board, see ``pipeline.calibration.board.spec``; ``None``: people calibrate
     board: str | None
     # Whether the session's cameras have known intrinsics, which stay; else they are guessed, and made
     has_intrinsics: bool = False

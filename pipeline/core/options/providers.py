@@ -13,8 +13,8 @@ ProviderName = Literal["cpu", "openvino", "cuda", "tensorrt", "coreml"]
 ProviderChoice = Literal["auto", "cpu", "openvino", "cuda", "tensorrt", "coreml"]
 
 SETTING = "MULTICAP_PROVIDER"
-"""Environment variable with the choice, for this process and those that it starts."""
-# Environment variable by which a process tells those that it starts what it has found.
+"""Environment variable with the choice, for this process and its children."""
+# Environment variable by which a process tells its children what it has found.
 _FOUND = "MULTICAP_PROVIDER_FOUND"
 
 
@@ -78,7 +78,7 @@ def chosen_provider() -> ProviderChoice:
 
 
 def choose_provider(choice: ProviderChoice) -> None:
-    """Choose the provider of this process, before it opens a network, and of those that it starts."""
+    """Choose the provider of this process, before it opens a network, and of its children."""
     os.environ[SETTING] = choice
     os.environ.pop(_FOUND, None)
 

@@ -54,7 +54,7 @@ def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Step
     ------
         Steps to each wrong value, the code of its problem, and the schema that it violates.
     """
-    if not (branches := branches_of(schema)):
+    if not (branches := schema_branches(schema)):
         yield from _faults(schema, value, steps)
         return
     others = [branch for branch in branches if branch.get("type") != "null"]
@@ -138,7 +138,7 @@ def requirement(schema: Schema, root: Schema, *, null: bool = True) -> str:
     'auto, or a whole number from 1 to 1000'
     """
     schema = resolve(schema, root)
-    if branches := branches_of(schema):
+    if branches := schema_branches(schema):
         examples = {"examples": schema["examples"]} if "examples" in schema else {}
         described = [branch for branch in branches if null or branch.get("type") != "null"]
         return ", or ".join(dict.fromkeys(requirement({**branch, **examples}, root) for branch in described))
@@ -176,7 +176,7 @@ def resolve(schema: Schema, root: Schema) -> Schema:
     return schema
 
 
-def branches_of(schema: Schema) -> Sequence[Schema]:
+def schema_branches(schema: Schema) -> Sequence[Schema]:
     """Alternatives of a schema with ``anyOf`` or ``oneOf``; empty for other schemas."""
     return schema.get("anyOf") or schema.get("oneOf") or ()
 

@@ -1,30 +1,22 @@
 """Rules of a reconstruction's choices: which values each may have, which go together, and which suit a session.
 
 The spec of a job, the command line and ``reconstruct`` ask here, so that each rule has one sentence and all problems
-are found at once. Values and limits are those that ``pipeline.core.options.config`` declares. Standard library only.
+are found at once. ``pipeline.core.options.config`` declares the values and limits. Standard library only.
 """
 
 import contextlib
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.choices import Choice, choices_of
-from pipeline.core.options.config import (
-    FILE_FORMATS,
-    MAX_OUTPUT_FRAMES,
-    NETWORKS,
-    Export,
-    JobChoices,
-    ReconstructionConfig,
-    Smoothing,
-    installed_formats,
-)
+from pipeline.core.options.choices import Choice, declared_choices
+from pipeline.core.options.config import MAX_OUTPUT_FRAMES, NETWORKS, JobChoices, ReconstructionConfig, Smoothing
+from pipeline.core.options.file_formats import FILE_FORMATS, Export, installed_formats
 from pipeline.core.options.requirements import Steps, faults, path_text, requirement
-from pipeline.core.problems.findings import UNKNOWN_PARAMETER
+from pipeline.core.problems.findings import PARAMETER_RANGE, UNKNOWN_PARAMETER
 from pipeline.core.problems.requests import (
     BODY_NOT_INSTALLED,
     CUTOFF_RANGE,
@@ -35,8 +27,8 @@ from pipeline.core.problems.requests import (
 )
 from pipeline.core.problems.sessions import TOO_MANY_FRAMES
 
-CONFIG_CHOICES = {choice.name: choice for choice in choices_of(ReconstructionConfig)}
-"""Choices of a reconstruction on this machine by name: the choices of jobs, and others."""
+CONFIG_CHOICES = {choice.name: choice for choice in declared_choices(ReconstructionConfig)}
+"""Choices of a reconstruction on this machine by name: choices of jobs, and others."""
 SAME_INSTANT = 1e-9
 """Part of a frame by which two instants differ that are the same but for rounding."""
 INSTALL_BODY = "Run: multicap bodies install"
@@ -108,10 +100,10 @@ def value_faults(choice: Choice, value: Any) -> list[tuple[Steps, Problem]]:
     return found
 
 
-def value_of(choice: Choice, value: Any) -> Any:
+def plain_value(choice: Choice, value: Any) -> Any:
     """Plain value of a choice without faults: a tuple for a list, numbers of Python."""
     if isinstance(value, list | tuple):
-        return tuple(value_of(choice, item) for item in value)
+        return tuple(plain_value(choice, item) for item in value)
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     if is_number:
         return float(value) if choice.kind == "number" else int(value)
@@ -226,3 +218,48 @@ def _foreign_parameters(config: ReconstructionConfig) -> Iterator[Problem]:
     if foreign := config.clustering if config.method == "tracking" else config.tracking:
         message = f"{', '.join(foreign)}: the method '{config.method}' has no use for the other one's parameters."
         yield Problem(UNKNOWN_PARAMETER, message, hint="Omit them, or use the other method.")
+
+
+_Parameters = TypeVar("_Parameters", bound=Any)
+
+
+def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> _Parameters:
+    """Set fields of a dataclass of parameters.
+
+    Parameters
+    ----------
+    parameters
+        Dataclass instance with fields of type float, int or bool.
+    changes
+        New values by field name; 0 or 1 for a bool.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is not allowed; lists all of them. Values are positive numbers; fields whose
+        name begins with ``weight`` may be 0.
+    """
+    known = {field.name: type(getattr(parameters, field.name)) for field in fields(parameters)}
+    problems = []
+    for name, value in changes.items():
+        if name not in known:
+            hint = f"Known are {', '.join(known)}."
+            problems.append(Problem(UNKNOWN_PARAMETER, f"The method has no parameter {name!r}.", hint=hint))
+        elif rule := _violated_rule(name, known[name], value):
+            problems.append(Problem(PARAMETER_RANGE, f"{name} must be {rule}, not {value:g}.", field=name))
+    if problems:
+        raise InputError(problems)
+    values: dict[str, Any] = {name: known[name](value) for name, value in changes.items()}
+    changed: _Parameters = replace(parameters, **values)
+    return changed
+
+
+def _violated_rule(name: str, kind: type, value: float) -> str | None:
+    """Describe the values that a parameter may have, if this value is none of them; else return ``None``."""
+    if kind is bool:
+        return None if value in {0, 1} else "0 or 1"
+    if not math.isfinite(value) or value < 0 or (value == 0 and not name.startswith("weight")):
+        return "a positive number"
+    if kind is int and value != int(value):
+        return "a whole number"
+    return None

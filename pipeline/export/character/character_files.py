@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import FootContact, SkeletonMotion
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import PipelineError
-from pipeline.core.options.config import Export, Timeline
+from pipeline.core.options.config import Timeline
+from pipeline.core.options.file_formats import Export
 from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.character.bone_names import HIPS, LIMBS, SIDES
 from pipeline.export.character.figure import CharacterFigure

@@ -18,7 +18,7 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import JointSet
-from pipeline.core.options.config import ending_of
+from pipeline.core.options.file_formats import file_ending
 from pipeline.core.progress import OnShare, ignore, split
 from pipeline.export.opensim.installed import ATTRIBUTION, LICENCE_FILE, load
 from pipeline.export.opensim.process import OpenSimLog, run_opensim
@@ -172,7 +172,7 @@ class _Work:
             "origin_m": self.origin_m.tolist(),
         }
         (self.scratch / REPORT).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        target = folder / f"{self.name}.{ending_of('osim')}"
+        target = folder / f"{self.name}.{file_ending('osim')}"
         with replacing(target, ()) as part:
             self._pack(part)
         return WrittenPerson(target, person)

@@ -14,7 +14,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError
 from pipeline.core.options.choices import Choice
 from pipeline.core.options.config import CHOICES, ReconstructionConfig
-from pipeline.core.options.edits import document_of
+from pipeline.core.options.edits import edit_document
 from pipeline.core.progress import OnShare
 from pipeline.detection.entries import entry_of
 from pipeline.export.overlay import given_names, people_at
@@ -148,7 +148,7 @@ def list_settings(config: ReconstructionConfig) -> Rows:
         rows.append((choice.about.label, _words(choice, value), "yes" if value == choice.default else "no"))
     parameters = {**config.tracking, **config.clustering}
     rows += [(f"Parameter {name}", f"{value:g}", "no") for name, value in parameters.items()]
-    rows += [("Edit of people", _edit_words(document_of(edit)), "no") for edit in config.edits]
+    rows += [("Edit of people", _edit_words(edit_document(edit)), "no") for edit in config.edits]
     return rows
 
 

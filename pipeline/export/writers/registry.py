@@ -17,7 +17,8 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
-from pipeline.core.options.config import FILE_FORMATS, Body, Export, Preset
+from pipeline.core.options.config import Body, Preset
+from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.export.scene import TakeScene
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.body_mesh import BodyChoice
@@ -88,7 +89,7 @@ class Writer:
 
 
 def find_writer(export: Export) -> Writer:
-    """Writer of a format of people's files, whose module is imported; see ``pipeline.core.options.config.of_people``.
+    """Writer of a format of people's files, whose module is imported; see ``formats_of_people``.
 
     Raises
     ------

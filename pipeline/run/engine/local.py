@@ -12,7 +12,8 @@ from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import FILE_FORMATS, ReconstructionConfig, method_warnings
+from pipeline.core.options.config import ReconstructionConfig, method_warnings
+from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.core.options.rules import config_problems, require
 from pipeline.core.paths import StrPath

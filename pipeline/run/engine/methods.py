@@ -42,7 +42,7 @@ from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsBy
 from pipeline.core.data.people import Leftovers, People, Poses3D
 from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.parameters import change_parameters
+from pipeline.core.options.rules import change_parameters
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.chunk import concatenate
 from pipeline.detection.entries import entry_of

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import FILE_FORMATS, of_people
-from pipeline.core.options.edits import PeopleEdit, document_of, without_names
-from pipeline.core.options.file_formats import PLUGINS
+from pipeline.core.options.edits import PeopleEdit, edit_document, without_names
+from pipeline.core.options.file_formats import FILE_FORMATS, PLUGINS, formats_of_people
 from pipeline.export.person_files import KeptFile, KeptFiles, PersonOfTake, replacing, spoilt
 from pipeline.export.quality.report import encode as encode_report
 from pipeline.export.quality.report import quality_report
@@ -94,7 +93,9 @@ class FilesInPieces(KeptFiles):
         if self._digested is None or self._digested[0] is not person:
             unnamed = replace(person, motion=replace(person.motion, name=_NOBODY))
             self._digested = person, self._pieces.key(unnamed)
-        holds_name = any(name == export and find_writer(export).holds_name for export in of_people(FILE_FORMATS))
+        holds_name = any(
+            name == export and find_writer(export).holds_name for export in formats_of_people(FILE_FORMATS)
+        )
         named = person.motion.name if holds_name else _NOBODY
         return self._pieces.key(name, self._digested[1], named)
 
@@ -107,7 +108,7 @@ class TakeInPieces:
 
     def __init__(self, pieces: Pieces, scratch: Path, edits: Sequence[PeopleEdit]) -> None:
         self._pieces, self._scratch = pieces, scratch
-        self._edits = json.dumps([document_of(edit) for edit in without_names(edits)])
+        self._edits = json.dumps([edit_document(edit) for edit in without_names(edits)])
 
     def report(self, take: Reconstruction, views: GetViews) -> dict[str, Any]:
         """Content of ``metrics.json`` but for the distances in files."""

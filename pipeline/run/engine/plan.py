@@ -19,12 +19,9 @@ from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from pipeline.core.options.config import (
-    DEFAULT_CHUNK_FRAMES,
-    FILE_FORMATS,
-    ReconstructionConfig,
-)
-from pipeline.core.options.edits import document_of
+from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES, ReconstructionConfig
+from pipeline.core.options.edits import edit_document
+from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.run.engine.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
 
@@ -184,7 +181,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "body": not any(FILE_FORMATS[export].has_body for export in config.exports),
     }
     values = {choice.name: getattr(config, choice.name) for choice in fields(config)}
-    edits, of_people = ([document_of(edit) for edit in some] for some in (config.edits, config.people_edits))
+    edits, of_people = ([edit_document(edit) for edit in some] for some in (config.edits, config.people_edits))
     return {
         **{name: None if has_no_effect.get(name) else values[name] for name in values.keys() - _WITHOUT_EFFECT},
         "joints": None if config.detector != "auto" else config.detected_joints,

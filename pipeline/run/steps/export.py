@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.core.options.config import FILE_FORMATS, ending_of
+from pipeline.core.options.file_formats import FILE_FORMATS, file_ending
 from pipeline.core.problems.findings import OPENSIM_FAILED
 from pipeline.run.engine.stage import (
     EXPORT,
@@ -102,7 +102,7 @@ def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
     """
     stem, _, ending = path.name.partition(".")
     for name, file_format in FILE_FORMATS.items():
-        if ending == ending_of(name):
+        if ending == file_ending(name):
             person = stem if stem in names else None
             return ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
     if stem in names:

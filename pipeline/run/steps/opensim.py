@@ -1,6 +1,6 @@
 """Scale OpenSim's model to people and find its motion. The output indexes the files, with figures of each person."""
 
-from pipeline.core.options.config import FILE_FORMATS
+from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.run.engine.stage import OPENSIM, TAKE, Context, Output, ResultFile, Stage, Task, indexed
 
 

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from pipeline.core.options.config import ending_of
+from pipeline.core.options.file_formats import file_ending
 from pipeline.core.options.job_choices import OVERLAY_KIND, RECORDING_KIND, REPORT_KIND
 from pipeline.run.engine.stage import (
     DETECT,
@@ -73,7 +73,7 @@ def write_recording(task: Task, context: Context) -> Output:
 
     session, source = wanted_frames(context, context.session()), detection_source(context)
     detections = {} if source.finds_fields else source.bodies(session)
-    path = context.scratch / f"take.{ending_of('rerun')}"
+    path = context.scratch / f"take.{file_ending('rerun')}"
     write(
         assemble(context),
         path,

@@ -20,7 +20,7 @@ import pytest
 from api.blender.build import build
 from api.web.settings import Settings
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import Export
+from pipeline.core.options.file_formats import Export
 from pipeline.export.character.bone_names import LIMBS
 from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones

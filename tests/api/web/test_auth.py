@@ -17,7 +17,7 @@ from structlog.testing import capture_logs
 
 from api.web.app import create_app
 from api.web.contract.openapi import COMMITTED
-from api.web.motion.examples import ANSWERS
+from api.web.motion import ANSWERS
 from api.web.settings import Settings
 from api.web.startup import ExposedError, require_keys_if_exposed
 from pipeline.core.options.edits import PersonSpan
@@ -150,7 +150,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         yield Guarded(live, ids, theirs, mine)
 
 
-def test_the_contract_says_which_calls_want_a_key() -> None:
+def test_contract_says_which_calls_want_key() -> None:
     for method, path in OPERATIONS:
         operation = CONTRACT["paths"][path][method.lower()]
         assert ("401" in operation["responses"]) == ((method, path) not in OPEN - {("POST", "/v1/browser-session")})
@@ -169,7 +169,7 @@ def test_without_a_valid_key_there_is_nothing(guarded: Guarded, method: str, pat
 
 
 @pytest.mark.parametrize(("method", "path"), [one for one in GUARDED if one != ANY_KEY])
-def test_a_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: str) -> None:
+def test_key_that_is_too_weak_is_refused(guarded: Guarded, method: str, path: str) -> None:
     wanted = Scope.ADMIN if (method, path) == ADMIN else Scope.READ if method in {"GET", "HEAD"} else Scope.WRITE
     _, weak = guarded.key(ALL - {wanted})
     refused(guarded.ask(method, path, weak), 403, "scope_missing")
@@ -183,7 +183,7 @@ def test_records_of_another_tenant_are_not_found(guarded: Guarded, method: str, 
 @pytest.mark.parametrize(
     ("method", "path"), [one for one in OWNED if one[0] in {"GET", "HEAD"} and "events" not in one[1]]
 )
-def test_the_tenant_s_own_is_found(guarded: Guarded, method: str, path: str) -> None:
+def test_records_of_own_tenant_are_found(guarded: Guarded, method: str, path: str) -> None:
     assert guarded.ask(method, path, guarded.theirs).status_code == 200
 
 
@@ -238,7 +238,7 @@ def test_another_tenant_s_tags_say_nothing(guarded: Guarded, path: str) -> None:
         assert guarded.live.client.head(address, headers=mine | known).status_code == 404
 
 
-def test_an_upload_without_a_key_is_refused_before_it_is_sent(guarded: Guarded) -> None:
+def test_upload_without_key_is_refused_before_it_is_sent(guarded: Guarded) -> None:
     head = (
         b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\n"
         b"Content-Length: 100000\r\nConnection: close\r\n\r\n"
@@ -287,13 +287,13 @@ class TestBrowser:
             client.post("/v1/browser-session", json={"key": guarded.theirs}).raise_for_status()
             yield client
 
-    def test_the_cookie_is_for_this_service_alone(self, guarded: Guarded) -> None:
+    def test_cookie_is_for_this_service_alone(self, guarded: Guarded) -> None:
         answer = guarded.live.client.post("/v1/browser-session", json={"key": guarded.theirs})
         guarded.live.client.cookies.clear()
         attributes = {part.strip().lower() for part in answer.headers["set-cookie"].split(";")[1:]}
         assert {"httponly", "samesite=strict", "path=/", "max-age=43200"} <= attributes
 
-    def test_a_browser_has_the_scopes_of_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_browser_has_scopes_of_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         assert browser.get("/v1/caller").json()["tenant"] == "theirs"
         assert browser.get(f"/v1/jobs/{guarded.ids['job_id']}/results/person-1.bvh").status_code == 200
         session = browser.post("/v1/sessions", files=form()).raise_for_status().json()
@@ -309,14 +309,14 @@ class TestBrowser:
         assert answer.status_code == 403
         assert answer.json()["code"] in {"cross_site_request", "origin_not_allowed"}
 
-    def test_a_browser_session_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
+    def test_browser_session_ends_when_it_is_closed(self, browser: httpx2.Client) -> None:
         cookies = dict(browser.cookies)
         assert browser.delete("/v1/browser-session").status_code == 204
         assert not browser.cookies
         browser.cookies.update(cookies)
         problem_of(browser.get("/v1/jobs"), 401, "key_required")
 
-    def test_a_browser_session_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
+    def test_browser_session_ends_with_its_key(self, guarded: Guarded, browser: httpx2.Client) -> None:
         key, secret = guarded.key(USUAL)
         browser.post("/v1/browser-session", json={"key": secret}).raise_for_status()
         assert browser.get("/v1/jobs").status_code == 200
@@ -398,7 +398,7 @@ def test_beyond_this_machine_it_listens_with_keys_only(make_settings: Callable[.
         require_keys_if_exposed(exposed, store)  # the only key is not valid, but the service asks for keys
 
 
-def test_the_log_says_who_did_what(guarded: Guarded) -> None:
+def test_log_says_who_did_what(guarded: Guarded) -> None:
     with capture_logs() as seen:
         guarded.ask("GET", "/v1/jobs", guarded.mine)
         guarded.ask("GET", "/v1/jobs", None)
@@ -408,13 +408,13 @@ def test_the_log_says_who_did_what(guarded: Guarded) -> None:
     assert "key" not in unknown
 
 
-def test_the_app_can_be_made_without_touching_anything(make_settings: Callable[..., Settings]) -> None:
+def test_app_can_be_made_without_touching_anything(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(host="0.0.0.0")  # noqa: S104
     create_app(settings)
     assert not settings.data_dir.exists()
 
 
-def test_the_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
+def test_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
     answer = guarded.ask("POST", "/v1/sessions", guarded.mine)
     session_id = answer.json()["id"]
     problem_of(guarded.live.client.delete(f"/v1/sessions/{session_id}"), 401, "key_required")

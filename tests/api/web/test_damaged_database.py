@@ -53,7 +53,7 @@ def test_commands_say_which_file_is_damaged_and_what_to_do(
     assert isinstance(result.exception, SystemExit)
 
 
-def test_a_backup_says_it_as_json_too(whole: Path, tmp_path: Path) -> None:
+def test_backup_reports_it_as_json(whole: Path, tmp_path: Path) -> None:
     database = copy_of(whole, tmp_path / "data")
     DAMAGES["a page inverted"](database)
     arguments = ["backup", "create", f"{tmp_path / 'b.tar'}", f"--data={database.parent}"]
@@ -67,7 +67,7 @@ def test_a_backup_says_it_as_json_too(whole: Path, tmp_path: Path) -> None:
     assert str(database) in problem["message"]
 
 
-def test_a_running_service_answers_503_with_a_code(make_settings: Callable[..., Settings]) -> None:
+def test_running_service_answers_503_with_code(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
     with running(settings) as live:
         job_id = live.job_id()
@@ -91,7 +91,7 @@ def test_a_running_service_answers_503_with_a_code(make_settings: Callable[..., 
         assert live.client.get("/healthz").is_success
 
 
-def test_the_log_says_what_to_do_and_has_no_trace(make_settings: Callable[..., Settings]) -> None:
+def test_log_says_what_to_do_and_has_no_trace(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
     with serving(settings) as (client, _):
         assert client.post("/v1/jobs", files=form()).status_code == 202

@@ -40,7 +40,7 @@ def test_nothing_new_is_taken_in(make_settings: Callable[..., Settings]) -> None
         assert live.client.delete(f"/v1/sessions/{session}").status_code == 204
 
 
-def test_a_job_that_needs_more_space_than_is_free_is_refused(
+def test_job_that_needs_more_space_than_is_free_is_refused(
     make_settings: Callable[..., Settings], tmp_path: Path
 ) -> None:
     with small_disk(tmp_path / "disk", 64) as disk:
@@ -71,9 +71,7 @@ def _refuse_jobs_on(settings: Settings) -> None:
         assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_the_api_starts_on_a_full_disk_where_nobody_else_has_the_database_open(
-    make_settings: Callable[..., Settings], tmp_path: Path
-) -> None:
+def test_api_alone_starts_on_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 16) as disk:
         settings = make_settings(data_dir=disk / "data")
         with running(settings) as live:
@@ -89,7 +87,7 @@ def test_the_api_starts_on_a_full_disk_where_nobody_else_has_the_database_open(
             assert live.client.delete(f"/v1/sessions/{session}").status_code == 204
 
 
-def test_repeated_requests_get_their_first_response_without_headroom(make_settings: Callable[..., Settings]) -> None:
+def test_repeated_requests_are_answered_without_headroom(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
 
     def send(live: Live, path: str, **sent: Any) -> httpx2.Response:

@@ -46,9 +46,7 @@ def on_s3(make_settings: Callable[..., Settings], proxy: UnreliableProxy) -> Ite
 
 
 @pytest.mark.parametrize("mode", ["unavailable", "hang", "reset", "refuse"])
-def test_a_store_that_does_not_respond_is_503_at_submission_and_in_downloads(
-    on_s3: Live, proxy: UnreliableProxy, mode: Mode
-) -> None:
+def test_silent_store_is_503_at_submission_and_download(on_s3: Live, proxy: UnreliableProxy, mode: Mode) -> None:
     job_id = on_s3.job_id()
     on_s3.finish(job_id)
     proxy.set(mode)
@@ -62,7 +60,7 @@ def test_a_store_that_does_not_respond_is_503_at_submission_and_in_downloads(
     assert on_s3.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").status_code == 200
 
 
-def test_a_store_that_refuses_is_another_problem(on_s3: Live, proxy: UnreliableProxy) -> None:
+def test_store_that_refuses_is_another_problem(on_s3: Live, proxy: UnreliableProxy) -> None:
     proxy.set("forbidden")
     problem_of(on_s3.post_session(), 503, "artifacts_refused")
 
@@ -116,7 +114,7 @@ def test_our_own_client_follows_a_job_through_an_outage(live: Live, monkeypatch:
     assert len(seen) >= 4
 
 
-def test_a_database_that_does_not_respond_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_database_that_does_not_respond_is_503(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     def away(self: object) -> Any:
         raise OperationalError("BEGIN", {}, Exception(), connection_invalidated=True)
 
@@ -126,9 +124,7 @@ def test_a_database_that_does_not_respond_is_503(live: Live, monkeypatch: pytest
     assert int(answer.headers["Retry-After"]) > 0
 
 
-def test_a_commit_whose_answer_is_lost_keeps_the_files_of_its_session(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commit_whose_answer_is_lost_keeps_files_of_its_session(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     transaction = TenantRecords.transaction
     is_lost = True
 
@@ -159,9 +155,7 @@ class TestTwoProcesses:
         with running(settings) as other:
             yield other
 
-    def test_an_upload_at_the_other_process_is_an_error_of_its_own_and_stays_whole(
-        self, live: Live, others: Live
-    ) -> None:
+    def test_upload_at_other_process_has_own_error_and_stays_whole(self, live: Live, others: Live) -> None:
         here, there = Uploader(live.client), Uploader(others.client)
         address = here.begin(6)
         assert here.send(address, 0, b"abc").status_code == 204
@@ -181,12 +175,12 @@ class TestTwoProcesses:
         assert spool == f"{socket.gethostname()}:{live.settings.uploads_dir}"
         assert live.client.delete(address, headers=TUS).status_code == 204
 
-    def test_a_file_that_is_gone_at_its_own_process_is_no_upload_elsewhere(self, live: Live) -> None:
+    def test_file_gone_at_own_process_is_not_upload_elsewhere(self, live: Live) -> None:
         address = Uploader(live.client).begin(6)
         (live.settings.uploads_dir / address.rpartition("/")[2]).unlink()
         assert live.client.head(address, headers=TUS).status_code == 404
 
-    def test_a_folder_that_was_moved_or_is_shared_is_served(self, live: Live, others: Live) -> None:
+    def test_folder_that_was_moved_or_is_shared_is_served(self, live: Live, others: Live) -> None:
         address = Uploader(live.client).begin(6)
         upload_id = address.rpartition("/")[2]
         (live.settings.uploads_dir / upload_id).rename(others.settings.uploads_dir / upload_id)

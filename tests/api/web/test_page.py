@@ -64,7 +64,7 @@ def test_only_files_for_browsers_are_served(live: Live) -> None:
         assert live.client.get(f"/portal/{name}").status_code == 404, name
 
 
-def test_texts_are_sent_compressed(live: Live) -> None:
+def test_texts_are_sent_compressed_with_entity_tag_of_their_own(live: Live) -> None:
     path = "/portal/shared/base.css"
     plain = live.client.get(path, headers={"Accept-Encoding": "identity"})
     packed = live.client.get(path, headers={"Accept-Encoding": "br, gzip;q=0.5"})
@@ -88,7 +88,7 @@ def test_nothing_comes_from_elsewhere_and_no_text_is_markup(live: Live) -> None:
         assert not re.findall(r"<style|style=|\son\w+=|javascript:", text), path
 
 
-def test_contract_page_refers_to_existing_files(live: Live) -> None:
+def test_contract_s_page_and_all_that_it_refers_to(live: Live) -> None:
     answer = live.client.get("/docs")
     references = set(re.findall(r'(?:src|href)="([^"]+)"', answer.text))
     assert references == {
@@ -133,7 +133,7 @@ def test_service_without_streams_is_polled(live: Live) -> None:
         expect(page.locator(".job .state")).to_have_text("Canceled")
 
 
-def test_form_has_a_field_for_every_choice(live: Live) -> None:
+def test_form_has_field_for_every_choice(live: Live) -> None:
     choices = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     with opened(f"{live.client.base_url}#/new") as page:
         page.get_by_text("More options", exact=True).click()
@@ -157,7 +157,7 @@ def test_form_has_a_field_for_every_choice(live: Live) -> None:
 
 
 @pytest.mark.slow
-def test_job_is_canceled_retried_deleted_by_keyboard(live: Live) -> None:
+def test_job_is_canceled_retried_and_deleted_by_keyboard(live: Live) -> None:
     live.job_id()  # without a worker it stays queued
     with opened(f"{live.client.base_url}#/captures") as page:
         page.get_by_role("button", name="Cancel untitled").press("Enter")
@@ -175,7 +175,7 @@ def test_job_is_canceled_retried_deleted_by_keyboard(live: Live) -> None:
         expect(page.get_by_role("heading", name="Captures", level=1)).to_be_focused()
 
 
-def test_page_without_sample_says_how_to_install_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sample_capture_page_says_how_to_install_it(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(samples, "locate", lambda: None)
     assert live.client.get("/v1/sample").json() == {
         "installed": False,

@@ -58,7 +58,7 @@ def test_messages_state_allowed_values_of_variables(
 
 
 @pytest.mark.slow
-def test_the_command_line_says_it_too() -> None:
+def test_command_line_reports_it_too() -> None:
     wrong = os.environ | {"MULTICAP_ALLOWED_HOSTS": "a,b"}
     command = [sys.executable, "-m", "api.cli.main", "keys", "list"]
     done = subprocess.run(command, env=wrong, capture_output=True, text=True, timeout=180, check=False)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.data.cameras import Timebase
-from pipeline.core.options.config import Export
+from pipeline.core.options.file_formats import Export
 from pipeline.export.results import write_files
 from pipeline.export.writers import angle_tables
 from pipeline.motion.angles.compute import JointAngles

@@ -17,7 +17,8 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
-from pipeline.core.options.config import Export, ReconstructionConfig, ending_of, installed_formats, of_people
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import Export, file_ending, formats_of_people, installed_formats
 from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
 from pipeline.export.writers.fbx_stored import StoredScene, numbers
@@ -29,9 +30,9 @@ from tests.pipeline.export.quality.test_report import CAMERAS, observe
 from tests.pipeline.export.writers.test_bvh import tumbling
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = of_people(installed_formats())
+EXPORTS = formats_of_people(installed_formats())
 # Files with a whole take.
-OF_TAKE = {f"take.{ending_of(name)}" for name in EXPORTS if find_writer(name).take}
+OF_TAKE = {f"take.{file_ending(name)}" for name in EXPORTS if find_writer(name).take}
 CSV: tuple[Export, ...] = ("csv",)
 ANGLES = ("angles", "mot")
 LEGS = [index for index, name in enumerate(COCO_17.names) if name.endswith(("knee", "ankle"))]
@@ -78,7 +79,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     assert {path.name for path in paths} == {
         "skeletons.json",
         "metrics.json",
-        *(f"person-1.{ending_of(export)}" for export in EXPORTS),
+        *(f"person-1.{file_ending(export)}" for export in EXPORTS),
         *OF_TAKE,
     }
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Floor
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
-from pipeline.core.options.config import Body, Export
+from pipeline.core.options.config import Body
+from pipeline.core.options.file_formats import Export
 from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import TakeScene, take_scene
 from pipeline.export.writers import fbx, glb

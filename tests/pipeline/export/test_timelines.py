@@ -13,7 +13,7 @@ from trc import TRCData
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import ending_of, installed_formats, of_people
+from pipeline.core.options.file_formats import file_ending, formats_of_people, installed_formats
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import BLOCK_FRAMES, held, held_blocks, unknown_outside
@@ -25,7 +25,7 @@ from tests.pipeline.export.bvh_readers import read_with_bvhio
 from tests.pipeline.export.test_results import take
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
-EXPORTS = of_people(installed_formats())
+EXPORTS = formats_of_people(installed_formats())
 NUM_FRAMES, RATE_HZ = 60, 25.0
 OF_PERSON = {"person-1": range(60), "person-2": range(10, 40)}
 # Frames of the second person in which nobody saw anything.
@@ -175,8 +175,8 @@ def test_only_the_files_of_people_depend_on_the_timeline(
     for name in ("skeletons.json", "metrics.json", "person-1.bvh", "person-1.trc", "person-1.c3d", "person-1.glb"):
         assert (tmp_path / name).read_bytes() == (of_take / name).read_bytes(), name
     for export in EXPORTS:
-        assert (tmp_path / f"person-2.{ending_of(export)}").read_bytes() != (
-            of_take / f"person-2.{ending_of(export)}"
+        assert (tmp_path / f"person-2.{file_ending(export)}").read_bytes() != (
+            of_take / f"person-2.{file_ending(export)}"
         ).read_bytes()
 
 

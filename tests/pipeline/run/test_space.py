@@ -13,7 +13,8 @@ from pipeline.capture.preflight import report
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.errors import InputError
-from pipeline.core.options.config import FILE_FORMATS, Export, ReconstructionConfig, installed_formats, of_people
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import FILE_FORMATS, Export, formats_of_people, installed_formats
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.run.space import CameraFrames, ForeseenSpace, estimate_space, foreseen_memory, foreseen_space, shown_bytes
 from pipeline.validation.simulation.scenes import SCENES, record
@@ -45,7 +46,7 @@ def num_bytes(paths: Iterable[Path]) -> int:
 
 
 def test_a_reconstruction_writes_about_what_is_foreseen(session: KeypointSession, tmp_path: Path) -> None:
-    formats = of_people(installed_formats())
+    formats = formats_of_people(installed_formats())
     config = ReconstructionConfig(exports=formats)
     foreseen = session_space(session, config)
     written = reconstruct_to_files(session, tmp_path / "results", config, cache=tmp_path / "cache")
@@ -54,7 +55,7 @@ def test_a_reconstruction_writes_about_what_is_foreseen(session: KeypointSession
     assert MIN_RATIO < foreseen.result_bytes / num_bytes(written.paths) < MAX_RATIO
 
 
-@pytest.mark.parametrize("export", of_people(FILE_FORMATS))
+@pytest.mark.parametrize("export", formats_of_people(FILE_FORMATS))
 def test_every_format_is_counted(export: Export) -> None:
     without = of_videos(ReconstructionConfig(exports=())).result_bytes
     assert of_videos(ReconstructionConfig(exports=(export,))).result_bytes > 1.1 * without

@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
-from pipeline.core.options.edits import PeopleEdit, PersonSpan, edit_of
+from pipeline.core.options.edits import PeopleEdit, PersonSpan, read_edit
 from pipeline.core.options.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
@@ -166,7 +166,7 @@ def read_job_character(document: Mapping[str, Any] | None) -> JobCharacter | Non
 
 def read_edits(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
     """Edits of a job's people, from their column."""
-    return tuple(map(edit_of, documents))
+    return tuple(map(read_edit, documents))
 
 
 def read_making(kind: str, choices: Mapping[str, Any] | None) -> Making | None:

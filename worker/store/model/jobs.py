@@ -6,8 +6,9 @@ from datetime import datetime
 from typing import Any, Literal
 
 from pipeline.core.findings import Finding
-from pipeline.core.options.config import FILE_FORMATS, ReconstructionConfig
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, PersonSpan
+from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.problems.model import Code
 from pipeline.run.space import ForeseenSpace

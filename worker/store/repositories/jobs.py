@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edits import PeopleEdit, document_of
+from pipeline.core.options.edits import PeopleEdit, edit_document
 from worker.store.database.access import Access
 from worker.store.database.connection import now
 from worker.store.database.rows import read_edits, read_job_character, read_jobs, read_making, select_jobs
@@ -233,7 +233,7 @@ class Jobs:
                 raise Conflict("The job has no results yet, so its people can't be edited.")
             require_videos(connection, job.session_id, stages, _row_config(job, tuple(edits), job.revision + 1))
             changed = {
-                "edits": [document_of(edit) for edit in edits],
+                "edits": [edit_document(edit) for edit in edits],
                 "revision": job.revision + 1,
                 "precedence": Precedence.EDITS,
                 "visuals_old_at": now() if has_visuals(connection, job_id) else None,

@@ -6,7 +6,7 @@ from typing import Self
 
 from starlette.requests import Request
 
-from pipeline.core.options.requirements import Schema, branches_of, resolve
+from pipeline.core.options.requirements import Schema, resolve, schema_branches
 
 _ITEM = "[]"
 
@@ -83,7 +83,7 @@ def _fields(schema: Schema, root: Schema, path: str, above: frozenset[str]) -> I
             return
         above |= {schema["$ref"]}
         schema = resolve(schema, root)
-    for branch in branches_of(schema):
+    for branch in schema_branches(schema):
         yield from _fields(branch, root, path, above)
     for name, field in schema.get("properties", {}).items():
         yield path, name

@@ -7,7 +7,7 @@ from fastapi import HTTPException, Request, Response, status
 from fastapi.routing import APIRoute
 from starlette.types import Message
 
-from api.web.dependencies import services_of
+from api.web.dependencies import app_services
 
 # Bytes that are passed to a thread at once: enough to make the thread's overhead small, little beside any memory limit.
 _BLOCK_BYTES = 2**20
@@ -23,7 +23,7 @@ class SmallBodyRoute(APIRoute):
         handler = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
-            return await handler(limited(request, services_of(request).settings.max_json_bytes))
+            return await handler(limited(request, app_services(request).settings.max_json_bytes))
 
         return handle
 

@@ -20,7 +20,7 @@ from starlette.responses import Response
 
 from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces, place_path
-from pipeline.core.options.requirements import Schema, Steps, branches_of, path_text, requirement, resolve
+from pipeline.core.options.requirements import Schema, Steps, path_text, requirement, resolve, schema_branches
 from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import (
     INVALID_VALUE,
@@ -220,13 +220,13 @@ def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:
             return dict(items)
     elif step in schema.get("properties", {}):
         return dict(schema["properties"][step])
-    inner = (_inner(branch, step, root) for branch in branches_of(schema))
+    inner = (_inner(branch, step, root) for branch in schema_branches(schema))
     return next((schema for schema in inner if schema is not None), None)
 
 
 def _properties(schema: Schema, root: Schema) -> Iterable[str]:
     schema = resolve(schema, root)
-    inner = (name for branch in branches_of(schema) for name in _properties(branch, root))
+    inner = (name for branch in schema_branches(schema) for name in _properties(branch, root))
     return dict.fromkeys([*schema.get("properties", ()), *inner])
 
 

@@ -38,7 +38,7 @@ def send(live: Live, content: bytes = CALIBRATION, name: str = "studio.json", **
     return live.client.post("/v1/calibrations", files=[*parts, ("spec", (None, json.dumps(spec).encode()))])
 
 
-def test_a_file_is_read_and_kept(strict: Live) -> None:
+def test_file_is_read_and_kept(strict: Live) -> None:
     answer = send(strict)
     assert answer.status_code == 201, answer.text
     calibration = answer.json()
@@ -85,7 +85,7 @@ def test_it_is_downloaded_in_other_formats(strict: Live) -> None:
     problem_of(strict.client.get(links["file"], params={"format": "pickle"}), 422, "invalid_request")
 
 
-def test_a_fisheye_stays_one(strict: Live) -> None:
+def test_fisheye_stays_one(strict: Live) -> None:
     fisheye = CAMERA | {"lens": "fisheye"}
     calibration = send(strict, json.dumps({"schema_version": 1, "cameras": [fisheye]}).encode()).json()
     assert calibration["cameras"][0]["lens"] == "fisheye"
@@ -111,7 +111,7 @@ def test_units_count_where_the_format_does_not_state_them(strict: Live) -> None:
     assert cameras[0]["translation_m"] == [0.0, 0.0, 2.0]
 
 
-def test_the_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
+def test_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
     """Cameras that stand upright in a world whose y points down."""
     upright = CAMERA | {
         "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
@@ -152,7 +152,7 @@ def test_each_method_says_what_it_needs(strict: Live, spec: dict[str, Any], poin
     assert {one["pointer"] for one in problem["errors"]} == pointers
 
 
-def test_a_session_names_a_calibration(live: Live) -> None:
+def test_session_names_calibration(live: Live) -> None:
     calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
     parts = [*form()[:2], ("calibration_id", (None, calibration_id.encode()))]
     session = live.client.post("/v1/sessions", files=parts)
@@ -164,7 +164,7 @@ def test_a_session_names_a_calibration(live: Live) -> None:
     assert job.json()["kind"] == "reconstruction"
 
 
-def test_a_session_has_one_calibration(live: Live) -> None:
+def test_session_has_one_calibration(live: Live) -> None:
     calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
     both = [*form(), ("calibration_id", (None, calibration_id.encode()))]
     problem = problem_of(live.client.post("/v1/sessions", files=both), 422, "invalid_request")
@@ -177,7 +177,7 @@ def test_a_session_has_one_calibration(live: Live) -> None:
     assert [one["code"] for one in problem["errors"]] == ["wrong_format"]
 
 
-def test_a_deleted_calibration_is_gone_and_its_sessions_stay(live: Live) -> None:
+def test_deleted_calibration_is_gone_and_its_sessions_stay(live: Live) -> None:
     calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
     parts = [*form()[:2], ("calibration_id", (None, calibration_id.encode()))]
     session = live.client.post("/v1/sessions", files=parts).json()

@@ -85,7 +85,7 @@ def send(live: Live, paths: list[Path], **spec: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_a_job_makes_a_calibration_from_a_board(making: Live, videos: list[Path]) -> None:
+def test_job_makes_calibration_from_board(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos, method="board", board=SPEC, name="Studio B")
     assert answer.status_code == 202, answer.text
     job = answer.json()
@@ -199,7 +199,7 @@ def test_known_points_make_the_world_of_a_board(making: Live, videos: list[Path]
 
 
 @pytest.mark.slow
-def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, videos: list[Path]) -> None:
+def test_board_that_is_not_there_fails_job_with_cameras(making: Live, videos: list[Path]) -> None:
     job = send(making, videos, method="board", board="charuco:9x7:0.1:0.08:DICT_6X6_50").json()
     work(making)
     calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
@@ -214,7 +214,7 @@ def test_a_board_that_is_not_there_fails_the_job_with_the_cameras(making: Live, 
 
 
 @pytest.mark.slow
-def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
+def test_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path]) -> None:
     answer = send(making, videos[:1], method="board", board=SPEC)
     assert answer.status_code == 202, answer.text
     job = answer.json()
@@ -231,14 +231,14 @@ def test_a_canceled_calibration_can_be_tried_again(making: Live, videos: list[Pa
     assert [one["code"] for one in problem["errors"]] == ["calibration_unposed"]
 
 
-def test_a_deleted_job_takes_the_calibration_that_it_did_not_make(making: Live, videos: list[Path]) -> None:
+def test_deleted_job_takes_calibration_that_it_did_not_make(making: Live, videos: list[Path]) -> None:
     job = send(making, videos[:1], method="board", board=SPEC).json()
     making.client.post(job["links"]["cancel"])
     assert making.client.delete(job["links"]["self"]).status_code == 204
     problem_of(making.client.get(f"/v1/calibrations/{job['id']}"), 404, "not_found")
 
 
-def test_a_wrong_board_is_refused_at_once(making: Live, videos: list[Path]) -> None:
+def test_wrong_board_is_refused_at_once(making: Live, videos: list[Path]) -> None:
     problem = problem_of(send(making, videos, method="board", board="chessboard:9x6:60"), 422, "invalid_request")
     assert [(one["code"], one["hint"]) for one in problem["errors"]] == [("board_invalid", "State metres: 0.06.")]
 
@@ -295,7 +295,7 @@ def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulatio
 
 
 @pytest.mark.slow
-def test_footage_of_a_calibration_is_reconstructed_without_sending_it_again(making: Live, videos: list[Path]) -> None:
+def test_footage_of_calibration_is_reconstructed_without_resend(making: Live, videos: list[Path]) -> None:
     job = send(making, videos, method="board", board=SPEC).json()
     work(making)
     body = {"session_id": job["session_id"], "calibration_id": job["id"], "manifest": {"name": "The take itself"}}
@@ -321,9 +321,7 @@ def test_footage_of_a_calibration_is_reconstructed_without_sending_it_again(maki
 
 
 @pytest.mark.slow
-def test_a_capture_of_keypoints_is_reconstructed_with_a_calibration_of_its_own_people(
-    making: Live, walk: Simulation
-) -> None:
+def test_keypoints_are_reconstructed_with_calibration_from_them(making: Live, walk: Simulation) -> None:
     session = keypoint_session(making, walk)
     calibration = send(making, [], method="people", session_id=session["id"], stature_m=[1.7]).json()
     work(making)
@@ -363,7 +361,7 @@ def test_footage_that_cannot_be_used_is_named(making: Live, walk: Simulation) ->
         assert {(one["code"], one["pointer"]) for one in problem["errors"]} == expected
 
 
-def test_what_people_need_is_said(making: Live, videos: list[Path]) -> None:
+def test_missing_parts_of_people_are_named(making: Live, videos: list[Path]) -> None:
     session_id = "0190b7a4-0000-7000-8000-000000000000"
     for spec, expected in (
         ({}, {("missing_part", "/videos"), ("missing_part", "/spec/stature_m")}),

@@ -38,7 +38,7 @@ def bones(answer: dict[str, Any]) -> dict[str, str | None]:
     return {joint["joint"]: joint["bone"] for joint in answer["joints"]}
 
 
-def test_a_file_is_read_and_kept(strict: Live) -> None:
+def test_file_is_read_and_kept(strict: Live) -> None:
     answer = send(strict)
     assert answer.status_code == 201, answer.text
     made = answer.json()
@@ -89,7 +89,7 @@ def test_lists_are_paged_and_have_no_bones(strict: Live) -> None:
 
 
 @pytest.mark.parametrize("version", ["0.x", "1.0"])
-def test_the_table_of_a_vrm_counts(strict: Live, version: str) -> None:
+def test_table_of_vrm_counts(strict: Live, version: str) -> None:
     made = send(strict, vrm(version), "robot.vrm").json()
     assert (made["format"], made["method"]) == (f"VRM {version}", "vrm")
     ways = {joint["joint"]: joint["recognised_by"] for joint in made["joints"]}
@@ -98,7 +98,7 @@ def test_the_table_of_a_vrm_counts(strict: Live, version: str) -> None:
     assert made["at_rest"]
 
 
-def test_the_shape_counts_where_names_tell_nothing(strict: Live) -> None:
+def test_shape_counts_where_names_tell_nothing(strict: Live) -> None:
     made = send(strict, character(odd_bones())).json()
     assert made["method"] == "shape"
     assert bones(made)["LeftArm"].startswith("Knochen ")  # type: ignore[union-attr]
@@ -153,7 +153,7 @@ def test_rename(strict: Live) -> None:
     problem_of(strict.client.patch(f"/v1/characters/{uuid4()}", json={"name": "x"}), 404, "not_found")
 
 
-def test_the_file_is_downloaded_as_it_was_sent(strict: Live) -> None:
+def test_file_is_downloaded_as_it_was_sent(strict: Live) -> None:
     made = send(strict, name="robot é.glb").json()
     answer = strict.client.get(made["links"]["file"])
     assert answer.content == MIXAMO
@@ -175,7 +175,7 @@ def test_deletion_takes_the_file_along(strict: Live) -> None:
     problem_of(strict.client.delete(made["links"]["self"]), 404, "not_found")
 
 
-def test_an_upload_is_used_once(strict: Live) -> None:
+def test_upload_is_used_once(strict: Live) -> None:
     headers = {"Tus-Resumable": VERSION, "Upload-Length": str(len(MIXAMO)), "Upload-Metadata": "filename cm9ib3QuZ2xi"}
     place = strict.client.post("/v1/uploads", headers=headers).headers["location"]
     body = {"character": place.rpartition("/")[2], "name": "Robot"}
@@ -192,14 +192,14 @@ def test_an_upload_is_used_once(strict: Live) -> None:
     assert [item["code"] for item in again["errors"]] == ["upload_unknown"]
 
 
-def test_a_repeated_request_makes_one_character(strict: Live) -> None:
+def test_repeated_request_makes_one_character(strict: Live) -> None:
     headers = {"Idempotency-Key": str(uuid4())}
     first, again = (send(strict, headers=headers) for _ in range(2))
     assert first.json() == again.json()
     assert again.headers["idempotent-replayed"] == "true"
 
 
-def test_what_is_no_character_is_refused(strict: Live) -> None:
+def test_file_without_character_is_refused(strict: Live) -> None:
     def codes(answer: Any) -> list[tuple[str, str]]:
         return [(item["code"], item["pointer"]) for item in problem_of(answer, 422, "invalid_request")["errors"]]
 
@@ -218,7 +218,7 @@ def test_what_is_no_character_is_refused(strict: Live) -> None:
     assert all("/characters/" in str(path) for path in strict.kept() if "artifacts" in path.parts)
 
 
-def test_a_lost_or_damaged_file_is_named(strict: Live) -> None:
+def test_lost_or_damaged_file_is_named(strict: Live) -> None:
     made = send(strict).json()
     stored = strict.settings.data_dir / "artifacts" / "characters" / made["id"] / "file"
     stored.write_bytes(MIXAMO[:-1] + b"x")
@@ -229,7 +229,7 @@ def test_a_lost_or_damaged_file_is_named(strict: Live) -> None:
 
 
 @pytest.mark.slow
-def test_the_quota_of_bytes_counts_characters(make_settings: Callable[..., Settings]) -> None:
+def test_quota_of_bytes_counts_characters(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_character_bytes=200_000, max_tenant_bytes=100_000)) as live:
         made = send(live).json()
         used = live.client.get("/v1/caller").json()["quotas"]["stored_bytes"]["used"]

@@ -10,7 +10,7 @@ from jsonschema_rs import validator_for
 from api.web.contract.openapi import COMMITTED, document
 from api.web.live.asyncapi import describe_live
 from api.web.recordings.asyncapi import describe_recordings
-from pipeline.core.options.config import FILE_FORMATS
+from pipeline.core.options.file_formats import FILE_FORMATS
 from tests.api.conftest import Live
 
 METHODS = {"get", "head", "options", "post", "put", "patch", "delete"}

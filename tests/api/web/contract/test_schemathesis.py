@@ -24,7 +24,8 @@ from schemathesis.specs.openapi.checks import (
 from api.web.contract.openapi import COMMITTED
 from api.web.settings import KIB, Settings
 from api.web.uploads.routes import PIECE_TYPE
-from pipeline.core.options.config import FILE_FORMATS, NETWORKS, NETWORKS_OF_PROFILES
+from pipeline.core.options.config import NETWORKS, NETWORKS_OF_PROFILES
+from pipeline.core.options.file_formats import FILE_FORMATS
 from tests.api.conftest import Live, running
 from worker.run.presence import Presence, process_name
 from worker.store.model.rights import Scope

@@ -61,7 +61,7 @@ def wait_until(condition: Any) -> None:
         time.sleep(0.02)
 
 
-def test_a_job_is_followed_to_its_end(live: Live) -> None:
+def test_job_is_followed_to_its_end(live: Live) -> None:
     job_id = live.job_id()
     listener = Listener(live, job_id)
     listener.wait_for(1)
@@ -88,7 +88,7 @@ def test_a_job_is_followed_to_its_end(live: Live) -> None:
     assert told[-1] == live.client.get(f"/v1/jobs/{job_id}").json()
 
 
-def test_a_reconnected_client_gets_missed_events_once(live: Live) -> None:
+def test_reconnected_client_gets_missed_events_once(live: Live) -> None:
     job_id = live.job_id()
     first = live.services.store.jobs.changes([job_id])[job_id].event
     waiting = Listener(live, job_id, str(first))
@@ -106,7 +106,7 @@ def test_a_reconnected_client_gets_missed_events_once(live: Live) -> None:
 
 
 @pytest.mark.parametrize("last_event_id", slow_but(["x"], ["", "x", "-1", "9" * 40, "1; DROP TABLE events"]))
-def test_a_number_that_is_none_is_nothing_seen(live: Live, last_event_id: str) -> None:
+def test_number_that_is_none_is_nothing_seen(live: Live, last_event_id: str) -> None:
     job_id = live.job_id()
     live.finish(job_id)
     listener = Listener(live, job_id, last_event_id)
@@ -114,7 +114,7 @@ def test_a_number_that_is_none_is_nothing_seen(live: Live, last_event_id: str) -
     assert [event["data"]["state"] for event in listener.events] == ["succeeded"]
 
 
-def test_a_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
+def test_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
     job_id = live.job_id()
     listener = Listener(live, job_id)
     listener.wait_for(1)
@@ -152,7 +152,7 @@ def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-def test_a_stream_opened_during_a_poll_gets_an_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stream_opened_during_poll_gets_event_number(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     look = live.services.store.jobs.changes
 
     def slowly(job_ids: Any) -> Any:
@@ -205,7 +205,7 @@ def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_a_database_that_is_away_for_a_while_is_waited_for(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_database_that_is_away_for_while_is_waited_for(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     listener = Listener(live, job_id)
     listener.wait_for(1)

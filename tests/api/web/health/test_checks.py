@@ -11,7 +11,7 @@ def test_results_by_name() -> None:
     assert LimitedChecks(60.0).run({"left": lambda: 1, "right": lambda: 2}) == {"left": 1, "right": 2}
 
 
-def test_a_check_that_hangs_is_reported_and_not_begun_again() -> None:
+def test_check_that_hangs_is_reported_and_not_begun_again() -> None:
     release, begun = threading.Event(), threading.Semaphore(0)
 
     def hang() -> bool:
@@ -32,7 +32,7 @@ def test_a_check_that_hangs_is_reported_and_not_begun_again() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError, TimeoutError])
-def test_an_error_of_a_check_is_raised(error: type[Exception]) -> None:
+def test_error_of_check_is_raised(error: type[Exception]) -> None:
     def fail() -> bool:
         raise error
 

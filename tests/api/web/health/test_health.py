@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.core.options.config import FILE_FORMATS, NETWORKS, JobChoices
+from pipeline.core.options.config import NETWORKS, JobChoices
+from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.providers import Provider
 from tests.api.conftest import Live, keypoint_form, problem_of
 from worker.store.model.work import WorkerState, WorkerStatus
@@ -79,14 +80,14 @@ def test_jobs_without_networks_have_no_provider(with_broker: Live) -> None:
     assert answer.json()["provider"] is None
 
 
-def test_a_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:
+def test_worker_that_starts_says_how_far_it_is(with_broker: Live) -> None:
     with_broker.services.store.workers.report(COMPILING)
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
     message = "A worker compiles the numeric kernels: 5 of 14 steps. A first start takes some minutes."
     assert (item["code"], item["message"]) == ("worker_starting", message)
 
 
-def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) -> None:
+def test_worker_without_usual_detector_is_not_enough(with_broker: Live) -> None:
     with_broker.services.store.workers.report(WorkerStatus("host:3", WorkerState.READY, "A worker works"))
     (item,) = problem_of(with_broker.client.get("/readyz"), 503, "not_ready")["errors"]
     assert (item["code"], item["hint"]) == (
@@ -96,7 +97,7 @@ def test_a_worker_without_the_usual_detector_is_not_enough(with_broker: Live) ->
 
 
 @pytest.mark.parametrize("detector", ["openpose-mobilenet-thin", "human-pose-estimation-0001"])
-def test_a_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str) -> None:
+def test_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str) -> None:
     live, session_id = with_broker, with_broker.session_id()
     live.services.store.workers.report(READY)
     spec = {"detector": detector}
@@ -132,7 +133,7 @@ def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> Non
     assert listed == {name: name == "movenet-multipose-int8" for name in NETWORKS}
 
 
-def test_a_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: Live) -> None:
+def test_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: Live) -> None:
     live, session_id = with_broker, with_broker.session_id()
     address, spec = f"/v1/sessions/{session_id}/jobs", {"exports": ["bvh", "usd"]}
 
@@ -161,7 +162,7 @@ def test_a_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: 
     assert live.client.post(address, json=spec).status_code == 202
 
 
-def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live) -> None:
+def test_profile_without_its_networks_is_refused_and_listed(with_broker: Live) -> None:
     live, session_id = with_broker, with_broker.session_id()
     live.services.store.workers.report(READY)
     spec = {"profile": "accurate", "joints": "whole"}
@@ -179,7 +180,7 @@ def test_a_profile_without_its_networks_is_refused_and_listed(with_broker: Live)
     assert profiles["fast"]["default_joints"] == "body"
 
 
-def test_a_body_that_no_worker_has_is_refused_where_files_would_have_it(with_broker: Live) -> None:
+def test_body_missing_on_workers_is_refused_where_files_need_it(with_broker: Live) -> None:
     live, session_id = with_broker, with_broker.session_id()
     address = f"/v1/sessions/{session_id}/jobs"
     spec = {"body": "human", "exports": ["glb"]}

@@ -8,7 +8,7 @@ import pytest
 from sse_starlette import ServerSentEvent
 
 from api.web.events.routes import _events
-from api.web.results.routes import _content
+from api.web.results import _content
 from api.web.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from worker.store.model.rights import Scope
@@ -54,7 +54,7 @@ def test_head_begins_no_stream(live: Live, addresses: list[str], monkeypatch: py
         async for event in _events(*arguments):
             yield event
 
-    monkeypatch.setattr("api.web.results.routes._content", content)
+    monkeypatch.setattr("api.web.results._content", content)
     monkeypatch.setattr("api.web.events.routes._events", events)
     streams = [(f"{addresses[10]}/results.zip", "application/zip"), (f"{addresses[10]}/events", "text/event-stream")]
     for address, media_type in streams:

@@ -11,7 +11,7 @@ from worker.store.database.tables import DEFAULT_TENANT
 HOOK = "https://portal.example/hooks/multicap?x=1"
 
 
-def test_a_job_says_who_is_told(live: Live) -> None:
+def test_job_states_its_callback(live: Live) -> None:
     live.services.store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs", json={"callback_url": HOOK})
     assert answer.status_code == 202, answer.text

@@ -30,7 +30,7 @@ def stages(job: dict[str, Any]) -> list[str]:
     return [stage["name"] for stage in job["stages"]]
 
 
-def test_a_job_keeps_a_copy_of_its_character(moving: Live) -> None:
+def test_job_keeps_copy_of_its_character(moving: Live) -> None:
     made = add(moving, bones={"LeftShoulder": None})
     address = f"/v1/sessions/{moving.session_id()}/jobs"
     answer = moving.client.post(address, json={"character": made["id"]})
@@ -55,7 +55,7 @@ def test_a_job_keeps_a_copy_of_its_character(moving: Live) -> None:
     assert not copy.exists()
 
 
-def test_a_session_with_its_job_names_a_character_too(moving: Live) -> None:
+def test_session_with_its_job_names_character_too(moving: Live) -> None:
     made = add(moving)
     parts = [*form(), ("spec", (None, json.dumps({"character": made["id"]})))]
     answer = moving.client.post("/v1/jobs", files=parts)
@@ -63,7 +63,7 @@ def test_a_session_with_its_job_names_a_character_too(moving: Live) -> None:
     assert "retarget_character" in stages(answer.json())
 
 
-def test_an_unknown_character_is_refused(moving: Live) -> None:
+def test_unknown_character_is_refused(moving: Live) -> None:
     unknown = {"character": str(uuid4())}
     problem = problem_of(
         moving.client.post(f"/v1/sessions/{moving.session_id()}/jobs", json=unknown), 422, "invalid_request"
@@ -76,7 +76,7 @@ def test_an_unknown_character_is_refused(moving: Live) -> None:
     assert [item["pointer"] for item in problem_of(malformed, 422, "invalid_request")["errors"]] == ["/character"]
 
 
-def test_a_lost_file_makes_no_job(moving: Live) -> None:
+def test_lost_file_makes_no_job(moving: Live) -> None:
     made = add(moving)
     (moving.settings.data_dir / "artifacts" / "characters" / made["id"] / "file").unlink()
     before = {path for path in moving.kept() if "jobs" in path.parts}

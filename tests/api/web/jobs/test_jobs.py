@@ -83,7 +83,7 @@ def test_job_without_a_body_is_as_by_default(live: Live) -> None:
     }
 
 
-def test_a_cutoff_that_the_frame_rate_can_not_have_is_refused_at_once(live: Live) -> None:
+def test_cutoff_that_frame_rate_can_not_have_is_refused_at_once(live: Live) -> None:
     session_id = live.session_id()
     half_rate_hz = live.client.get(f"/v1/sessions/{session_id}").json()["preflight"]["timebase"]["frame_rate_hz"] / 2
     spec = {"smoothing": "butterworth", "cutoff_hz": half_rate_hz}
@@ -108,7 +108,7 @@ def test_formats_are_named_once_and_have_to_be_known(live: Live) -> None:
     assert answer.json()["spec"]["exports"] == []
 
 
-def test_a_priority_is_one_of_three(live: Live) -> None:
+def test_priority_is_one_of_three(live: Live) -> None:
     session_id = live.session_id()
     problem = problem_of(
         live.client.post(f"/v1/sessions/{session_id}/jobs", json={"priority": "urgent"}), 422, "invalid_request"
@@ -131,7 +131,7 @@ def test_session_and_job_in_one_call(live: Live) -> None:
     assert session["name"] == "Take 3"
 
 
-def test_jobs_have_the_synchronisation_of_their_session_unless_they_state_one(live: Live) -> None:
+def test_sync_of_a_job_defaults_to_that_of_its_session(live: Live) -> None:
     manifest = ("manifest", (None, json.dumps({"sync": "auto"}).encode()))
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["sync"] == "auto"
@@ -150,7 +150,7 @@ def test_jobs_have_the_synchronisation_of_their_session_unless_they_state_one(li
     assert live.client.post(usual["links"]["jobs"]).json()["spec"]["sync"] == "declared"
 
 
-def test_jobs_have_the_timeline_of_their_session_unless_they_state_one(live: Live) -> None:
+def test_timeline_of_a_job_defaults_to_its_session(live: Live) -> None:
     manifest = ("manifest", (None, b'{"timeline": "person"}'))
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["timeline"] == "person"
@@ -266,7 +266,7 @@ def test_refused_session_has_its_errors(live: Live) -> None:
     assert forced.raise_for_status().json()["spec"]["force"] is True
 
 
-def test_errors_of_cameras_that_no_people_outweigh_refuse_a_job_at_once(live: Live) -> None:
+def test_certain_camera_errors_refuse_job_at_once(live: Live) -> None:
     """The unit is wrong whatever the people show; they tell whether the world is upside down."""
     session = live.client.post("/v1/sessions", files=form(content=b"MILES")).raise_for_status().json()
     jobs = session["links"]["jobs"]

@@ -22,7 +22,8 @@ from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.errors import InputError
 from pipeline.core.options.choices import Choice
-from pipeline.core.options.config import CHOICES, ReconstructionConfig, installed_formats
+from pipeline.core.options.config import CHOICES, ReconstructionConfig
+from pipeline.core.options.file_formats import installed_formats
 from pipeline.core.options.rules import Installed, config_problems
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.scenes import find_scene, record
@@ -103,7 +104,7 @@ def of_spec(choices: dict[str, Any]) -> Sentences:
     [(name, value) for name, choice in CHOICES.items() for value in wrong_values(choice)],
     ids=str,
 )
-def test_a_value_that_a_choice_may_not_have(name: str, value: Any, session: KeypointSession, tmp_path: Path) -> None:
+def test_value_that_choice_may_not_have(name: str, value: Any, session: KeypointSession, tmp_path: Path) -> None:
     said = of_spec({name: value})
     assert said
     assert [(field.partition("[")[0], *rest) for field, *rest in of_python(session, {name: value})] == said

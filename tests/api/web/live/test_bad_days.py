@@ -39,7 +39,7 @@ class SmallRoom(DiskSpace):
         self.left_bytes -= num_bytes
 
 
-def test_what_was_kept_before_the_disk_was_full_stays(
+def test_packets_kept_before_full_disk_stay(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, make_settings: Callable[..., Settings]
 ) -> None:
     monkeypatch.setattr(keeping, "_BLOCK_BYTES", 2 * len(packet()) + 8)  # blocks of two frames
@@ -59,7 +59,7 @@ def test_what_was_kept_before_the_disk_was_full_stays(
     assert (sorted(names), len(rows)) == (["left", "right"], 1 + 6)
 
 
-def test_a_full_disk_at_the_end_is_a_problem_and_leaves_nothing(
+def test_full_disk_at_end_is_problem_and_leaves_nothing(
     live_service: Live, live_socket: LiveSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live_socket.start(keep=True)
@@ -72,7 +72,7 @@ def test_a_full_disk_at_the_end_is_a_problem_and_leaves_nothing(
     wait_for(lambda: not any(live_service.settings.spool_dir.rglob("packets")))
 
 
-def test_a_service_that_is_stopped_says_so_and_keeps_nothing(
+def test_service_that_is_stopped_says_so_and_keeps_nothing(
     make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
 ) -> None:
     settings = make_settings(**live_commands)

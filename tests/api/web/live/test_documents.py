@@ -8,8 +8,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from api.web.live.asyncapi import describe_live
-from api.web.live.examples import MESSAGES
+from api.web.live.asyncapi import MESSAGES, describe_live
 from api.web.live.schemas import POINTS, RECEIVED, SENT, Layout, LiveStart
 from pipeline.core.layouts import LAYOUTS
 from pipeline.run.live.packets import InstantHead, KeypointsHead

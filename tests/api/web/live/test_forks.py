@@ -45,7 +45,7 @@ def begin_and_end(service: Live) -> None:
         assert len(client.ended()[0]) == 1
 
 
-def test_the_server_starts_with_the_first_capture_and_ends_with_the_service(
+def test_server_starts_with_first_capture_and_ends_with_service(
     make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
 ) -> None:
     with running(make_settings(**live_commands)) as service:
@@ -58,7 +58,7 @@ def test_the_server_starts_with_the_first_capture_and_ends_with_the_service(
     assert not server.is_running()
 
 
-def test_a_killed_server_is_started_again(own: Live) -> None:
+def test_killed_server_is_started_again(own: Live) -> None:
     forks = own.services.live_forks
     with opened(own) as connection:
         client = LiveSocket(connection)

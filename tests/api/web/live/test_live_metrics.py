@@ -7,9 +7,9 @@ import websockets
 
 from api.web.live.backlog import Backlog, Waiting
 from tests.api.conftest import Live
-from tests.api.web.health.test_metrics import samples
 from tests.api.web.live.conftest import LiveSocket, opened
 from tests.api.web.live.messages import packet
+from tests.api.web.test_metrics import samples
 from tests.waiting import wait_for
 
 
@@ -49,7 +49,7 @@ def test_refusals_and_problems_are_counted_by_their_codes(live_service: Live) ->
     assert value(live_service, "captures_refused_total", code="key_required") == refused + 1
 
 
-def test_a_backlog_drops_the_oldest_messages_and_says_how_many() -> None:
+def test_backlog_drops_oldest_messages_and_says_how_many() -> None:
     dropped: list[int] = []
 
     async def run() -> list[Waiting]:

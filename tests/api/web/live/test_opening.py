@@ -62,7 +62,7 @@ def test_keys_and_scopes_count_as_elsewhere(own: Live) -> None:
         assert LiveSocket(connection).start()["type"] == "ready"
 
 
-def test_pages_of_allowed_origins_offer_their_key_as_a_subprotocol(
+def test_pages_of_allowed_origins_offer_their_key_as_subprotocol(
     make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
 ) -> None:
     origin = "https://stage.example"
@@ -143,7 +143,7 @@ def test_floods_end_a_capture(own: Live) -> None:
         assert connection.close_reason == "live_too_fast"
 
 
-def test_a_client_that_is_much_faster_than_its_cameras_stands_behind_others_and_loses_nothing(
+def test_client_faster_than_its_cameras_yields_and_loses_nothing(
     make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
 ) -> None:
     num_frames = 500  # Two cameras of 25 Hz, four times as fast: 200 frames are taken at once.
@@ -163,7 +163,7 @@ def test_a_client_that_is_much_faster_than_its_cameras_stands_behind_others_and_
         assert (end["counts"]["received"], end["dropped"]) == (num_frames, {"input": 0, "output": 0})
 
 
-def test_a_pause_follows_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pause_follows_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(places, "_PAUSE", 1e9)  # the longest pause
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
 
@@ -207,7 +207,7 @@ def test_many_messages_at_once_are_all_read(own: Live) -> None:
     assert b"\x8a\x04here" in answer  # the pong
 
 
-def test_an_owner_of_bad_captures_waits_and_others_do_not(
+def test_owner_of_bad_captures_waits_and_others_do_not(
     make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
 ) -> None:
     with running(make_settings(**live_commands, max_bad_live_captures_per_minute=2)) as service:

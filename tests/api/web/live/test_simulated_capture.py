@@ -111,7 +111,7 @@ def opened_again(live: Live, session_id: str, folder: Path) -> Any:
     return open_keypoints(folders, folder / "calibration.json", folder / "timestamps.csv")
 
 
-def test_what_the_client_gets_and_what_is_kept(
+def test_client_gets_instants_and_session_is_kept(
     computing: Live, room: Simulation, calibration: dict[str, Any], tmp_path: Path
 ) -> None:
     expected = expected_instants(room)

@@ -50,7 +50,7 @@ def joining(recording: OpenedRecording) -> Iterator[RoomSocket]:
         (bytes(10_000_000), "recording_too_large", 1009),
     ],
 )
-def test_a_wrong_first_message_ends_the_connection(
+def test_wrong_first_message_ends_connection(
     recording: OpenedRecording, message: str | bytes, code: str, close_code: int
 ) -> None:
     with joining(recording) as phone:
@@ -88,7 +88,7 @@ ODD_NAMES = ("../../etc/passwd", "a\\b", "..", " ", "a\u202eb", "a\u00a0b", "lin
         (JPEG.replace(b"\x00\xf0", b"\x04\x01"), "recording_thumbnail"),
     ],
 )
-def test_a_wrong_later_message_ends_the_connection(recording: OpenedRecording, message: Any, code: str) -> None:
+def test_wrong_later_message_ends_connection(recording: OpenedRecording, message: Any, code: str) -> None:
     with recording.host() as host, recording.phone("Left") as phone:
         phone.socket.send(message if isinstance(message, bytes) else json.dumps(message))
         assert phone.problem()["code"] == code
@@ -144,7 +144,7 @@ def test_control_frames_do_no_harm(strict: Live) -> None:
         assert phone.next("pong")
 
 
-def test_thumbnails_that_come_too_fast_are_dropped_and_not_queued(strict: Live) -> None:
+def test_thumbnails_too_fast_are_dropped_not_queued(strict: Live) -> None:
     recording = opened_recording(strict)
     with recording.host() as host, recording.phone("Left") as phone:
         for number in range(40):
@@ -160,7 +160,7 @@ def test_thumbnails_that_come_too_fast_are_dropped_and_not_queued(strict: Live) 
     assert 'multicap_recording_thumbnails_total{outcome="dropped"}' in text
 
 
-def test_a_host_that_reads_nothing_holds_up_nobody(strict: Live) -> None:
+def test_host_that_reads_nothing_delays_no_phone(strict: Live) -> None:
     recording = opened_recording(strict)
     with recording.host() as slow, recording.host() as host, recording.phone("Left") as phone:
         slow.state(lambda state: True)
@@ -244,7 +244,7 @@ def test_phones_send_only_so_many_uploads_and_bytes(recording: OpenedRecording) 
         assert left.begin_upload(40_000).status_code == 201
 
 
-def test_a_phone_reports_only_so_many_parts(recording: OpenedRecording) -> None:
+def test_phone_reports_only_so_many_parts(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone() as phone:
         take = taken(host)
         upload_id = phone.upload(b"video")

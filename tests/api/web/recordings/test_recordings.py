@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from api.web.recordings.clock import server_s
+from api.web.recordings.intake import server_s
 from tests.api.conftest import Live, problem_of
 from tests.api.web.recordings.conftest import (
     JPEG,
@@ -29,7 +29,7 @@ def is_recording(state: dict[str, Any]) -> bool:
     return takes[-1]["state"] == "recording"
 
 
-def test_a_recording_is_opened_with_a_link_and_its_code(rooms_service: Live) -> None:
+def test_recording_is_opened_with_link_and_its_code(rooms_service: Live) -> None:
     answer = rooms_service.client.post("/v1/recordings", json={"name": "Rehearsal", "expires_in_s": 600})
     assert answer.status_code == 201
     opened = answer.json()
@@ -86,7 +86,7 @@ def test_phones_record_a_take_together(recording: OpenedRecording) -> None:
     assert [phone["name"] for phone in recording.read()["phones"]] == ["Left", "Left 2"]
 
 
-def test_the_clock_is_told_at_once(recording: OpenedRecording) -> None:
+def test_clock_is_told_at_once(recording: OpenedRecording) -> None:
     with recording.phone() as phone, recording.host() as host:
         for client in (phone, host):
             sent_s = server_s()
@@ -110,7 +110,7 @@ def test_hosts_see_what_phones_say_and_show(recording: OpenedRecording) -> None:
         host.state(lambda state: not state["live"][0]["is_connected"])
 
 
-def test_a_phone_comes_back_with_its_name_and_goes_on_with_the_take(recording: OpenedRecording) -> None:
+def test_phone_comes_back_with_its_name_and_goes_on_with_take(recording: OpenedRecording) -> None:
     with recording.host() as host:
         with recording.phone("Left", phone_id="the-same-phone-comes-again") as phone:
             host.send("start")
@@ -123,7 +123,7 @@ def test_a_phone_comes_back_with_its_name_and_goes_on_with_the_take(recording: O
             assert phone.next("stop")["take"] == 1
 
 
-def test_a_phone_that_was_away_learns_all_from_the_welcome(recording: OpenedRecording) -> None:
+def test_phone_that_was_away_learns_all_from_welcome(recording: OpenedRecording) -> None:
     with recording.host() as host:
         with recording.phone(phone_id="the-same-phone-comes-again"):
             pass
@@ -140,7 +140,7 @@ def test_a_phone_that_was_away_learns_all_from_the_welcome(recording: OpenedReco
             assert (take["state"], take["is_upload_wanted"]) == ("discarded", False)
 
 
-def test_a_host_that_comes_back_sees_everything(recording: OpenedRecording) -> None:
+def test_host_that_comes_back_sees_everything(recording: OpenedRecording) -> None:
     with recording.phone("Left") as phone:
         with recording.host() as host:
             host.send("start")
@@ -188,7 +188,7 @@ def test_phones_are_renamed_and_removed(recording: OpenedRecording) -> None:
         assert other.welcome["name"] == "Window 2"
 
 
-def test_a_removed_phone_does_not_come_back(recording: OpenedRecording) -> None:
+def test_removed_phone_does_not_come_back(recording: OpenedRecording) -> None:
     identity = "a-phone-that-is-removed"
     with recording.host() as host, recording.phone(phone_id=identity) as phone:
         host.send("remove", phone=1)
@@ -199,7 +199,7 @@ def test_a_removed_phone_does_not_come_back(recording: OpenedRecording) -> None:
         assert again.ended() == "removed"
 
 
-def test_the_end_of_a_recording_ends_its_connections(rooms_service: Live) -> None:
+def test_end_of_recording_ends_its_connections(rooms_service: Live) -> None:
     recording = opened_recording(rooms_service)
     with recording.host() as host, recording.phone() as phone:
         rooms_service.client.delete(f"/v1/recordings/{recording.id}")
@@ -220,7 +220,7 @@ def test_another_link_ends_the_one_before(recording: OpenedRecording) -> None:
         assert phone.begin_upload(5).status_code == 201
 
 
-def test_the_same_phone_has_one_connection(recording: OpenedRecording) -> None:
+def test_same_phone_has_one_connection(recording: OpenedRecording) -> None:
     identity = "a-phone-with-two-tabs-open"
     with recording.phone(phone_id=identity) as first, recording.phone(phone_id=identity) as second:
         assert first.ended() == "replaced"
@@ -249,7 +249,7 @@ def test_files_come_from_uploads_of_the_phone_alone(recording: OpenedRecording) 
         assert answer.status_code == 404
 
 
-def test_a_take_that_nobody_stops_ends_by_itself(rooms_service: Live) -> None:
+def test_take_without_stop_ends_by_itself(rooms_service: Live) -> None:
     store = rooms_service.services.store
     recording = opened_recording(rooms_service)
     with recording.host() as host, recording.phone() as phone:

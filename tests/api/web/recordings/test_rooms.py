@@ -37,7 +37,7 @@ def test_of_two_connections_of_a_phone_the_later_one_stays(order: Sequence[int])
     assert not rooms[1].live[1].is_connected
 
 
-def test_a_database_that_was_restored_is_followed(tmp_path: Path) -> None:
+def test_database_that_was_restored_is_followed(tmp_path: Path) -> None:
     store = JobStore(f"sqlite:///{tmp_path / 'multicap.db'}")
     store.migrate()
     records = store.tenant("default")

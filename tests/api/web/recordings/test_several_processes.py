@@ -99,7 +99,7 @@ def test_hosts_and_phones_of_two_processes_see_each_other(both: Both) -> None:
         host.state(lambda state: not state["live"][1]["is_connected"])
 
 
-def test_a_phone_that_moves_to_another_process_has_one_connection(both: Both) -> None:
+def test_phone_that_moves_to_another_process_has_one_connection(both: Both) -> None:
     identity = "a-phone-that-moves-to-another-process"
     first, second = recording_at(*both[:2])
     with (
@@ -126,7 +126,7 @@ def test_without_a_broker_takes_start_in_time_all_the_same(make_settings: Callab
         host.state(lambda state: any(take["clips"] for take in state["recording"]["takes"]))
 
 
-def test_a_process_that_is_killed_loses_nothing_of_a_take(both: Both) -> None:
+def test_killed_process_loses_nothing_of_a_take(both: Both) -> None:
     identity = "a-phone-whose-process-is-killed"
     *clients, process = both
     first, second = recording_at(*clients)

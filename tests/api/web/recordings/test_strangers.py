@@ -96,7 +96,7 @@ def test_another_tenant_reaches_nothing_of_a_recording(guarded: GuardedRoom) -> 
     assert len(client.get("/v1/recordings", headers=guarded.mine).json()["recordings"]) == 1
 
 
-def test_a_link_opens_uploads_of_its_phone_and_nothing_else(guarded: GuardedRoom) -> None:
+def test_link_opens_uploads_of_its_phone_and_nothing_else(guarded: GuardedRoom) -> None:
     live, recording = guarded.live, guarded.recording
     with recording.phone("Left") as left, recording.phone("Right") as right:
         upload_id = left.upload(b"video")
@@ -131,7 +131,7 @@ def test_phones_do_not_meet_idempotency_keys_of_others(guarded: GuardedRoom) -> 
         assert other != first
 
 
-def test_the_end_of_the_key_ends_the_link(guarded: GuardedRoom) -> None:
+def test_end_of_key_ends_link(guarded: GuardedRoom) -> None:
     store = guarded.live.services.store
     key, secret = store.keys.add("mine", "host", USUAL)
     recording = opened_recording(guarded.live, {"Authorization": f"Bearer {secret}"})
@@ -143,7 +143,7 @@ def test_the_end_of_the_key_ends_the_link(guarded: GuardedRoom) -> None:
     assert refused(recording, recording.secret)["code"] == "link_unknown"
 
 
-def test_a_link_made_without_keys_ends_with_the_first_key(make_settings: Callable[..., Settings]) -> None:
+def test_link_made_without_keys_ends_with_first_key(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings()) as live:
         recording = opened_recording(live)
         with recording.phone("Left") as phone:

@@ -66,7 +66,7 @@ def calibration_of(studio: Live) -> str:
     return str(answer.json()["id"])
 
 
-def test_a_take_becomes_a_session_with_declared_offsets(
+def test_take_becomes_session_with_declared_offsets(
     studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed
@@ -98,7 +98,7 @@ def test_a_take_becomes_a_session_with_declared_offsets(
     assert studio.client.get(f"/v1/sessions/{made['session_id']}").status_code == 200
 
 
-def test_a_session_comes_with_its_job_and_once_for_an_idempotency_key(
+def test_session_comes_with_its_job_and_once_for_idempotency_key(
     studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed
@@ -134,7 +134,7 @@ def test_phones_are_told_to_forget_what_is_in_a_session(studio: Live) -> None:
         assert left.next("problem")["detail"] == "The clips of this take are in a session already."
 
 
-def test_the_longest_part_of_a_cut_clip_is_used(studio: Live) -> None:
+def test_longest_part_of_cut_clip_is_used(studio: Live) -> None:
     recording = opened_recording(studio)
     with recording.host() as host, recording.phone("Left") as left:
         take = taken(host)
@@ -147,7 +147,7 @@ def test_the_longest_part_of_a_cut_clip_is_used(studio: Live) -> None:
     assert made["cameras"] == pytest.approx({"Left": 3.0 + STARTED_LATE_S})
 
 
-def test_a_clip_of_a_wrong_clock_is_left_out_and_spoils_nothing(studio: Live) -> None:
+def test_clip_of_wrong_clock_is_left_out_and_spoils_nothing(studio: Live) -> None:
     recording = opened_recording(studio)
     with recording.host() as host, recording.phone("<img src=x>") as left, recording.phone("Wrong") as wrong:
         take = taken(host)
@@ -165,7 +165,7 @@ def test_a_clip_of_a_wrong_clock_is_left_out_and_spoils_nothing(studio: Live) ->
         assert made.json()["left_out"] == ["Wrong: its first frame is not within the take; its clock is wrong."]
 
 
-def test_what_is_missing_is_named(studio: Live) -> None:
+def test_missing_clips_are_named(studio: Live) -> None:
     recording = opened_recording(studio)
     address = f"/v1/recordings/{recording.id}/takes/1/session"
     spec = {"calibration_id": calibration_of(studio)}
@@ -201,7 +201,7 @@ def test_what_is_missing_is_named(studio: Live) -> None:
     assert recording.read()["takes"][0]["state"] == "recorded"
 
 
-def test_a_calibration_is_made_from_a_take_and_a_session_follows(
+def test_calibration_is_made_from_take_and_session_follows(
     studio: Live, filmed: tuple[OpenedRecording, list[dict[str, Any]]]
 ) -> None:
     recording, _ = filmed

@@ -80,7 +80,7 @@ def test_no_proxies_are_made_of_deleted_videos(live: Live) -> None:
     assert live.client.get(address).json()["proxies_job"] is None
 
 
-def test_a_session_without_videos_is_not_copied(live: Live) -> None:
+def test_session_without_videos_is_not_copied(live: Live) -> None:
     address = send(live)
     finished(live, address)
     live.client.delete(f"{address}/videos").raise_for_status()
@@ -120,7 +120,7 @@ def test_equal_videos_of_another_session_stay(live: Live) -> None:
     assert live.client.get(f"{other}/videos/cam_0").content == VIDEO
 
 
-def test_the_choice_of_a_job_is_strict(live: Live) -> None:
+def test_choice_of_job_is_strict(live: Live) -> None:
     address = send(live)
     for value in ("no", 0, None):
         answer = live.client.post(f"{address}/jobs", json={"keep_videos": value})

@@ -86,7 +86,7 @@ def stored_rig(checking: Live, sent: list[tuple[str, Any]]) -> str:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_session_of_the_service(checking: Live, simulation: Simulation, program: str) -> None:
+def test_session_of_service(checking: Live, simulation: Simulation, program: str) -> None:
     answer = checking.client.post("/v1/sessions", files=parts(simulation, keypoint_files(simulation, program)))
     assert answer.status_code == 201, answer.text
     preflight = answer.json()["preflight"]
@@ -96,7 +96,7 @@ def test_a_session_of_the_service(checking: Live, simulation: Simulation, progra
     assert {camera["name"] for camera in preflight["cameras"]} == {camera.name for camera in simulation.cameras}
 
 
-def test_layout_of_manifest_is_stated_in_the_preflight_or_refused(checking: Live, simulation: Simulation) -> None:
+def test_layout_of_manifest_is_stated_in_preflight_or_refused(checking: Live, simulation: Simulation) -> None:
     sent = parts(simulation, keypoint_files(simulation, "AlphaPose"))
 
     def answer(**manifest: Any) -> Any:
@@ -120,7 +120,7 @@ def test_layouts_of_manifest_and_page_are_those_of_files() -> None:
 
 
 @pytest.mark.parametrize("is_timed", [True, False])
-def test_a_camera_whose_program_lists_nobody(checking: Live, simulation: Simulation, is_timed: bool) -> None:
+def test_camera_without_people(checking: Live, simulation: Simulation, is_timed: bool) -> None:
     files = keypoint_files(simulation, "AlphaPose")
     first, second = (camera.name for camera in simulation.cameras)
     files[first] = {"alphapose-results.json": b"[]"}
@@ -131,7 +131,7 @@ def test_a_camera_whose_program_lists_nobody(checking: Live, simulation: Simulat
     assert ("camera_saw_nobody", first) in {(finding["code"], finding["camera"]) for finding in preflight["findings"]}
 
 
-def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simulation) -> None:
+def test_axis_of_session_that_points_up(checking: Live, simulation: Simulation) -> None:
     """The calibration's y points up; all else is as if it were z."""
     from_upright = turn_upright(AXES["y"]).T
     cameras = [
@@ -158,7 +158,7 @@ def test_the_axis_of_a_session_that_points_up(checking: Live, simulation: Simula
 
 
 @pytest.mark.parametrize("is_zip", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_an_array_of_all_cameras(checking: Live, simulation: Simulation, is_zip: bool) -> None:
+def test_array_of_all_cameras(checking: Live, simulation: Simulation, is_zip: bool) -> None:
     content, archive = io.BytesIO(), io.BytesIO()
     np.save(content, freemocap_array(simulation))
     name = "mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy"
@@ -183,7 +183,7 @@ def test_an_array_of_all_cameras(checking: Live, simulation: Simulation, is_zip:
     assert (item["code"], item["pointer"]) == ("keypoints_unreadable", "/keypoints/0")
 
 
-def test_a_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulation: Simulation) -> None:
+def test_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulation: Simulation) -> None:
     files = keypoint_files(simulation, "DeepLabCut")
     camera = simulation.cameras[0].name
     (name,) = files[camera]
@@ -200,7 +200,7 @@ def test_a_wrong_cell_is_named_with_file_frame_and_field(checking: Live, simulat
 
 
 @pytest.mark.slow
-def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
+def test_folders_pair_with_cameras_by_name_or_stated_order(
     checking: Live, simulation: Simulation, tmp_path: Path
 ) -> None:
     files = keypoint_files(simulation, "AlphaPose")
@@ -238,9 +238,7 @@ def test_names_pair_folders_with_cameras_and_order_does_if_it_is_asked_for(
 
 
 @pytest.mark.slow
-def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
-    checking: Live, simulation: Simulation
-) -> None:
+def test_manifest_states_archives_of_cameras(checking: Live, simulation: Simulation) -> None:
     files = keypoint_files(simulation, "AlphaPose")
     first, second = (camera.name for camera in simulation.cameras)
     # Names that would pair them the other way round, and one whose accent is composed in the manifest alone.
@@ -279,7 +277,7 @@ def test_archives_are_those_of_the_cameras_for_which_the_manifest_states_them(
 
 
 @pytest.mark.slow
-def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking: Live, simulation: Simulation) -> None:
+def test_rate_is_asked_for_and_kept_with_pairs_of_copied_footage(checking: Live, simulation: Simulation) -> None:
     files = keypoint_files(simulation, "AlphaPose")
     renamed = {f"view{number}": files[camera.name] for number, camera in enumerate(simulation.cameras)}
     sent = [part for part in parts(simulation, renamed) if part[0] != "timestamps"]
@@ -311,7 +309,7 @@ def test_a_rate_is_asked_for_and_kept_with_the_pairs_of_copied_footage(checking:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_folder_at_the_command_line(tmp_path: Path, simulation: Simulation, program: str) -> None:
+def test_folder_at_command_line(tmp_path: Path, simulation: Simulation, program: str) -> None:
     write_session(simulation, program, tmp_path)
     words = ["check", "--keypoints", str(tmp_path / "keypoints"), "--timestamps", str(tmp_path / "timestamps.csv")]
     answer = CliRunner().invoke(app, [*words, "--calibration", str(tmp_path / "calibration.json"), "--json"])

@@ -124,7 +124,7 @@ def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: C
         assert time.monotonic() - started_s > 2.9
 
 
-def test_a_check_whose_own_child_fails_is_not_the_files_fault(
+def test_check_whose_own_child_fails_is_not_files_fault(
     make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The child of the real preflight, which probes a video, is killed; the log has the reason."""
@@ -140,7 +140,7 @@ def test_a_check_whose_own_child_fails_is_not_the_files_fault(
     assert "SIGKILL" in entry["log"]
 
 
-def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
+def test_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
     """The real preflight has a limit far below the size of its record."""
     files = keypoint_files(simulate(duration_s=1.0))
     for name, content in files.items():
@@ -161,7 +161,7 @@ def test_a_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
     assert error.hint == "Cut the session into several."
 
 
-def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
+def test_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
     files = keypoint_files(simulate())
     kinds = {".zip": "keypoints", ".csv": "timestamps", ".json": "calibration"}
     parts = [(kinds[Path(name).suffix], (name, content)) for name, content in files.items()]
@@ -172,7 +172,7 @@ def test_a_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_tenant_s_checks_that_hang_do_not_delay_another_s_session(make_settings: Callable[..., Settings]) -> None:
+def test_hanging_checks_of_a_tenant_delay_no_other_tenant(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
         keys = [live.services.store.keys.add(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
         bad, good = ({"Authorization": f"Bearer {key}"} for key in keys)
@@ -197,7 +197,7 @@ def test_without_keys_clients_take_turns_by_address(make_settings: Callable[...,
 
 
 @pytest.mark.slow
-def test_a_check_that_waits_too_long_is_refused_with_retry_after(make_settings: Callable[..., Settings]) -> None:
+def test_check_that_waits_too_long_is_refused_with_retry_after(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings(preflight_timeout_s=5.0, preflight_wait_s=0.3, max_parallel_preflights=1)
     with running(settings) as live, concurrent.futures.ThreadPoolExecutor(1) as pool:
         hanging = pool.submit(live.client.post, "/v1/sessions", files=form(1, b"HANG!"))
@@ -227,7 +227,7 @@ def test_large_files_wait_longer_for_their_check(make_settings: Callable[..., Se
     ("num_views", "num_bytes", "seconds"),
     [(2, 1000, 0.4), (31, 2 * GIB, 31 * 0.2 + 31 * 120), (64, 1000, 12.8)],
 )
-def test_the_time_of_a_check_grows_with_its_files(num_views: int, num_bytes: int, seconds: float) -> None:
+def test_time_of_check_grows_with_its_files(num_views: int, num_bytes: int, seconds: float) -> None:
     videos = tuple(ReceivedFile(f"{k}.mp4", Path(f"{k}.mp4"), num_bytes, "") for k in range(num_views))
     of_videos = Form({"videos": videos}, {}, ())
     assert allowance_s(of_videos) == pytest.approx(seconds, abs=0.01)

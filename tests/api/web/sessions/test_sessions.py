@@ -50,7 +50,7 @@ def test_session_says_what_was_found(live: Live) -> None:
     assert live.client.get(session["links"]["self"]).json() == session
 
 
-def test_a_session_of_keypoints(live: Live) -> None:
+def test_session_of_keypoints(live: Live) -> None:
     manifest = ("manifest", (None, b'{"frame_rate_hz": 50.0}'))
     answer = live.client.post("/v1/sessions", files=[*keypoint_form(), manifest])
     assert answer.status_code == 201, answer.text
@@ -78,7 +78,7 @@ def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None
     assert list(live.settings.spool_dir.iterdir()) == []
 
 
-def test_the_preflight_record_is_kept_with_its_digest(live: Live) -> None:
+def test_preflight_record_is_kept_with_its_digest(live: Live) -> None:
     jobs = live.client.post("/v1/jobs", files=form())
     for session_id in (live.session_id(), jobs.json()["session_id"]):
         session = live.services.store.sessions.get(session_id)
@@ -430,7 +430,7 @@ def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
     ]
 
 
-def test_the_parts_of_a_recording_are_one_camera(live: Live) -> None:
+def test_parts_of_recording_are_one_camera(live: Live) -> None:
     """At most four cameras are taken: by the names of chapters, and as stated."""
     assert live.client.post("/v1/sessions", files=chapters(4)).status_code == 201
     videos = [("videos", (f"C{number:04}.mp4", b"video")) for number in range(6)]
@@ -444,7 +444,7 @@ def test_the_parts_of_a_recording_are_one_camera(live: Live) -> None:
     assert live.client.post("/v1/sessions", files=[*videos, manifest, *form(0)]).status_code == 201
 
 
-def test_chunks_of_new_sessions_are_as_long_as_the_measured_speed_allows(
+def test_chunk_length_of_new_session_follows_measured_speed(
     make_settings: Callable[..., Settings],
 ) -> None:
     def num_detections(live: Live, session_id: str) -> int:

@@ -44,7 +44,7 @@ def test_pictures_are_deleted_with_their_session(live: Live) -> None:
     problem_of(live.client.get(str(second["link"])), 404, "not_found")
 
 
-def test_a_damaged_picture_is_not_shown(live: Live) -> None:
+def test_damaged_picture_is_not_shown(live: Live) -> None:
     before = set(live.kept())
     _, (_, (second,)) = thumbnails(live)
     (path,) = [path for path in set(live.kept()) - before if path.read_bytes() == PICTURE]

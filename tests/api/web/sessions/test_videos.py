@@ -25,7 +25,7 @@ def send(live: Live, *names: str) -> tuple[str, dict[str, str | None]]:
     return answer.json()["links"]["self"], links
 
 
-def test_a_video_is_watched_as_it_was_sent(live: Live) -> None:
+def test_video_is_watched_as_it_was_sent(live: Live) -> None:
     address, links = send(live, "Küche links.mp4")
     link = links["Küche links"]
     assert link == f"{address}/videos/K%C3%BCche%20links"
@@ -40,7 +40,7 @@ def test_a_video_is_watched_as_it_was_sent(live: Live) -> None:
     assert (known.status_code, known.content) == (304, b"")
 
 
-def test_a_range_of_a_video(live: Live) -> None:
+def test_range_of_video(live: Live) -> None:
     _, links = send(live, "cam_0.mp4")
     answer = live.client.get(str(links["cam_0"]), headers={"Range": "bytes=80000-"})
     assert (answer.status_code, answer.content) == (206, VIDEO[80_000:])
@@ -61,7 +61,7 @@ def test_videos_that_are_not_there(live: Live) -> None:
     problem_of(live.client.get(str(links["cam_0"])), 500, "artifact_damaged")
 
 
-def test_a_video_that_browsers_do_not_play_gets_a_proxy(live: Live) -> None:
+def test_video_that_browsers_do_not_play_gets_proxy(live: Live) -> None:
     address, _ = send(live, "cam_0.mp4", "Cam 1.avi")
     assert live.client.get(address).json()["proxies_job"] is None
     job = live.client.post(f"{address}/jobs", json={}).json()

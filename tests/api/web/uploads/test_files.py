@@ -23,9 +23,8 @@ from sqlalchemy.exc import OperationalError
 from starlette.requests import ClientDisconnect
 
 from api.web.settings import Settings
-from api.web.uploads import receiving
 from api.web.uploads.files import FolderUploads
-from api.web.uploads.spool import Writers
+from api.web.uploads.spool import Checksum, Writers
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.store.files.disk import DiskSpace
@@ -103,14 +102,14 @@ def test_description_of_uploads(live: Live, tus: Uploader) -> None:
     assert set(answer.headers["tus-checksum-algorithm"].split(",")) == {"sha1", "sha256", "md5"}
 
 
-def test_the_first_piece_may_come_with_the_creation(live: Live, tus: Uploader) -> None:
+def test_first_piece_may_come_with_creation(live: Live, tus: Uploader) -> None:
     answer = tus.create(5000, content=CONTENT[:2000], headers=PIECE | checksum(CONTENT[:2000], "sha256"))
     assert (answer.status_code, answer.headers["upload-offset"]) == (201, "2000")
     assert tus.send(answer.headers["location"], 2000, CONTENT[2000:]).status_code == 204
     assert live.kept()[0].read_bytes() == CONTENT
 
 
-def test_an_empty_file_is_finished_at_once(tus: Uploader) -> None:
+def test_empty_file_is_finished_at_once(tus: Uploader) -> None:
     assert tus.offset(tus.begin(0)) == 0
 
 
@@ -173,7 +172,7 @@ def test_pieces_have_a_type(live: Live, tus: Uploader) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["sha1", "sha256", "md5"])
-def test_a_piece_with_a_checksum_stays_whole_or_not_at_all(live: Live, tus: Uploader, algorithm: str) -> None:
+def test_piece_with_checksum_stays_whole_or_not_at_all(live: Live, tus: Uploader, algorithm: str) -> None:
     address = tus.begin(5000)
     assert tus.send(address, 0, CONTENT[:10], **checksum(CONTENT[:10], algorithm)).status_code == 204
     problem_of(tus.send(address, 10, CONTENT[10:], **checksum(CONTENT, algorithm)), 460, "checksum_mismatch")
@@ -203,7 +202,7 @@ def test_checksums_that_are_none(tus: Uploader, header: str) -> None:
         "filename K\u00e4se",
     ],
 )
-def test_a_file_needs_a_name(live: Live, metadata: str | None) -> None:
+def test_file_needs_name(live: Live, metadata: str | None) -> None:
     headers = httpx2.Headers(TUS | {"Upload-Length": "10"}, encoding="latin-1")
     if metadata is not None:
         headers["Upload-Metadata"] = metadata
@@ -220,7 +219,7 @@ def test_methods_by_another_name(live: Live, tus: Uploader) -> None:
     problem_of(live.client.post(address, headers=TUS), 405, "method_not_allowed")
 
 
-def test_a_deleted_upload_is_gone(live: Live, tus: Uploader) -> None:
+def test_deleted_upload_is_gone(live: Live, tus: Uploader) -> None:
     address = tus.begin(10)
     answer = live.client.delete(address, headers=TUS)
     assert (answer.status_code, answer.headers["tus-resumable"]) == (204, "1.0.0")
@@ -264,10 +263,8 @@ def piece_request(live: Live, address: str, length: int, content: bytes, **heade
     return "\r\n".join(lines).encode() + content
 
 
-@pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (receiving.Checksum("sha1", b""), 0)])
-def test_bytes_before_a_broken_connection_are_kept(
-    tmp_path: Path, compared: receiving.Checksum | None, kept: int
-) -> None:
+@pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (Checksum("sha1", b""), 0)])
+def test_bytes_before_a_broken_connection_are_kept(tmp_path: Path, compared: Checksum | None, kept: int) -> None:
     spool = FolderUploads(tmp_path, DiskSpace(tmp_path))
     upload = Upload(spool.create(5000), "cam_0.mp4", 5000, "", datetime.now(UTC), spool.name)
 
@@ -281,7 +278,7 @@ def test_bytes_before_a_broken_connection_are_kept(
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [CONTENT[:kept]]
 
 
-def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Uploader) -> None:
+def test_interrupted_piece_with_checksum_is_dropped(live: Live, tus: Uploader) -> None:
     address = tus.begin(5000)
     raw(live.address, piece_request(live, address, 5000, CONTENT[:1234], **checksum(CONTENT)))
     # The service may still be at the end of the broken request.
@@ -289,7 +286,7 @@ def test_an_interrupted_piece_with_a_checksum_is_dropped(live: Live, tus: Upload
     assert [path.read_bytes() for path in live.kept()] == [CONTENT]
 
 
-def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
+def test_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
     address, uploads = tus.begin(5000), live.services.uploads
     assert isinstance(uploads, Writers)
     with socket.create_connection(live.address[:2], timeout=180) as stalled:
@@ -305,7 +302,7 @@ def test_a_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus:
     assert live.kept()[0].read_bytes() == CONTENT
 
 
-def test_an_upload_is_locked_while_another_process_writes(live: Live, tus: Uploader) -> None:
+def test_upload_is_locked_while_another_process_writes(live: Live, tus: Uploader) -> None:
     address = tus.begin(4)
     with live.kept()[0].open("r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -313,7 +310,7 @@ def test_an_upload_is_locked_while_another_process_writes(live: Live, tus: Uploa
     assert tus.send(address, 0, b"pose").status_code == 204
 
 
-def test_a_question_for_the_offset_during_an_outage_is_asked_again(
+def test_question_for_offset_during_outage_is_asked_again(
     live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """tus-js-client forgets an upload at 5xx and sends the file anew; at 423 it waits."""
@@ -329,7 +326,7 @@ def test_a_question_for_the_offset_during_an_outage_is_asked_again(
     assert tus.offset(address) == 0
 
 
-def test_a_full_disk_keeps_what_there_was_room_for(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_keeps_what_there_was_room_for(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
     address = tus.begin(5000)
     real = os.pwrite
 
@@ -346,7 +343,7 @@ def test_a_full_disk_keeps_what_there_was_room_for(live: Live, tus: Uploader, mo
     assert live.kept()[0].read_bytes() == CONTENT
 
 
-def test_a_restart_keeps_uploads_and_removes_what_is_nobody_s(make_settings: Callable[..., Settings]) -> None:
+def test_restart_keeps_uploads_and_removes_orphans(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
     with running(settings) as live:
         address = Uploader(live.client).begin(5000)
@@ -388,7 +385,7 @@ class TestSessions:
             "manifest": {"name": "Take 1"},
         }
 
-    def test_a_session_has_the_files_and_its_uploads_are_gone(self, live: Live, tus: Uploader) -> None:
+    def test_session_has_files_and_its_uploads_are_gone(self, live: Live, tus: Uploader) -> None:
         body = self.body(tus)
         answer = live.client.post("/v1/sessions", json=body)
         assert answer.status_code == 201, answer.text
@@ -403,7 +400,7 @@ class TestSessions:
         live.client.delete(answer.headers["location"])
         assert live.kept() == []
 
-    def test_a_job_at_once(self, live: Live, tus: Uploader) -> None:
+    def test_job_at_once(self, live: Live, tus: Uploader) -> None:
         answer = live.client.post("/v1/jobs", json=self.body(tus) | {"spec": {"smoothing": "none"}})
         assert answer.status_code == 202, answer.text
         assert answer.json()["spec"]["smoothing"] == "none"
@@ -457,7 +454,7 @@ class TestSessions:
         answer = live.client.post("/v1/sessions", content=body, headers={"Content-Type": "application/json"})
         problem_of(answer, status, code)
 
-    def test_a_session_that_can_not_be_recorded_leaves_the_uploads(
+    def test_session_that_can_not_be_recorded_leaves_uploads(
         self, live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         body = self.body(tus)
@@ -474,7 +471,7 @@ class TestSessions:
 
 def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bytes of a slow client are written within about a second."""
-    monkeypatch.setattr(receiving, "_BLOCK_S", 0.0)
+    monkeypatch.setattr("api.web.uploads.spool._BLOCK_S", 0.0)
     address = tus.begin(5000)
     with socket.create_connection(live.address[:2], timeout=180) as dripping:
         dripping.sendall(piece_request(live, address, 5000, CONTENT[:1234]))

@@ -19,7 +19,7 @@ from api.web.errors import ApiError
 from api.web.settings import Settings
 from api.web.uploads import objects
 from api.web.uploads.objects import SharedUploads
-from api.web.uploads.receiving import Checksum
+from api.web.uploads.spool import Checksum
 from tests.api.conftest import Live, problem_of, running
 from tests.api.web.uploads.test_files import TUS, Uploader, checksum
 from tests.s3 import S3
@@ -82,7 +82,7 @@ def keys(url: str) -> list[str]:
     return sorted(found["path"] for some in obstore.list(open_bucket(url)) for found in some)
 
 
-def test_processes_take_turns_at_an_upload_and_any_makes_the_session(two: tuple[Live, Live]) -> None:
+def test_processes_take_turns_at_upload_and_any_makes_session(two: tuple[Live, Live]) -> None:
     turns = itertools.cycle([Uploader(live.client) for live in two])
     address = next(turns).begin(len(CONTENT), "cam_0.mp4")
     offset = 0
@@ -116,7 +116,7 @@ def test_wrong_offsets_checksums_and_sizes_change_nothing(two: tuple[Live, Live]
     problem_of(here.send(address, 4, b"efghij"), 404, "not_found")
 
 
-def test_an_upload_of_a_folder_is_elsewhere(two: tuple[Live, Live]) -> None:
+def test_upload_of_folder_is_elsewhere(two: tuple[Live, Live]) -> None:
     store = two[0].services.store
     store.uploads.add("0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10", "cam_0.mp4", 10, "", 3600.0, "host:/folder")
     address = "/v1/uploads/0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
@@ -124,7 +124,7 @@ def test_an_upload_of_a_folder_is_elsewhere(two: tuple[Live, Live]) -> None:
     store.uploads.delete("0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10")
 
 
-def test_what_came_before_a_cut_is_kept_unless_it_has_a_checksum(uploads: SharedUploads) -> None:
+def test_bytes_before_cut_are_kept_unless_they_have_checksum(uploads: SharedUploads) -> None:
     upload = upload_of(uploads)
     with pytest.raises(ClientDisconnect):
         sent(uploads, upload, 0, CONTENT[:12_345], breaks=True)
@@ -169,10 +169,10 @@ def test_thousands_of_pieces_become_few_blocks(
     assert uploads.file(upload).read_bytes() == CONTENT
 
 
-def test_a_slow_piece_is_stored_while_it_comes(uploads: SharedUploads, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_piece_is_stored_while_it_comes(uploads: SharedUploads, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(objects, "_STORED_S", 0.0)
     monkeypatch.setattr(objects, "_MAX_SMALL_BLOCKS", 4)
-    monkeypatch.setattr("api.web.uploads.receiving._BLOCK_S", 0.0)
+    monkeypatch.setattr("api.web.uploads.spool._BLOCK_S", 0.0)
     upload, seen = upload_of(uploads), []
 
     async def body() -> AsyncIterator[bytes]:
@@ -203,7 +203,7 @@ def test_blocks_that_are_joined_while_they_are_read(uploads: SharedUploads, monk
     assert uploads.file(upload).read_bytes() == CONTENT
 
 
-def test_a_gap_ends_the_upload(uploads: SharedUploads) -> None:
+def test_gap_ends_upload(uploads: SharedUploads) -> None:
     upload = upload_of(uploads)
     for start, end in ((0, 100), (50, 300), (200, 250), (301, 400)):
         uploads.put(upload.id, start, CONTENT[start:end])
@@ -214,7 +214,7 @@ def test_a_gap_ends_the_upload(uploads: SharedUploads) -> None:
     assert uploads.offset(upload) == 400
 
 
-def test_the_sweep_removes_what_is_expired_or_left(
+def test_sweep_removes_what_is_expired_or_left(
     two: tuple[Live, Live], uploads: SharedUploads, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = two[0].services.store
@@ -236,7 +236,7 @@ def test_the_sweep_removes_what_is_expired_or_left(
     store.uploads.delete(kept.id)
 
 
-def test_an_unknown_upload_has_no_bytes_and_no_file(uploads: SharedUploads) -> None:
+def test_unknown_upload_has_no_bytes_and_no_file(uploads: SharedUploads) -> None:
     upload = upload_of(uploads)
     assert uploads.offset(upload) == 0
     uploads.remove(upload.id)

@@ -6,7 +6,7 @@ import pytest
 from pipeline.association.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
-from pipeline.core.options.parameters import change_parameters
+from pipeline.core.options.rules import change_parameters
 from pipeline.geometry.camera import center_in_world, project, rays_in_world
 from pipeline.geometry.undistortion import undistort_px
 from tests.pipeline.association.tracking.reference import affinity, correspondence_2d, correspondence_3d, predict

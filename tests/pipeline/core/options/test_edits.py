@@ -22,8 +22,8 @@ from pipeline.core.options.edits import (
     Rename,
     Split,
     apply_edits,
-    document_of,
-    edit_of,
+    edit_document,
+    read_edit,
 )
 
 NUM_FRAMES = 30
@@ -86,7 +86,7 @@ def test_no_frame_of_a_found_person_is_in_two_places(made: list[PeopleEdit]) -> 
 
 @given(st.lists(edits, max_size=8))
 def test_edits_pass_through_json(made: list[PeopleEdit]) -> None:
-    assert [edit_of(json.loads(json.dumps(document_of(edit)))) for edit in made] == made
+    assert [read_edit(json.loads(json.dumps(edit_document(edit)))) for edit in made] == made
 
 
 @given(st.integers(0, NUM_FRAMES - 1))
@@ -96,17 +96,17 @@ def test_two_equal_exchanges_are_none(start_frame: int) -> None:
 
 
 @given(st.integers(1, NUM_FRAMES - 1))
-def test_a_merge_takes_a_split_back(frame: int) -> None:
+def test_merge_takes_split_back(frame: int) -> None:
     take = apply(Split(person=1, frame=frame), Merge(person=1, other=4))
     assert take == apply()
 
 
-def test_a_merge_prefers_the_first_person_where_both_are() -> None:
+def test_merge_prefers_first_person_where_both_are() -> None:
     assert pieces_of(apply(Merge(person=2, other=1)))[2] == (Piece(1, 0, 5), Piece(2, 5, 15), Piece(1, 15, 30))
     assert pieces_of(apply(Merge(person=2, other=3)))[2] == (Piece(2, 5, 15), Piece(3, 18, 30))
 
 
-def test_an_exchange_can_end() -> None:
+def test_exchange_can_end() -> None:
     take = apply(Exchange(person=1, other=2, start_frame=8, stop_frame=12))
     assert pieces_of(take)[1] == (Piece(1, 0, 8), Piece(2, 8, 12), Piece(1, 12, 30))
     assert pieces_of(take)[2] == (Piece(2, 5, 8), Piece(1, 8, 12), Piece(2, 12, 15))
@@ -117,7 +117,7 @@ def test_numbers_of_removed_people_are_not_given_again() -> None:
     assert [person.id for person in take.people] == [1, 2, 3, 5]
 
 
-def test_a_name_stays_with_the_person() -> None:
+def test_name_stays_with_person() -> None:
     take = apply(Rename(person=3, name="  Zoë "), Merge(person=2, other=3))
     assert [(person.id, person.name) for person in take.people] == [(1, None), (2, "Zoë")]
 
@@ -127,7 +127,7 @@ def fragmenting(num_edits: int) -> list[PeopleEdit]:
     return [Exchange(person=1, other=2, start_frame=4 * n + 1, stop_frame=4 * n + 3) for n in range(num_edits)]
 
 
-def test_the_work_grows_with_the_pieces_not_with_their_square(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_grows_with_pieces_not_with_their_square(monkeypatch: pytest.MonkeyPatch) -> None:
     made = 0
 
     class CountedPiece(Piece):
@@ -153,7 +153,7 @@ def test_pieces_of_new_edits_are_limited(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len(apply_edits(people, made, 10_000).people) == 2
 
 
-def test_a_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.MonkeyPatch) -> None:
     # Normalizing a run of combining characters takes quadratic time: minutes for a name of a megabyte.
     normalized: list[int] = []
 
@@ -185,7 +185,7 @@ def test_a_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.Monk
         (Cut(start_frame=-1, stop_frame=3), "stop_frame"),
     ],
 )
-def test_a_refusal_names_the_edit(edit: Any, field: str) -> None:
+def test_refusal_names_edit(edit: Any, field: str) -> None:
     with pytest.raises(InputError) as refused:
         apply(Split(person=1, frame=10), edit)
     (problem,) = refused.value.problems

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.core.options.config import MAX_OUTPUT_FRAMES, Export, ReconstructionConfig, installed_formats
+from pipeline.core.options.config import MAX_OUTPUT_FRAMES, ReconstructionConfig
+from pipeline.core.options.file_formats import Export, installed_formats
 from pipeline.core.options.requirements import faults
 from pipeline.core.options.rules import (
     CONFIG_CHOICES,
     config_problems,
     num_resampled,
+    plain_value,
     session_problems,
-    value_of,
     value_problems,
 )
 
@@ -42,7 +43,7 @@ def test_all_that_a_session_does_not_allow_is_found_at_once() -> None:
 def test_format_not_installed_is_refused_with_the_command(
     export: Export, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pipeline.core.options.config.find_spec", lambda _: None)
+    monkeypatch.setattr("pipeline.core.options.file_formats.find_spec", lambda _: None)
     assert export not in installed_formats()
     config = replace(CONFIG, exports=("bvh", export, "glb"))
     (problem,) = config_problems(config, 100, 25.0)
@@ -53,7 +54,7 @@ def test_format_not_installed_is_refused_with_the_command(
 
 
 def test_opensim_needs_its_package_and_its_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("pipeline.core.options.config.find_spec", lambda _: object())
+    monkeypatch.setattr("pipeline.core.options.file_formats.find_spec", lambda _: object())
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
     assert "osim" not in installed_formats()
     (problem,) = config_problems(replace(CONFIG, exports=("bvh", "osim")), 100, 25.0)
@@ -80,7 +81,7 @@ def test_frames_are_those_of_the_session(frames: tuple[int, int], num_frames: in
 
 
 @given(st.integers(1, 10**6), st.floats(1.0, 240.0), st.floats(1.0, 240.0))
-def test_the_last_frame_at_another_rate_is_not_later(num_frames: int, rate_hz: float, new_hz: float) -> None:
+def test_last_frame_at_another_rate_is_not_later(num_frames: int, rate_hz: float, new_hz: float) -> None:
     num_new = num_resampled(num_frames, rate_hz, new_hz)
     last_s = (num_frames - 1) / rate_hz
     assert (num_new - 1) / new_hz <= last_s + 1e-6 / rate_hz
@@ -91,7 +92,7 @@ def test_the_last_frame_at_another_rate_is_not_later(num_frames: int, rate_hz: f
 def test_defaults_keep_the_rules(name: str) -> None:
     default = CONFIG_CHOICES[name].default
     assert not list(value_problems({name: default}))
-    assert value_of(CONFIG_CHOICES[name], default) == default
+    assert plain_value(CONFIG_CHOICES[name], default) == default
 
 
 @given(st.sampled_from(list(CONFIG_CHOICES)), JSON)
@@ -100,6 +101,6 @@ def test_each_value_is_taken_or_refused_with_a_sentence(name: str, value: Any) -
     choice, problems = CONFIG_CHOICES[name], list(value_problems({name: value}))
     assert all(problem.message.startswith(name) and problem.field for problem in problems)
     if not problems:
-        taken = json.loads(json.dumps(value_of(choice, value)))
+        taken = json.loads(json.dumps(plain_value(choice, value)))
         assert taken == value
         assert not list(faults(choice.schema, taken))

@@ -10,7 +10,8 @@ import pytest
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import BODY_FEET
-from pipeline.core.options.config import ReconstructionConfig, is_installed
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import is_installed
 from pipeline.export.opensim.model_files import OpenSimPerson, write_opensim_files
 from pipeline.motion.skeleton.animate import animate
 from tests.pipeline.motion.angles.simulated_people import NOISE_PX, RATE_HZ, performed

@@ -21,7 +21,7 @@ from pipeline.core.data.people import Observations
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import PipelineError
-from pipeline.core.options.config import Export
+from pipeline.core.options.file_formats import Export
 from pipeline.export.recording import rerun_file
 from pipeline.export.recording.rerun_file import RecordedFootage, write_recording
 from pipeline.export.results import write_results

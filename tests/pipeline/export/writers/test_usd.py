@@ -12,7 +12,7 @@ import pytest
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import Export
+from pipeline.core.options.file_formats import Export
 from pipeline.export.results import write_files, write_results
 from pipeline.export.scene import take_scene
 from pipeline.export.writers.body_mesh import BodyChoice

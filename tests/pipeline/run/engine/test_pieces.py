@@ -14,8 +14,9 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import Export, ReconstructionConfig, installed_formats, of_people
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import Exchange, Merge, PeopleEdit, Rename, Split
+from pipeline.core.options.file_formats import Export, formats_of_people, installed_formats
 from pipeline.core.progress import ignore
 from pipeline.export.person_files import take_people
 from pipeline.export.quality.views import GetViews, person_views
@@ -33,7 +34,7 @@ from pipeline.run.engine.take import viewer_files
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 
-FORMATS = of_people(installed_formats())
+FORMATS = formats_of_people(installed_formats())
 # Writers of formats whose files hold the person's name, and of the other formats.
 WITH_NAMES = (fbx, glb, vrma, *([import_module("pipeline.export.writers.usd")] if "usd" in FORMATS else []))
 WITHOUT_NAMES = (bvh, c3d_file, csv_table, trc)

@@ -13,14 +13,15 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.core.data.people import Source
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.options.config import Method, ReconstructionConfig, installed_formats, of_people
+from pipeline.core.options.config import Method, ReconstructionConfig
+from pipeline.core.options.file_formats import formats_of_people, installed_formats
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.cases import slow_but
 from tests.pipeline.simulations import write_simulation
 
-FORMATS = of_people(installed_formats())
+FORMATS = formats_of_people(installed_formats())
 METHODS = pytest.mark.parametrize("method", slow_but(["tracking"], ["tracking", "clustering"]))
 # Distance of a pose from the truth, over all joints, within which it is the person.
 NEAR_M = 0.1

@@ -1,22 +1,104 @@
-"""Metrics for Prometheus: requests and live captures of this process, and jobs of the whole service from the database.
+"""Metrics of the service, of live captures and of recordings."""
 
-Every replica of the API reports the same figures of jobs: read one replica, or take the largest value.
-"""
-
+import time
 from collections.abc import Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from api.web.live.metrics import LiveMetrics
-from api.web.recordings.metrics import RecordingMetrics
 from worker.store.database.totals import Total
 from worker.store.files.disk import DiskSpace
 from worker.store.model.work import RunningChunk
 from worker.store.store import JobStore
 
 _PREFIX = "multicap"
+_LIVE_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
+
+
+class LiveMetrics:
+    """Open, refused and ended captures, what they received, sent and dropped, and their latency."""
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        self.open = Gauge("live_captures", "Open live captures.", namespace=_PREFIX, registry=registry)
+        self._refused = _counter("live_captures_refused", "Live captures that were not opened.", "code", registry)
+        self._ended = _counter(
+            "live_captures_ended", "Live captures that ended; without a problem: ended.", "code", registry
+        )
+        self.frames = Counter("live_frames", "Frames that clients sent.", namespace=_PREFIX, registry=registry)
+        self.instants = Counter("live_instants", "Instants that were sent.", namespace=_PREFIX, registry=registry)
+        self._dropped = _counter(
+            "live_dropped", "Frames and instants that were dropped because a side was too slow.", "kind", registry
+        )
+        self._latency = Histogram(
+            "live_latency_seconds",
+            "Seconds from the arrival of the frame that makes an instant final until the instant is sent.",
+            namespace=_PREFIX,
+            buckets=_LIVE_SECONDS,
+            registry=registry,
+        )
+        for kind in ("frame", "instant"):
+            self._dropped.labels(kind)
+
+    def refused(self, code: str) -> None:
+        """Count a capture that was not opened, by its problem."""
+        self._refused.labels(code).inc()
+
+    def ended(self, code: str | None) -> None:
+        """Count the end of a capture by its problem; ``None``: without one."""
+        self._ended.labels(code or "ended").inc()
+
+    def dropped(self, kind: str, number: int) -> None:
+        """Count dropped messages: ``frame`` or ``instant``."""
+        self._dropped.labels(kind).inc(number)
+
+    def sent(self, since_s: float) -> None:
+        """Count an instant that was sent; ``since_s`` is when its last frame came, by the monotonic clock."""
+        self.instants.inc()
+        self._latency.observe(time.monotonic() - since_s)
+
+
+def _counter(name: str, text: str, label: str, registry: CollectorRegistry) -> Counter:
+    return Counter(name, text, (label,), namespace=_PREFIX, registry=registry)
+
+
+class RecordingMetrics:
+    """Open connections of phones and hosts, their ends by problems, and thumbnails."""
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        self.open = Gauge(
+            "recording_connections",
+            "Open connections of recordings, of phones and hosts.",
+            ("side",),
+            namespace=_PREFIX,
+            registry=registry,
+        )
+        self._ended = Counter(
+            "recording_connections_ended",
+            "Connections of recordings that ended, by the problem; without one: ended.",
+            ("code",),
+            namespace=_PREFIX,
+            registry=registry,
+        )
+        self._thumbnails = Counter(
+            "recording_thumbnails",
+            "Thumbnails of phones that were shown, or dropped because they came too fast.",
+            ("outcome",),
+            namespace=_PREFIX,
+            registry=registry,
+        )
+        for side in ("phone", "host"):
+            self.open.labels(side)
+
+    def ended(self, code: str | None) -> None:
+        """Count the end of a connection by its problem; ``None``: without one."""
+        self._ended.labels(code or "ended").inc()
+
+    def thumbnail(self, outcome: str) -> None:
+        """Count a thumbnail: ``shown`` or ``dropped``."""
+        self._thumbnails.labels(outcome).inc()
+
+
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0, 600.0)
 # Chunks that have run for less time are no metrics: they would make new labels every few seconds.
 _LONG_S = 60.0

@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from api.cli.main import load
 from api.web.contract.options_page import PAGE, document, main
-from pipeline.core.options.choices import choices_of
+from pipeline.core.options.choices import declared_choices
 from pipeline.core.options.config import CHOICES, ReconstructionConfig
 from tests.api.conftest import Live
 from worker.store.spec import JobSpec
@@ -84,7 +84,7 @@ def test_specs_take_what_is_declared() -> None:
 
 def test_reconstruct_has_an_option_for_every_choice() -> None:
     options = {option for parameter in load("reconstruct").params for option in parameter.opts}
-    choices = (*CHOICES.values(), *choices_of(ReconstructionConfig))
+    choices = (*CHOICES.values(), *declared_choices(ReconstructionConfig))
     assert {f"--{choice.option}" for choice in choices} <= options
 
 

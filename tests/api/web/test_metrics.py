@@ -26,7 +26,7 @@ def requests_to(live: Live, method: str, route: str, status: str) -> float:
     return samples(live).get(("multicap_http_requests_total", labels), 0.0)
 
 
-def test_requests_are_counted_by_route_not_by_what_strangers_call(live: Live) -> None:
+def test_requests_are_counted_by_route_not_by_address(live: Live) -> None:
     route = "/v1/jobs/{job_id}"
     before = requests_to(live, "GET", route, "404")
     for number in range(3):
@@ -42,7 +42,7 @@ def test_requests_are_counted_by_route_not_by_what_strangers_call(live: Live) ->
     assert not any("no/such" in str(key) or "PURGE" in str(key) for key in samples(live))
 
 
-def test_the_oldest_running_chunk_and_the_one_without_progress_are_named(live: Live) -> None:
+def test_oldest_running_chunk_and_one_without_progress_are_named(live: Live) -> None:
     job_id = live.job_id()
     store = live.services.store
     oldest, stillest = store.leases.claim("one", 3600.0), store.leases.claim("two", 3600.0)

@@ -1,33 +1,112 @@
 """Routes of results: list a job's result files, download one file, a range of it, or all files as a zip."""
 
 from collections.abc import Generator, Sequence
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import Field
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
 from api.web.contract.description import Resource, answer, file_content, problems
-from api.web.contract.examples import JOB_ID
+from api.web.contract.examples import JOB_ID, SHA256
+from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import (
     HEADERS,
     ConditionsDep,
     Download,
     Stream,
-    blocks_of,
     damaged,
     expired,
+    file_blocks,
     file_responses,
     send_file,
 )
 from api.web.http.conditional import ByteRange
 from api.web.http.file_names import archived_name, content_disposition, download_stem, result_name
-from api.web.results import examples
-from api.web.results.schemas import ResultList, ResultOut
-from pipeline.core.options.config import FILE_FORMATS
+from pipeline.core.options.file_formats import FILE_FORMATS
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.model.jobs import Result
+from worker.store.model.jobs import JobRecord, Result
+
+
+class ResultOut(ResponseModel):
+    """Result file of a job."""
+
+    name: str = Field(description="Name of the file.")
+    kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
+    person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    person_name: str | None = Field(
+        description="Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all "
+        "people."
+    )
+    format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
+    preset: str | None = Field(description="Preset of a BVH or FBX file; null of other files.")
+    download_name: str = Field(
+        description="Name under which clients save the file; it tells takes, and revisions of the edits, apart."
+    )
+    media_type: str = Field(description="Content type of the file.")
+    num_bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
+    revision: int = Field(description="Revision of the edits that the file shows.")
+    link: str = Field(description="Path of the file.")
+
+    @classmethod
+    def from_result(cls, job: JobRecord, result: Result) -> Self:
+        """Build the response from a result of a job."""
+        form = next((form for name, form in FILE_FORMATS.items() if name == result.kind), None)
+        return cls.from_record(
+            result,
+            format=result.kind if form is not None else None,
+            preset=job.spec.bvh if form is not None and form.has_presets else None,
+            download_name=result_name(job.session_name, result.name, result.revision, result.person_name),
+            link=f"/v1/jobs/{job.id}/results/{result.name}",
+        )
+
+
+class ResultList(ResponseModel):
+    """All result files of a job."""
+
+    results: tuple[ResultOut, ...]
+
+
+_RESULTS: dict[str, Any] = {
+    "results": [
+        {
+            "name": "person-1.bvh",
+            "kind": "bvh",
+            "person": "person-1",
+            "person_name": "person-1",
+            "format": "bvh",
+            "preset": "default",
+            "download_name": "handshake-take-3_person-1.bvh",
+            "media_type": "text/plain; charset=utf-8",
+            "num_bytes": 204800,
+            "sha256": SHA256,
+            "revision": 0,
+            "link": f"/v1/jobs/{JOB_ID}/results/person-1.bvh",
+        },
+        {
+            "name": "take.glb",
+            "kind": "glb",
+            "person": None,
+            "person_name": None,
+            "format": "glb",
+            "preset": None,
+            "download_name": "handshake-take-3_take.glb",
+            "media_type": "model/gltf-binary",
+            "num_bytes": 3145728,
+            "sha256": SHA256,
+            "revision": 0,
+            "link": f"/v1/jobs/{JOB_ID}/results/take.glb",
+        },
+    ]
+}
+
+ANSWERS: dict[str, Any] = {
+    "ResultList": _RESULTS,
+}
+
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
@@ -54,7 +133,7 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of the last revision that was finished, also while those of a newer one are made."""
     results = records.results.downloads(job_id)
     job = records.jobs.get(job_id)
-    return ResultList(results=tuple(ResultOut.of(job, result) for result in results))
+    return ResultList(results=tuple(ResultOut.from_result(job, result) for result in results))
 
 
 @router.get(
@@ -93,7 +172,7 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
 
 def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
     """Blocks of a file, which is opened with the first block."""
-    yield from blocks_of(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
+    yield from file_blocks(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
 
 
 def _require_whole(services: Services, results: Sequence[Result]) -> None:
@@ -143,8 +222,8 @@ def get_result(
     result = records.results.get(job_id, name)
     job = records.jobs.get(job_id)
     name = result_name(job.session_name, result.name, result.revision, result.person_name)
-    download = Download.of(result, name)
+    download = Download.from_result(result, name)
     return send_file(request, services, download, conditions, may_redirect=redirect)
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS)
+RESOURCE = Resource(router=router, answers=ANSWERS)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from api.web.motion.examples import ANSWERS
+from api.web.motion import ANSWERS
 from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, problem_of
 
@@ -51,7 +51,7 @@ def path(live: Live) -> str:
     return f"/v1/jobs/{job_id}/motion"
 
 
-def test_the_description_is_the_stored_one(live: Live, path: str) -> None:
+def test_description_is_stored_one(live: Live, path: str) -> None:
     answer = live.client.get(f"{path}/description")
     assert answer.status_code == 200
     assert answer.json() == description() | {"revision": 0}

@@ -1,16 +1,80 @@
 """Routes of the caller: its tenant and quotas, and signing a browser in and out."""
 
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Body, Request, Response, status
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.auth import AnyCallerDep, wrong_key
-from api.web.callers import examples
-from api.web.callers.schemas import BrowserSession, CallerOut, QuotasOut
 from api.web.contract.description import Resource, answer, problems
+from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.browser_cookie import cookie_name, delete_cookie, set_cookie
+from worker.store.database.quotas import Quotas
+from worker.store.model.rights import Scope, Usage
+
+
+class QuotaOut(ResponseModel):
+    """Usage and limit of a quota."""
+
+    used: int = Field(description="Present usage of the tenant.")
+    limit: int | None = Field(description="Largest allowed usage; null without a limit.")
+
+
+class QuotasOut(ResponseModel):
+    """Quotas of a tenant."""
+
+    sessions: QuotaOut = Field(description="Number of sessions.")
+    unfinished_jobs: QuotaOut = Field(description="Number of jobs that wait or run.")
+    stored_bytes: QuotaOut = Field(
+        description="Size of all sessions with everything made from them; uploads count with their announced size."
+    )
+    uploads: QuotaOut = Field(description="Number of uploads that no session uses yet.")
+
+    @classmethod
+    def from_usage(cls, usage: Usage, quotas: Quotas) -> Self:
+        """Build the response from a tenant's usage and quotas."""
+        return cls(
+            **{name: QuotaOut(used=getattr(usage, name), limit=getattr(quotas, name)) for name in cls.model_fields}
+        )
+
+
+class CallerOut(ResponseModel):
+    """Caller of a request: its tenant, key and quotas."""
+
+    tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.")
+    name: str | None = Field(
+        description="Name of the key; null for a service without keys, in which every caller has all scopes."
+    )
+    scopes: tuple[Scope, ...] = Field(description="Scopes of the key.")
+    expires_at: AwareDatetime | None = Field(description="Time at which the key expires; null if it does not.")
+    quotas: QuotasOut = Field(description="Usage and quotas of the tenant.")
+
+
+class BrowserSession(BaseModel):
+    """Key with which a browser signs in."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    key: str = Field(max_length=200, description="API key, `mc_...`.")
+
+
+ANSWERS: dict[str, Any] = {
+    "Caller": {
+        "tenant": "studio-a",
+        "name": "portal",
+        "scopes": ["read", "write"],
+        "expires_at": None,
+        "quotas": {
+            "sessions": {"used": 12, "limit": 100},
+            "unfinished_jobs": {"used": 1, "limit": 4},
+            "stored_bytes": {"used": 52428800000, "limit": None},
+            "uploads": {"used": 0, "limit": None},
+        },
+    },
+}
+
 
 router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
 
@@ -31,7 +95,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
         name=key.name if key else None,
         scopes=tuple(sorted(caller.scopes)),
         expires_at=key.expires_at if key else None,
-        quotas=QuotasOut.of(services.store.tenant(caller.tenant).usage(), services.quotas),
+        quotas=QuotasOut.from_usage(services.store.tenant(caller.tenant).usage(), services.quotas),
     )
 
 
@@ -78,4 +142,4 @@ def close_browser_session(request: Request, response: Response, services: Servic
     delete_cookie(request, response)
 
 
-RESOURCE = Resource(router=router, is_open=True, answers=examples.ANSWERS)
+RESOURCE = Resource(router=router, is_open=True, answers=ANSWERS)

@@ -156,7 +156,7 @@ def test_videos_are_in_a_folder_of_the_archive_as_they_are(live: Live) -> None:
     assert (packed.compress_type, packed.file_size) == (zipfile.ZIP_STORED, 1000)
 
 
-def test_a_file_of_everybody_is_no_person_s(live: Live) -> None:
+def test_file_of_the_take_has_no_person(live: Live) -> None:
     job_id = live.job_id()
     live.finish(job_id, scenes={"take.glb": b"glTF"})
     (listed,) = (
@@ -174,7 +174,7 @@ def test_a_file_of_everybody_is_no_person_s(live: Live) -> None:
     ("name", "kept"),
     [("take", "take"), ('Größe "2"; 撮影 / ..\\a', "größe-2-撮影-a"), ("a" * 150, "a" * 120), ("?", "take")],
 )
-def test_the_archive_bears_the_sessions_name(live: Live, name: str, kept: str) -> None:
+def test_archive_bears_sessions_name(live: Live, name: str, kept: str) -> None:
     manifest = ("manifest", ("manifest.json", json.dumps({"name": name}).encode(), "application/json"))
     session = live.client.post("/v1/sessions", files=[*form(), manifest])
     assert session.status_code == 201, session.text
@@ -191,7 +191,7 @@ def test_no_archive_of_nothing(live: Live) -> None:
     problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 409, "not_finished")
 
 
-def test_an_archive_of_removed_files_is_not_begun(live: Live, job_id: str) -> None:
+def test_archive_of_removed_files_is_not_begun(live: Live, job_id: str) -> None:
     live.services.artifacts.delete_prefix(f"jobs/{job_id}/")
     problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
 
@@ -347,9 +347,7 @@ def begun_download(live: Live, name: str) -> Iterator[tuple[bytes, Iterator[byte
 
 @DAMAGES
 @pytest.mark.parametrize("name", ["results/person-1.bvh", "results.zip"])
-def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
-    live: Live, name: str, damage: Callable[[Path], None]
-) -> None:
+def test_file_damaged_while_sent_is_not_sent_to_its_end(live: Live, name: str, damage: Callable[[Path], None]) -> None:
     with begun_download(live, name) as (first, blocks, stored):
         received = [first]
         damage(stored)
@@ -359,7 +357,7 @@ def test_a_file_that_is_damaged_while_it_is_sent_is_not_sent_to_its_end(
 
 
 @pytest.mark.parametrize("name", slow_but(["results/person-1.bvh"], ["results/person-1.bvh", "results.zip"]))
-def test_a_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str, tmp_path: Path) -> None:
+def test_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str, tmp_path: Path) -> None:
     with begun_download(live, name) as (first, blocks, stored):
         os.link(stored, live.settings.data_dir / "held")
         received = first + b"".join(blocks)
@@ -409,7 +407,7 @@ def test_our_own_client_takes_paths_as_texts(live: Live, tmp_path: Path) -> None
 
 
 @DAMAGES
-def test_our_own_client_continues_a_download_that_broke_off_and_says_that_the_file_is_damaged(
+def test_client_continues_broken_download_and_reports_damage(
     live: Live, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:
     job_id = live.job_id()

@@ -68,7 +68,7 @@ def test_people_are_edited_and_the_edits_undone(live: Live, job_id: str) -> None
     assert people(live, job_id) == before | {"revision": 2}
 
 
-def test_an_old_entity_tag_is_a_conflict(live: Live, job_id: str) -> None:
+def test_old_entity_tag_is_conflict(live: Live, job_id: str) -> None:
     etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
     assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
     assert edit(live, job_id, ANNA, **{"If-Match": etag}).status_code == 202
@@ -84,14 +84,14 @@ def test_edits_are_not_applied_for_an_unchanged_answer(
     live.finish(job_id, people=FOUND)
     etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
     applied: list[object] = []
-    monkeypatch.setattr("api.web.people.schemas.apply_edits", lambda *arguments: applied.append(arguments))
+    monkeypatch.setattr("api.web.people.apply_edits", lambda *arguments: applied.append(arguments))
     assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
     problem_of(edit(live, job_id, **{"If-Match": '"old"'}), 409, "conflict")
     assert applied == []
 
 
 def test_fragmented_edits_are_refused(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.web.people.routes.MAX_PIECES", 5)
+    monkeypatch.setattr("api.web.people.MAX_PIECES", 5)
     exchange = {"action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": 30}
     (error,) = problem_of(edit(live, job_id, ANNA, exchange), 422, "invalid_request")["errors"]
     assert (error["code"], error["pointer"]) == ("edits_fragmented", "/edits/1")
@@ -121,7 +121,7 @@ def test_malformed_edits_are_refused(live: Live, job_id: str, wrong: object) -> 
     assert error["pointer"].startswith("/edits/0")
 
 
-def test_an_unfinished_job_has_no_people(live: Live) -> None:
+def test_unfinished_job_has_no_people(live: Live) -> None:
     job_id = live.job_id()
     problem_of(live.client.get(f"/v1/jobs/{job_id}/people"), 409, "conflict")
     problem_of(edit(live, job_id, ANNA), 409, "conflict")

@@ -1,22 +1,105 @@
 """Links: addresses that open something of a job without a key, for a while."""
 
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Body, Path, status
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.auth import ALL_RESULTS, LINK, RecordsDep
 from api.web.contract.description import Resource, answer, problems
-from api.web.contract.schemas import fields_of
+from api.web.contract.examples import JOB_ID
+from api.web.contract.schemas import Id, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
-from api.web.links import examples
-from api.web.links.schemas import LinkList, LinkOut, LinkSpec, NewLinkOut
 from pipeline.core.problems.requests import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.store.errors import NotFound
 from worker.store.model.rights import Link, LinkScope
 from worker.store.tenant_records import TenantRecords
+
+DEFAULT_S = {LinkScope.JOB: 7 * 86_400.0}
+"""Lifetimes of links without `expires_in_s`, by scope."""
+SHORT_S = 15 * 60.0
+"""Lifetime of links of the other scopes."""
+
+Opened = Annotated[
+    LinkScope,
+    Field(
+        description="What the link opens: `file`, one result file; `video`, the video of one camera; `events`, the "
+        "event stream; `job`, all of these and everything else that a viewer of the job reads."
+    ),
+]
+
+
+class LinkSpec(BaseModel):
+    """Link to be made. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scope: Opened
+    name: str | None = Field(
+        default=None,
+        max_length=255,
+        description="Name of the result file, or `results.zip` for all; name of the camera of a video.",
+    )
+    expires_in_s: float | None = Field(
+        default=None,
+        gt=0,
+        allow_inf_nan=False,
+        description="Seconds until the link ends; by default 900, and 604,800 of the scope `job`, or the service's "
+        "limit.",
+    )
+
+    def lifetime_s(self, longest_s: float) -> float:
+        """Seconds until the link ends; by default at most ``longest_s``."""
+        return self.expires_in_s or min(longest_s, DEFAULT_S.get(self.scope, SHORT_S))
+
+
+class LinkOut(ResponseModel):
+    """Link that is valid. Its address can't be read again."""
+
+    id: Id
+    job_id: Id
+    scope: Opened
+    name: str | None = Field(description="Name of the file or of the camera; null for scopes without one.")
+    created_at: AwareDatetime = Field(description="Time of the creation.")
+    expires_at: AwareDatetime = Field(description="Time at which the link ends.")
+
+
+class NewLinkOut(LinkOut):
+    """Link that was made, with its address."""
+
+    url: str = Field(
+        description="Path with the secret in the parameter `link`. Of the scope `job` it is the page; the addresses of "
+        "the job, its session, its results and its motion take the same parameter."
+    )
+
+
+class LinkList(ResponseModel):
+    """Valid links of a job, the newest first."""
+
+    links: tuple[LinkOut, ...]
+
+
+LINK_ID = "01890a66-3b8e-7a60-9d11-7c8d9e0f1a2b"
+
+SPEC: dict[str, Any] = {"scope": "file", "name": "person-1.bvh", "expires_in_s": 900.0}
+
+_LINK: dict[str, Any] = {
+    "id": LINK_ID,
+    "job_id": JOB_ID,
+    "scope": "file",
+    "name": "person-1.bvh",
+    "created_at": "2026-03-01T09:40:00Z",
+    "expires_at": "2026-03-01T09:55:00Z",
+}
+
+ANSWERS: dict[str, Any] = {
+    "NewLink": _LINK | {"url": f"/v1/jobs/{JOB_ID}/results/person-1.bvh?link=mcl_..."},
+    "LinkList": {"links": [_LINK]},
+}
+
 
 router = APIRouter(prefix="/v1", tags=["links"], route_class=SmallBodyRoute)
 
@@ -33,7 +116,7 @@ _DAY_S = 86_400.0
 )
 def create_link(
     job_id: JobId,
-    spec: Annotated[LinkSpec, Body(openapi_examples={"default": {"value": examples.SPEC}})],
+    spec: Annotated[LinkSpec, Body(openapi_examples={"default": {"value": SPEC}})],
     services: ServicesDep,
     records: RecordsDep,
 ) -> NewLinkOut:
@@ -47,7 +130,7 @@ def create_link(
     _require_opened(records, job_id, job.session_id, spec)
     lifetime_s = spec.lifetime_s(services.settings.max_link_days * _DAY_S)
     link, secret = records.links.add(job_id, spec.scope, spec.name, lifetime_s)
-    return NewLinkOut.with_address(link, _address(link, secret))
+    return NewLinkOut.from_record(link, url=_address(link, secret))
 
 
 @router.get(
@@ -58,7 +141,7 @@ def create_link(
 )
 def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
     """List the valid links of a job, the newest first."""
-    return LinkList(links=tuple(LinkOut(**fields_of(link, LinkOut)) for link in records.links.list_valid(job_id)))
+    return LinkList(links=tuple(LinkOut.from_record(link) for link in records.links.list_valid(job_id)))
 
 
 @router.delete(
@@ -118,4 +201,4 @@ def _address(link: Link, secret: str) -> str:
     return f"{path}?{LINK}={secret}"
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS)
+RESOURCE = Resource(router=router, answers=ANSWERS)

@@ -107,7 +107,7 @@ OPENED = {
 
 
 @pytest.mark.parametrize(("scope", "name"), OPENED)
-def test_a_link_opens_what_its_scope_names_and_nothing_else(studio: Studio, scope: str, name: str | None) -> None:
+def test_link_opens_what_its_scope_names_and_nothing_else(studio: Studio, scope: str, name: str | None) -> None:
     token = studio.token(scope, name)
     opened = set()
     for path, address in readable(studio).items():
@@ -122,7 +122,7 @@ def test_a_link_opens_what_its_scope_names_and_nothing_else(studio: Studio, scop
 
 
 @pytest.mark.parametrize(("scope", "name"), OPENED)
-def test_a_link_changes_nothing(studio: Studio, scope: str, name: str | None) -> None:
+def test_link_changes_nothing(studio: Studio, scope: str, name: str | None) -> None:
     token = studio.token(scope, name)
     ids = {"job_id": studio.job_id, "session_id": studio.session_id, "link_id": studio.link("job")["id"]}
     for path, item in CONTRACT["paths"].items():
@@ -136,7 +136,7 @@ def test_a_link_changes_nothing(studio: Studio, scope: str, name: str | None) ->
 
 
 @pytest.mark.parametrize(("scope", "name"), OPENED)
-def test_a_link_opens_no_other_job_or_file(studio: Studio, scope: str, name: str | None) -> None:
+def test_link_opens_no_other_job_or_file(studio: Studio, scope: str, name: str | None) -> None:
     token = studio.token(scope, name)
     job, session, other = f"/v1/jobs/{studio.job_id}", f"/v1/sessions/{studio.session_id}", studio.other_job_id
     addresses = [
@@ -172,7 +172,7 @@ def test_links_that_are_no_longer_valid(studio: Studio) -> None:
     problem_of(studio.ask("DELETE", f"/v1/links/{revoked['id']}"), 404, "not_found")
 
 
-def test_a_stream_ends_with_its_link(studio: Studio) -> None:
+def test_stream_ends_with_its_link(studio: Studio) -> None:
     """The stream of an unfinished job would go on."""
     session_id = studio.ask("POST", "/v1/sessions", files=form()).json()["id"]
     job_id = studio.ask("POST", f"/v1/sessions/{session_id}/jobs", json={}).json()["id"]
@@ -188,14 +188,14 @@ def test_a_stream_ends_with_its_link(studio: Studio) -> None:
     studio.ask("POST", f"/v1/jobs/{job_id}/cancel")
 
 
-def test_the_rights_of_a_link_count_even_for_those_who_have_more(studio: Studio) -> None:
+def test_rights_of_link_count_even_with_a_key(studio: Studio) -> None:
     token = studio.token("file", "person-1.bvh")
     answer = studio.ask("GET", f"/v1/jobs/{studio.job_id}", params={"link": token})
     problem_of(answer, 404, "not_found")
     problem_of(studio.ask("GET", f"/v1/jobs/{studio.job_id}", params={"link": "mcl_x"}), 401, "link_unknown")
 
 
-def test_a_link_to_look_at_a_job_shows_nothing_else_of_the_tenant(studio: Studio) -> None:
+def test_link_to_job_shows_nothing_else_of_tenant(studio: Studio) -> None:
     token = studio.token("job")
     job = studio.open(f"/v1/jobs/{studio.job_id}", token).json()
     assert (job["state"], job["spec"]["callback_url"], job["links"]["retry"]) == ("succeeded", None, None)
@@ -229,7 +229,7 @@ def test_links_are_listed_without_their_secrets(studio: Studio) -> None:
     assert token not in listed.text
 
 
-def test_the_page_gets_the_secret_behind_the_hash(studio: Studio) -> None:
+def test_page_gets_secret_behind_hash(studio: Studio) -> None:
     assert re.fullmatch(rf"/#/jobs/{studio.job_id}\?link=mcl_[\w-]{{43}}", studio.link("job")["url"])
 
 
@@ -257,12 +257,12 @@ def test_links_to_what_is_not_there(studio: Studio, scope: str, name: str) -> No
     problem_of(answer, 404, "not_found")
 
 
-def test_a_lifetime_by_default_is_within_the_limit(studio: Studio) -> None:
+def test_lifetime_by_default_is_within_limit(studio: Studio) -> None:
     answer = studio.ask("POST", f"/v1/jobs/{studio.job_id}/links", json={"scope": "job"})
     assert answer.status_code == 201, answer.text
 
 
-def test_the_log_has_no_secret(studio: Studio) -> None:
+def test_log_has_no_secret(studio: Studio) -> None:
     token = studio.token("file", "person-1.bvh")
     with capture_logs() as lines:
         for path in (f"/v1/jobs/{studio.job_id}/results/person-1.bvh", f"/v1/jobs/{studio.job_id}"):

@@ -1,1 +1,0 @@
-"""Callers: their tenant, quotas, and browsers that sign in."""

@@ -1,1 +1,0 @@
-"""Links that open something of a job without a key."""

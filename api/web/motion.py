@@ -1,0 +1,419 @@
+"""Routes for viewers: what a job's motion consists of, and ranges of its frames."""
+
+import contextlib
+import json
+import struct
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, BinaryIO
+
+from fastapi import APIRouter, Header, Query, Response
+from pydantic import Field
+
+from api.web.auth import JobViewDep
+from api.web.contract.description import Resource, answer, file_content, problems
+from api.web.contract.schemas import ResponseModel
+from api.web.dependencies import JobId, Services, ServicesDep
+from api.web.downloads import Download, Stream, opened
+from api.web.errors import ApiError
+from api.web.http.conditional import ETAG, NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
+from pipeline.core.problems.requests import CONFLICT, NOT_FOUND
+from pipeline.run.engine.stage import DESCRIPTION, MOTION
+from worker.store.model.jobs import Result
+from worker.store.tenant_records import TenantRecords
+
+
+class MotionSkeleton(ResponseModel):
+    """Joints of the animation skeleton."""
+
+    names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
+    parents: tuple[int | None, ...] = Field(description="Number of each joint's parent; null of the root.")
+
+
+class MotionRecord(ResponseModel):
+    """Structure of the record of a frame."""
+
+    num_bytes: int = Field(description="Size of a record.")
+    offsets: dict[str, int] = Field(description="First byte of each field; docs/formats.md describes the fields.")
+    absent: int = Field(description="Coordinate of a joint without a position, and number of an angle that is unknown.")
+    angle_step_deg: float | None = Field(
+        default=None, description="Step of quantised joint angles; null of results that have none."
+    )
+    error_step_px: float = Field(description="Step of quantised reprojection errors.")
+    unknown_error: int = Field(description="Value of an error that is not known.")
+
+
+class MotionDoubt(ResponseModel):
+    """Moment at which a person may have been taken for another one."""
+
+    frame: int = Field(description="Output frame from which on the other choice differs.")
+    confidence: float = Field(description="Probability of the choice.")
+    other: int | None = Field(description="Person who would go on as this one; null if it is nobody else.")
+
+
+class MotionIdentity(ResponseModel):
+    """Confidence in a person's identity."""
+
+    confidence: float = Field(description="Probability that the person is one and the same all the time.")
+    doubts: tuple[MotionDoubt, ...] = Field(description="Doubtful moments.")
+
+
+class MotionPerson(ResponseModel):
+    """Person of the motion."""
+
+    id: int = Field(description="Number of the person.")
+    name: str = Field(description="Name of the person, as in the names of result files.")
+    color: str = Field(description="Colour of the person in pictures and models, `#rrggbb`.")
+    start_frame: int = Field(description="First output frame.")
+    num_frames: int = Field(description="Number of frames.")
+    offset_bytes: int = Field(description="First byte of the person's records, without heads.")
+    position_step_m: float = Field(description="Step of quantised positions.")
+    coverage: float | None = Field(description="Share of measured joints.")
+    stature_m: float | None = Field(description="Estimated stature.")
+    reprojection_error_px: float | None = Field(description="Median reprojection error.")
+    identity: MotionIdentity
+    contacts: tuple[tuple[int, int, int, int], ...] = Field(
+        description="Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames."
+    )
+    gait: dict[str, Any] | None = Field(
+        default=None,
+        description="Figures of the person's gait, as `people[].gait` of `metrics.json`; null without gait.",
+    )
+    movements: tuple[dict[str, Any], ...] = Field(
+        default=(),
+        description="Jumps, squats, sitting down and standing up, as `people[].movements` of `metrics.json`.",
+    )
+
+
+class MotionPose(ResponseModel):
+    """Extrinsics of a camera: `x_in_cam = rotation x_in_world + translation_m`."""
+
+    rotation: tuple[tuple[float, ...], ...] = Field(description="Rows of the rotation matrix.")
+    translation_m: tuple[float, float, float] = Field(description="Translation in metres.")
+
+
+class MotionCamera(ResponseModel):
+    """Camera with which the motion was computed."""
+
+    name: str = Field(description="Name of the camera.")
+    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
+    matrix: tuple[tuple[float, ...], ...] = Field(description="Rows of the camera matrix.")
+    distortion: tuple[float, ...] = Field(description="OpenCV's distortion coefficients.")
+    lens: str = Field(description="Model of the distortion: `standard` or `fisheye`.")
+    cam_from_world: MotionPose
+    video: str | None = Field(description="Name of the video file; null for a session of keypoints.")
+    clock: tuple[tuple[float, ...], ...] = Field(
+        description="Rows of frame number, time on the session's clock and time in the video, between which the times "
+        "of all frames are interpolated."
+    )
+
+
+class MotionClock(ResponseModel):
+    """Clock of a camera, measured: `session time = offset_s + rate * own time`; and how well other offsets fit."""
+
+    camera: str = Field(description="Name of the camera.")
+    offset_s: float = Field(description="Session time of the first frame.")
+    sigma_s: float | None = Field(description="Largest standard deviation of the session times; null if unknown.")
+    rate: float = Field(description="Rate of the clock; 1 for the first camera.")
+    offsets_s: tuple[float, ...] = Field(description="Offsets that were compared, near the one that was found.")
+    disagreement: tuple[float, ...] = Field(
+        description="Share of the moving joints that disagree with the other cameras at each of these offsets."
+    )
+
+
+class MotionFloor(ResponseModel):
+    """Floor: its height at x and y is `height_m + slope_x x + slope_y y`."""
+
+    height_m: float = Field(description="Height at the world's origin in metres.")
+    slope_x: float = Field(description="Rise along X.")
+    slope_y: float = Field(description="Rise along Y.")
+
+
+class MotionStrips(ResponseModel):
+    """Heat strips of all people."""
+
+    frames_per_bucket: int = Field(description="Number of output frames of a bucket.")
+    columns: tuple[str, ...] = Field(description="Names of the columns.")
+    people: tuple[str, ...] = Field(description="Base64 of a byte for each column and bucket, column after column.")
+
+
+class MotionDescription(ResponseModel):
+    """Description of a job's motion: people, joints, cameras, heat strips, structure of a record."""
+
+    revision: int = Field(description="Revision of the edits that the motion shows.")
+    schema_version: int = Field(description="Version of the description and of the records.")
+    frame_rate_hz: float = Field(description="Rate of the output frames.")
+    start_time_s: float = Field(description="Time of output frame 0 on the session's clock.")
+    num_frames: int = Field(description="Number of output frames.")
+    first_source_frame: int = Field(
+        default=0, description="Number of output frame 0 in the source: in files of keypoints, or in the videos."
+    )
+    joint_names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
+    bones: tuple[tuple[str, str], ...] = Field(description="Pairs of joints, for drawing.")
+    skeleton: MotionSkeleton
+    angle_names: tuple[str, ...] = Field(
+        default=(), description="Names of the joint angles of the records, in their order; docs/biomechanics.md."
+    )
+    record: MotionRecord
+    people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
+    cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")
+    clocks: tuple[MotionClock, ...] | None = Field(
+        default=None, description="Measured clocks of all cameras; null if the declared times were taken."
+    )
+    is_refined: bool = Field(description="Whether the cameras were refined.")
+    floor: MotionFloor | None = Field(description="Floor; null if no foot was ever seen.")
+    reprojection_error_px: dict[str, float | dict[str, float | None] | None] = Field(
+        description="Figures of the reprojection error, as in `metrics.json`."
+    )
+    warnings: tuple[str, ...] = Field(description="Warnings about the take.")
+    strips: MotionStrips
+
+
+_MOTION: dict[str, Any] = {
+    "revision": 0,
+    "schema_version": 1,
+    "frame_rate_hz": 25.0,
+    "start_time_s": 0.0,
+    "first_source_frame": 0,
+    "num_frames": 3,
+    "joint_names": ["nose", "left_eye"],
+    "bones": [["nose", "left_eye"]],
+    "skeleton": {"names": ["Hips", "Spine"], "parents": [None, 0]},
+    "angle_names": ["left_knee_flexion", "right_knee_flexion"],
+    "record": {
+        "num_bytes": 48,
+        "offsets": {
+            "origin_m": 0,
+            "joints": 12,
+            "skeleton": 24,
+            "angles": 36,
+            "source_views": 40,
+            "score": 42,
+            "error": 44,
+            "camera_error": 46,
+            "identity": 47,
+        },
+        "absent": -32768,
+        "angle_step_deg": 0.1,
+        "error_step_px": 0.5,
+        "unknown_error": 255,
+    },
+    "people": [
+        {
+            "id": 1,
+            "name": "person-1",
+            "color": "#2626ff",
+            "start_frame": 0,
+            "num_frames": 3,
+            "offset_bytes": 0,
+            "position_step_m": 0.0001,
+            "coverage": 1.0,
+            "stature_m": 1.78,
+            "reprojection_error_px": 3.1,
+            "identity": {"confidence": 1.0, "doubts": []},
+            "contacts": [[0, 0, 1, 2]],
+            "gait": None,
+            "movements": [],
+        }
+    ],
+    "cameras": [
+        {
+            "name": "cam_0",
+            "size_px": [1920, 1080],
+            "matrix": [[1500.0, 0.0, 959.5], [0.0, 1500.0, 539.5], [0.0, 0.0, 1.0]],
+            "distortion": [-0.1, 0.02, 0.0, 0.0],
+            "lens": "standard",
+            "cam_from_world": {
+                "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+                "translation_m": [0.0, 1.2, 4.0],
+            },
+            "video": "cam_0.mp4",
+            "clock": [[0, 0.0, 0.0], [2, 0.08, 0.08]],
+        }
+    ],
+    "clocks": None,
+    "is_refined": False,
+    "floor": {"height_m": 0.0, "slope_x": 0.0, "slope_y": 0.0},
+    "reprojection_error_px": {"median": 3.1, "p95": 8.2, "by_camera": {"cam_0": 3.1}, "by_joint": {"nose": 3.1}},
+    "warnings": [],
+    "strips": {
+        "frames_per_bucket": 1,
+        "columns": ["measured", "interpolated", "predicted", "error", "cameras", "identity"],
+        "people": ["////AAAAAAAADAwMAQEB////"],
+    },
+}
+
+ANSWERS: dict[str, Any] = {
+    "MotionDescription": _MOTION,
+}
+
+
+router = APIRouter(prefix="/v1/jobs/{job_id}/motion", tags=["results"])
+
+MEDIA_TYPE = "application/vnd.multicap.motion"
+_BLOCK_BYTES = 2**18
+_CONTENT = file_content([MEDIA_TYPE], "(16 bytes for each person, then the records of the person's frames)")
+_HEADERS = {**ETAG, "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}}}
+
+
+@dataclass(frozen=True, slots=True)
+class _Person:
+    """Place of a person's records in ``motion.bin``."""
+
+    id: int
+    start_frame: int
+    num_frames: int
+    offset_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Index:
+    """Places of all records in ``motion.bin``."""
+
+    num_frames: int
+    record_bytes: int
+    people: tuple[_Person, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Part of an answer: the head of a person's records, or bytes of ``motion.bin`` from ``start`` on."""
+
+    num_bytes: int
+    head: bytes | None = None
+    start: int = 0
+
+
+@router.get(
+    "/description",
+    operation_id="getMotionDescription",
+    summary="Describe a job's motion",
+    response_model=MotionDescription,
+    responses={200: answer("MotionDescription") | {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 410)},
+)
+def get_motion_description(
+    job_id: JobId, services: ServicesDep, records: JobViewDep, if_none_match: IfNoneMatch = None
+) -> Response:
+    """Describe a job's motion: people, joints, cameras, heat strips, and the structure of a frame's record."""
+    (result,) = _results(records, job_id, DESCRIPTION)
+    headers = _headers(f'"{result.sha256}.{result.revision}"')
+    with opened(services, Download.from_result(result)) as file:
+        if matches(if_none_match, headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        # Equal edits have equal files, whatever their revision is: it is put in front of the file's first field.
+        content = b'{"revision":%d,' % result.revision + file.read().removeprefix(b"{")
+        return Response(content, headers=headers, media_type="application/json")
+
+
+@router.get(
+    "",
+    operation_id="getMotion",
+    summary="Read frames of a job's motion",
+    response_class=Response,
+    responses={
+        200: {"description": "Records of all frames asked for.", "content": _CONTENT, "headers": _HEADERS},
+        206: {"description": "Range of these bytes.", "content": _CONTENT, "headers": _HEADERS},
+        **NOT_MODIFIED,
+        **problems(404, 409, 410, 416, 422),
+    },
+)
+def get_motion(
+    job_id: JobId,
+    services: ServicesDep,
+    records: JobViewDep,
+    first: Annotated[int, Query(alias="from", ge=0, description="First output frame.")] = 0,
+    stop: Annotated[
+        int | None, Query(alias="to", ge=0, description="Frame after the last one; without it all.")
+    ] = None,
+    person: Annotated[
+        Sequence[int] | None, Query(max_length=1000, description="Ids of people; without it all people.")
+    ] = None,
+    revision: Annotated[
+        int | None, Query(ge=0, description="Revision of the description at hand; 409 if the motion is of another one.")
+    ] = None,
+    range_: Annotated[str | None, Header(alias="Range", description="A single range of bytes.")] = None,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """Read frames of a job's motion: for each person a head of 16 bytes and a record for each frame.
+
+    The head holds four little-endian 32-bit numbers: the person's id, the first frame, the number of frames and the
+    bytes of a record. People without frames in the range are left out. docs/formats.md describes the records.
+    """
+    description, result = _results(records, job_id, DESCRIPTION, MOTION)
+    if revision is not None and revision != result.revision:
+        message = f"The motion is of the revision {result.revision} now, not {revision}."
+        raise ApiError(CONFLICT, message, hint="Read the description of the motion again.")
+    index = _read_index(services, description)
+    last = index.num_frames if stop is None else min(stop, index.num_frames)
+    wanted = None if person is None else frozenset(person)
+    parts = list(_parts(index, range(first, max(first, last)), wanted))
+    num_bytes = sum(part.num_bytes for part in parts)
+    people = "all" if wanted is None else "-".join(map(str, sorted(wanted)))
+    headers = _headers(f'"{result.sha256}.{first}.{last}.{people}"') | {"Accept-Ranges": "bytes"}
+    with contextlib.ExitStack() as stack:
+        file = stack.enter_context(opened(services, Download.from_result(result)))
+        if matches(if_none_match, headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        sent, status, sizes = select_range(range_, num_bytes, "answer")
+        stack.pop_all()
+    content = _content(file, parts, sent)
+    return Stream(content, status, headers=headers | sizes, media_type=MEDIA_TYPE, file=file)
+
+
+def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
+    """Files of a job, all of one revision."""
+    results = {result.name: result for result in records.results.all(job_id)}
+    try:
+        return [results[name] for name in names]
+    except KeyError:
+        message = "The job has no motion to look at."
+        hint = "Start another job of its session, if it is a reconstruction: older versions wrote no such files."
+        raise ApiError(NOT_FOUND, message, hint=hint) from None
+
+
+def _headers(etag: str) -> dict[str, str]:
+    return {"ETag": etag, "Cache-Control": "private, no-cache"}
+
+
+def _read_index(services: Services, description: Result) -> _Index:
+    with opened(services, Download.from_result(description)) as file:
+        document = json.load(file)
+    people = tuple(
+        _Person(person["id"], person["start_frame"], person["num_frames"], person["offset_bytes"])
+        for person in document["people"]
+    )
+    return _Index(document["num_frames"], document["record"]["num_bytes"], people)
+
+
+def _parts(index: _Index, frames: range, wanted: frozenset[int] | None) -> Iterator[_Part]:
+    """Parts of the answer, in the order of ``motion.bin``."""
+    for person in index.people:
+        first = max(frames.start, person.start_frame)
+        num_frames = min(frames.stop, person.start_frame + person.num_frames) - first
+        if num_frames > 0 and (wanted is None or person.id in wanted):
+            head = struct.pack("<4I", person.id, first, num_frames, index.record_bytes)
+            yield _Part(len(head), head)
+            start = person.offset_bytes + (first - person.start_frame) * index.record_bytes
+            yield _Part(num_frames * index.record_bytes, start=start)
+
+
+def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generator[bytes, None, None]:
+    """Bytes of a range of the answer, block by block."""
+    with file:
+        place = 0
+        for part in parts:
+            first, stop = max(sent.start - place, 0), min(sent.stop - place, part.num_bytes)
+            place += part.num_bytes
+            if first >= stop:
+                continue
+            if part.head is not None:
+                yield part.head[first:stop]
+                continue
+            file.seek(part.start + first)
+            left = stop - first
+            while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+                left -= len(block)
+                yield block
+
+
+RESOURCE = Resource(router=router, answers=ANSWERS)

@@ -1,1 +1,0 @@
-"""Motion of a job for viewers."""

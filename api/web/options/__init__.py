@@ -1,1 +1,0 @@
-"""Options of a form that sends captures, and the sample capture."""

@@ -1,1 +1,0 @@
-"""People of a job: who was found, and edits that put them right."""
