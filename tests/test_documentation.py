@@ -81,7 +81,7 @@ def test_every_setting_is_documented(settings: type[BaseSettings]) -> None:
 
 
 @pytest.mark.parametrize("settings", [Settings, WorkerSettings])
-def test_documented_defaults_are_those_of_the_settings(settings: type[BaseSettings]) -> None:
+def test_documented_defaults_are_those_of_settings(settings: type[BaseSettings]) -> None:
     """Defaults that are numbers, with units of memory. A row has one for each of its settings."""
     page = (ROOT / "docs/operations.md").read_text(encoding="utf-8")
     wrong, compared = [], 0
@@ -97,7 +97,7 @@ def test_documented_defaults_are_those_of_the_settings(settings: type[BaseSettin
     assert compared > 5
 
 
-def test_python_example_calls_the_client_as_it_is() -> None:
+def test_python_example_calls_client_as_it_is() -> None:
     (block,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
     called = []
     for node in ast.walk(ast.parse(block)):
@@ -108,7 +108,7 @@ def test_python_example_calls_the_client_as_it_is() -> None:
     assert sorted(called) == ["download", "follow", "submit"]
 
 
-def test_options_of_the_readme_exist() -> None:
+def test_options_of_readme_exist() -> None:
     readme = (ROOT / "README.md").read_text("utf-8")
     for command, options in re.findall(r"multicap (\w+)((?:[^`\n]|\\\n)*)", readme):
         if command not in COMMANDS or "--" not in options:
@@ -126,7 +126,7 @@ def option_names(command: Any) -> set[str]:
     return inner | {name for parameter in command.params for name in parameter.opts}
 
 
-def test_rooms_have_a_row_each_in_the_architecture() -> None:
+def test_rooms_have_row_each_in_architecture() -> None:
     page = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
     assert len(page.split()) <= 1_800
     rows = re.findall(r"^\| (.+?) \|", page.partition("\n## Rooms\n")[2].partition("\n## ")[0], re.MULTILINE)

@@ -46,7 +46,7 @@ def test_no_stage_is_spelled_elsewhere() -> None:
     assert not spelled
 
 
-def test_no_stage_is_spelled_in_the_page() -> None:
+def test_no_stage_is_spelled_in_page() -> None:
     labels = {stage.label for stage in STAGES}
     for path in scripts_of_the_page():
         text = path.read_text(encoding="utf-8")

@@ -40,7 +40,7 @@ def test_every_name_is_there_and_documented(name: str) -> None:
     assert name in dir(multicap)
 
 
-def test_example_of_the_package_runs(tmp_path: Path) -> None:
+def test_example_of_package_runs(tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=0.4), 0, 3), tmp_path)
     results = doctest.testmod(multicap, extraglobs={"folder": tmp_path})
     assert results.attempted > 4
@@ -85,7 +85,7 @@ def test_modules_of_wheel_import_each_other_inside_of_multicap(source: bytes, ne
     assert hatch_build.nest(source) == expected
 
 
-def test_imports_that_would_bind_a_plain_name_are_refused() -> None:
+def test_imports_that_would_bind_plain_name_are_refused() -> None:
     with pytest.raises(ValueError, match="line 2: write `from"):
         hatch_build.nest(b"import json\nimport pipeline.data\n")
 

@@ -43,7 +43,7 @@ def fork_of_the_server() -> psutil.Process:
 
 
 @pytest.mark.parametrize("arguments", [[], ["no-such-file.glb"], ["--help"]])
-def test_output_and_exit_code_are_those_of_the_program(
+def test_output_and_exit_code_are_those_of_program(
     programs: WarmPrograms, arguments: list[str], tmp_path: Path
 ) -> None:
     def ends(command: list[str]) -> tuple[int, bytes, bytes]:
@@ -58,15 +58,13 @@ def test_other_programs_are_not_forked(programs: WarmPrograms) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGKILL])
-def test_a_signal_that_ends_the_fork_ends_the_client(waiting: "subprocess.Popen[bytes]", number: int) -> None:
+def test_signal_that_ends_fork_ends_client(waiting: "subprocess.Popen[bytes]", number: int) -> None:
     fork_of_the_server().send_signal(number)
     assert waiting.wait(60) == -number
 
 
 @pytest.mark.parametrize("sent", [b"", b"\x00\x00\x00\x09{"])
-def test_clients_that_are_killed_before_they_have_asked_leave_the_server_whole(
-    programs: WarmPrograms, sent: bytes
-) -> None:
+def test_clients_killed_early_leave_server_whole(programs: WarmPrograms, sent: bytes) -> None:
     command = programs.python_command("-m", CHECK)
     for _ in range(3):
         with socket.socket(socket.AF_UNIX) as client:
@@ -75,7 +73,7 @@ def test_clients_that_are_killed_before_they_have_asked_leave_the_server_whole(
     assert subprocess.run(command, capture_output=True, check=False).returncode == 2
 
 
-def test_a_fork_ends_with_its_client(waiting: "subprocess.Popen[bytes]") -> None:
+def test_fork_ends_with_its_client(waiting: "subprocess.Popen[bytes]") -> None:
     fork = fork_of_the_server()
     waiting.kill()
     wait_for(lambda: not is_alive(fork))

@@ -75,7 +75,7 @@ def test_one_image_is_built_once(path: Path) -> None:
     assert len([name for name, service in services.items() if "build" in service]) == 1
 
 
-def test_verification_has_the_bases_of_all_files() -> None:
+def test_verification_has_bases_of_all_files() -> None:
     """Images that the script pulls or makes stand-ins for are those of the Dockerfile and the compose files."""
     built = re.findall(r"^FROM (\S+)", (DOCKER / "multicap.Dockerfile").read_text(), re.MULTILINE)
     services = [service for path in COMPOSE for service in yaml.safe_load(path.read_text())["services"].values()]
@@ -89,7 +89,7 @@ def test_verification_has_the_bases_of_all_files() -> None:
     assert f"chrislusf/seaweedfs:{version}" in named
 
 
-def test_api_processes_share_uploads_as_the_proxy_takes_turns() -> None:
+def test_api_processes_share_uploads_as_proxy_takes_turns() -> None:
     services = yaml.safe_load((DOCKER / "compose.cluster.yml").read_text())["services"]
     names = [name for name in services if name.startswith("api-")]
     assert len(names) >= 2
@@ -137,7 +137,7 @@ def test_secrets_are_made_once_and_kept(tmp_path: Path) -> None:
     }
 
 
-def test_every_secret_is_used_and_none_is_in_the_files() -> None:
+def test_every_secret_is_used_and_none_is_in_files() -> None:
     compose = yaml.safe_load((DOCKER / "compose.cluster.yml").read_text())
     used = {secret for service in compose["services"].values() for secret in service.get("secrets", [])}
     assert used == set(compose["secrets"])

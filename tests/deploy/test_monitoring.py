@@ -38,7 +38,7 @@ def test_metrics_exist(exposed: set[str], path: Path) -> None:
     assert names <= exposed
 
 
-def test_every_alert_has_a_test_and_an_action() -> None:
+def test_every_alert_has_test_and_action() -> None:
     (group,) = yaml.safe_load((MONITORING / "alerts.yml").read_text())["groups"]
     tested = {
         case["alertname"]
@@ -60,12 +60,12 @@ def test_panels_lie_side_by_side() -> None:
 @pytest.mark.parametrize(
     "arguments", [["check", "rules", "alerts.yml"], ["test", "rules", "alerts_test.yml"]], ids=lambda words: words[0]
 )
-def test_promtool_accepts_the_alerts(arguments: list[str]) -> None:
+def test_promtool_accepts_alerts(arguments: list[str]) -> None:
     subprocess.run(["promtool", *arguments], cwd=MONITORING, check=True, capture_output=True)
 
 
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="Prometheus is not installed")
-def test_promtool_accepts_the_scrapes(tmp_path: Path) -> None:
+def test_promtool_accepts_scrapes(tmp_path: Path) -> None:
     for path in MONITORING.iterdir():
         shutil.copy(path, tmp_path)
     (tmp_path / "metrics_key").touch()

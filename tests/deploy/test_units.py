@@ -35,7 +35,7 @@ def test_common_file_has_settings_alone() -> None:
 
 @needs_systemd
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
-def test_systemd_accepts_the_units(path: Path, tmp_path: Path) -> None:
+def test_systemd_accepts_units(path: Path, tmp_path: Path) -> None:
     copy = tmp_path / path.name
     copy.write_text(path.read_text().replace("/opt/multicap/bin/python", "/usr/bin/env"))
     done = subprocess.run(

@@ -90,7 +90,7 @@ def kill_all(served: Served) -> None:
     psutil.wait_procs(tree, timeout=20)
 
 
-def test_a_restored_service_goes_on_with_everything(capture: Path, tmp_path: Path) -> None:
+def test_restored_service_goes_on_with_everything(capture: Path, tmp_path: Path) -> None:
     parts = files(capture)
     archive = tmp_path / "backup.tar"
     with serving(tmp_path / "first", 1, **ENVIRONMENT) as first:

@@ -119,7 +119,7 @@ def test_pictures_of_mvor(tmp_path: Path) -> None:
 
 @needs("rendered")
 @pytest.mark.parametrize("kind", ["videos", "images"])
-def test_a_sequence_of_panoptic(tmp_path: Path, kind: str) -> None:
+def test_sequence_of_panoptic(tmp_path: Path, kind: str) -> None:
     names = {"cam_0": "00_03", "cam_1": "00_06", "cam_2": "00_12", "cam_3": "00_13"}
     folder = tmp_path / "171204_pose1"
     write_calibration(folder, {names[camera.name]: camera for camera in cameras()})

@@ -68,7 +68,7 @@ def reconstructed(simulation: Simulation, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", accuracy_but([1], [1, 2]))
-def test_the_bumped_camera_is_named_with_its_time(tmp_path: Path, seed: int) -> None:
+def test_bumped_camera_is_named_with_its_time(tmp_path: Path, seed: int) -> None:
     metrics = reconstructed(bumped(take("room", seed)), tmp_path)
     warnings = {check["code"]: check["message"] for check in metrics["capture_checks"]}
     assert f"{BUMPED} from 02:14 on (" in warnings["camera_bumped"]
@@ -82,7 +82,7 @@ def test_the_bumped_camera_is_named_with_its_time(tmp_path: Path, seed: int) -> 
     ("scene", "seed"),
     accuracy_but([("room", 1)], [("room", 1), ("room", 3), ("store", 1), ("comings-and-goings", 2)]),
 )
-def test_a_good_take_has_no_bumped_camera(tmp_path: Path, scene: str, seed: int) -> None:
+def test_good_take_has_no_bumped_camera(tmp_path: Path, scene: str, seed: int) -> None:
     metrics = reconstructed(take(scene, seed), tmp_path)
     assert metrics["calibration"]["bumped"] == []
     assert metrics["calibration"]["world"] is None

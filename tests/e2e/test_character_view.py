@@ -277,7 +277,7 @@ def test_mesh_is_in_place_and_vanishes_with_person(page: Page, walking: Moved) -
 
 
 @pytest.mark.slow
-def test_character_moves_and_goes_with_the_choice(page: Page, walking: Moved) -> None:
+def test_character_moves_and_goes_with_choice(page: Page, walking: Moved) -> None:
     mount(page, walking.job_id)
     before = page.evaluate(MEMORY)
     choose_character(page)

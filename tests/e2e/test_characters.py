@@ -25,7 +25,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_stored_character_moves_as_everybody(served: Served, take: Path) -> None:
+def test_stored_character_moves_as_everybody(served: Served, take: Path) -> None:
     parts = [
         ("character", ("robot.glb", ROBOT)),
         ("spec", (None, json.dumps({"bones": {"LeftToeBase": None}}).encode())),
@@ -79,7 +79,7 @@ def is_part_of_character(answer: Response) -> bool:
     return "/person-1.character.glb?redirect=false" in answer.url and answer.status == 206
 
 
-def test_the_form_takes_a_character_and_corrects_its_bones(served: Served, take: Path, tmp_path: Path) -> None:
+def test_form_takes_character_and_corrects_its_bones(served: Served, take: Path, tmp_path: Path) -> None:
     (tmp_path / "robot.glb").write_bytes(ROBOT)
     (tmp_path / "cube.glb").write_bytes(b"solid cube")
     manifest = ("manifest", (None, json.dumps({"name": "A walk"}).encode()))

@@ -91,7 +91,7 @@ def scaled(capture: CalibratedVideos, scale: float) -> CalibratedVideos:
     return replace(capture, cameras=tuple(cameras))
 
 
-def test_a_good_capture_has_no_error(served: Served, capture: CalibratedVideos) -> None:
+def test_good_capture_has_no_error(served: Served, capture: CalibratedVideos) -> None:
     findings = capture.send(served)["preflight"]["findings"]
     assert [one for one in findings if one["severity"] != "info"] == []
 
@@ -145,7 +145,7 @@ def test_exchanged_videos(served: Served, capture: CalibratedVideos) -> None:
     assert errors == dict.fromkeys(exchange, "cameras_exchanged")
 
 
-def test_a_rotated_camera(served: Served, capture: CalibratedVideos, tmp_path: Path) -> None:
+def test_rotated_camera(served: Served, capture: CalibratedVideos, tmp_path: Path) -> None:
     turned = tmp_path / "turned.mp4"
     words = ["-i", str(capture.videos["cam02"]), "-vf", "hflip,vflip", "-preset", "ultrafast", str(turned)]
     subprocess.run(["ffmpeg", "-v", "error", *words], check=True)
@@ -154,7 +154,7 @@ def test_a_rotated_camera(served: Served, capture: CalibratedVideos, tmp_path: P
     assert "180 degrees" in job["error"]["detail"]
 
 
-def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capture: CalibratedVideos) -> None:
+def test_checks_of_world_are_in_job_and_on_page(served: Served, capture: CalibratedVideos) -> None:
     job = scaled(capture, 1.6).reconstruct(served)
     metrics = served.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").raise_for_status().json()
     checks = {one["code"] for one in metrics["world_checks"]}
@@ -168,7 +168,7 @@ def test_checks_of_the_world_are_in_the_job_and_on_the_page(served: Served, capt
             assert warning in row.inner_text()
 
 
-def test_a_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
+def test_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     """An empty, blurred room: the findings of the pictures have thumbnails on the page."""
     video_capture(tmp_path, 40)
     cameras = read_calibration(tmp_path / "calibration.json")

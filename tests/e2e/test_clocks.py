@@ -69,7 +69,7 @@ def test_5_hz_beside_240_hz(served: Served, method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_a_tenth_of_a_second_of_keypoints(served: Served, method: str) -> None:
+def test_tenth_of_second_of_keypoints(served: Served, method: str) -> None:
     files = keypoint_files(simulate(Clock(25.0), 0.1))
     preflight, job = reconstruct(served, keypoint_parts(files), method=method)
     assert preflight["timebase"]["num_frames"] == 3
@@ -77,14 +77,14 @@ def test_a_tenth_of_a_second_of_keypoints(served: Served, method: str) -> None:
 
 
 @pytest.mark.parametrize("num_frames", [2, 3])
-def test_a_tenth_of_a_second_of_video(served: Served, tmp_path: Path, num_frames: int) -> None:
+def test_tenth_of_second_of_video(served: Served, tmp_path: Path, num_frames: int) -> None:
     videos = [write_video(tmp_path / f"{name}.mp4", num_frames) for name in ("a", "b")]
     preflight, job = reconstruct(served, video_parts(videos, calibration(tmp_path / "rig.json", ["a", "b"])))
     assert preflight["timebase"] == {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": num_frames}
     assert people(served, job) == []
 
 
-def test_24_frames_a_second_on_a_clock_of_60_hz(served: Served, tmp_path: Path) -> None:
+def test_24_frames_second_on_clock_of_60_hz(served: Served, tmp_path: Path) -> None:
     stamps = [round(1000 * int(2.5 * number) / 60) for number in range(49)]
     videos = [write_video(tmp_path / f"{name}.mp4", 49, stamps=stamps) for name in ("a", "b")]
     preflight, job = reconstruct(served, video_parts(videos, calibration(tmp_path / "rig.json", ["a", "b"])))
@@ -113,7 +113,7 @@ def test_two_hours_of_keypoints_with_somebody_now_and_then(served: Served, metho
 
 
 @pytest.mark.benchmark
-def test_two_hours_of_keypoints_with_a_file_for_every_frame(served: Served) -> None:
+def test_two_hours_of_keypoints_with_file_for_every_frame(served: Served) -> None:
     """The session has 360,000 files, with people for a second of every ten minutes."""
     once = simulate(Clock(25.0), 1.0)
     files = {"calibration.json": keypoint_files(once)["calibration.json"]}
@@ -160,7 +160,7 @@ def errors(answer: httpx2.Response) -> list[tuple[str, str, str]]:
     return [(item["code"], item["camera"], item["pointer"]) for item in found]
 
 
-def test_offsets_and_rates_of_a_manifest_that_would_make_millions_of_frames(served: Served, tmp_path: Path) -> None:
+def test_offsets_that_make_millions_of_frames_are_refused(served: Served, tmp_path: Path) -> None:
     videos = [write_video(tmp_path / f"{name}.mp4", 10) for name in "abcd"]
     parts = video_parts(videos, calibration(tmp_path / "rig.json", list("abcd")))
 
@@ -191,7 +191,7 @@ def test_timestamps_that_would_make_millions_of_frames(served: Served) -> None:
         assert (found[0], found[2]) == (code, "/timestamps")
 
 
-def test_an_output_rate_that_would_make_millions_of_frames(served: Served) -> None:
+def test_output_rate_that_would_make_millions_of_frames(served: Served) -> None:
     files = {name: one for name, one in keypoint_files(simulate(Clock(25.0), 0.3)).items() if name != "timestamps.csv"}
     far = {f"frame_{number}_keypoints.json": b'{"people": []}' for number in (1, 900_000)}
     files = {name: archive(far) if name.endswith(".zip") else one for name, one in files.items()}

@@ -96,9 +96,7 @@ def decoders(service: Served) -> list[psutil.Process]:
 @pytest.mark.parametrize(
     "spec", [{}, {"method": "clustering", "detector": "openpose-mobilenet-thin"}, {"frame_range": [15, 55]}]
 )
-def test_damaged_frames_are_told_in_the_job_and_its_results(
-    service: Served, tmp_path: Path, spec: dict[str, Any]
-) -> None:
+def test_damaged_frames_are_told_in_job_and_its_results(service: Served, tmp_path: Path, spec: dict[str, Any]) -> None:
     job = service.wait_for_end(post(service, capture(tmp_path, "left", range(20, 23)), **spec))
     assert job["state"] == "succeeded", job
     num_frames = 40 if "frame_range" in spec else 60
@@ -108,7 +106,7 @@ def test_damaged_frames_are_told_in_the_job_and_its_results(
     assert {name: told[name] for name in ("code", "message")} in metrics["capture_checks"]
 
 
-def test_too_many_damaged_frames_end_the_job(service: Served, tmp_path: Path) -> None:
+def test_too_many_damaged_frames_end_job(service: Served, tmp_path: Path) -> None:
     job = service.wait_for_end(post(service, capture(tmp_path, "left", range(20, 29))))
     assert job["state"] == "failed"
     assert (job["error"]["code"], job["error"]["camera"]) == ("video_damaged", "left")
@@ -116,7 +114,7 @@ def test_too_many_damaged_frames_end_the_job(service: Served, tmp_path: Path) ->
     assert not job["error"]["retryable"]
 
 
-def test_a_video_that_kills_its_decoder_ends_the_job_at_once(service: Served, tmp_path: Path) -> None:
+def test_video_that_kills_its_decoder_ends_job_at_once(service: Served, tmp_path: Path) -> None:
     job = service.wait_for_end(post(service, capture(tmp_path, "crash")))
     assert (job["state"], job["error"]["code"], job["error"]["camera"]) == ("failed", "video_unreadable", "crash")
     assert job["error"]["detail"].startswith("crash.mp4: Frame 0 of 60 could not be decoded within the limits")
@@ -124,14 +122,14 @@ def test_a_video_that_kills_its_decoder_ends_the_job_at_once(service: Served, tm
     wait_for(lambda: decoders(service) == [])
 
 
-def test_a_decoder_that_is_killed_from_outside_is_tried_again(service: Served, tmp_path: Path) -> None:
+def test_decoder_that_is_killed_from_outside_is_tried_again(service: Served, tmp_path: Path) -> None:
     job = service.wait_for_end(post(service, capture(tmp_path, "twice")))
     assert job["state"] == "succeeded", job
     (attempt,) = service.client.get(f"/v1/jobs/{job['id']}/attempts").json()["attempts"]
     assert "SIGKILL" in json.dumps(attempt)
 
 
-def test_a_job_whose_decoder_hangs_is_canceled_within_seconds(service: Served, tmp_path: Path) -> None:
+def test_job_whose_decoder_hangs_is_canceled_within_seconds(service: Served, tmp_path: Path) -> None:
     job_id = post(service, capture(tmp_path, "hang"))
     wait_for(lambda: bool(decoders(service)))
     service.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
@@ -142,7 +140,7 @@ def test_a_job_whose_decoder_hangs_is_canceled_within_seconds(service: Served, t
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_the_command_line_tells_the_same(tmp_path: Path, processes: int) -> None:
+def test_command_line_tells_same(tmp_path: Path, processes: int) -> None:
     def run(folder: Path, lost: range) -> dict[str, Any]:
         folder.mkdir()
         *_, calibration = capture(folder, "left", lost)
@@ -159,7 +157,7 @@ def test_the_command_line_tells_the_same(tmp_path: Path, processes: int) -> None
 
 
 @pytest.mark.parametrize("processes", [1, 2])
-def test_a_video_that_changes_its_size_is_refused_on_the_command_line(tmp_path: Path, processes: int) -> None:
+def test_video_that_changes_its_size_is_refused_on_command_line(tmp_path: Path, processes: int) -> None:
     """The error of a detection process names the file."""
     video, _, calibration = capture(tmp_path, "left")
     video.unlink()

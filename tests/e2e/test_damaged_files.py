@@ -73,7 +73,7 @@ def reconstruct(served: Served, session_id: str, **spec: Any) -> dict[str, Any]:
         (remove, "left.mp4", "inputs/*left.mp4"),
     ],
 )
-def test_a_damaged_input_ends_the_job_with_its_name(
+def test_damaged_input_ends_job_with_its_name(
     served: Served, videos: Parts, name: str, pattern: str, damage: Callable[[Path], None]
 ) -> None:
     session = served.client.post("/v1/sessions", files=videos).raise_for_status().json()
@@ -95,7 +95,7 @@ def test_a_damaged_input_ends_the_job_with_its_name(
     assert served.wait_for_end(retried["id"])["state"] == "succeeded"
 
 
-def test_every_stored_file_of_a_finished_job_may_be_damaged(served: Served, keypoints: Parts) -> None:
+def test_every_stored_file_of_finished_job_may_be_damaged(served: Served, keypoints: Parts) -> None:
     session = served.client.post("/v1/sessions", files=keypoints).raise_for_status().json()
     job = reconstruct(served, session["id"])
     before = served.downloads(job["id"])
@@ -116,7 +116,7 @@ def test_every_stored_file_of_a_finished_job_may_be_damaged(served: Served, keyp
     assert not any(stage["reused"] for stage in again["stages"])
 
 
-def test_a_database_that_is_damaged_under_a_running_service(tmp_path: Path, keypoints: Parts) -> None:
+def test_database_that_is_damaged_under_running_service(tmp_path: Path, keypoints: Parts) -> None:
     with serving(tmp_path / "data", 1, **ENVIRONMENT) as served:
         job = served.client.post("/v1/jobs", files=keypoints).raise_for_status().json()
         assert served.wait_for_end(job["id"])["state"] == "succeeded"

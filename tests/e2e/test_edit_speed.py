@@ -89,7 +89,7 @@ def crowd(folder: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return parts
 
 
-def test_edits_of_the_sample(service: Served, sample: Sample) -> None:
+def test_edits_of_sample(service: Served, sample: Sample) -> None:
     job_id = service.post(sample)
     finished(service, job_id, 600)
     seconds = measured(service, job_id)

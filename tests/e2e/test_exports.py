@@ -239,7 +239,7 @@ def test_bvh_in_three(capture: ExportedCapture, preset: Preset) -> None:
             assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
 
 
-def test_an_order_for_each_joint_in_three(tmp_path: Path) -> None:
+def test_order_for_each_joint_in_three(tmp_path: Path) -> None:
     motion, path = tumbling(), tmp_path / "person.bvh"
     path.write_bytes(encoded(motion))
     assert len(set(orders_in(path.read_bytes()).values())) > 1
@@ -250,7 +250,7 @@ def test_an_order_for_each_joint_in_three(tmp_path: Path) -> None:
 
 
 @pytest.mark.blender
-def test_an_order_for_each_joint_in_blender(tmp_path: Path) -> None:
+def test_order_for_each_joint_in_blender(tmp_path: Path) -> None:
     motion, path = tumbling(), tmp_path / "person.bvh"
     path.write_bytes(encoded(motion, "blender"))
     assert len(set(orders_in(path.read_bytes()).values())) > 1
@@ -317,7 +317,7 @@ def test_between_frames_of_fbx_in_ufbx(tmp_path: Path) -> None:
 
 
 @pytest.mark.blender
-def test_blenders_curves_are_those_of_the_tests(tmp_path: Path) -> None:
+def test_blenders_curves_are_those_of_tests(tmp_path: Path) -> None:
     """The rule by which quick tests read BVH between frames is Blender's, also where joints whirl."""
     random = np.random.default_rng(7)
     calm, files = tumbling(80), {}
@@ -422,13 +422,13 @@ def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture,
     assert check["bvh"]["max_distance_mm"] < 0.5
 
 
-def test_metrics_say_how_far_joints_are_in_the_formats_without_presets(capture: ExportedCapture) -> None:
+def test_metrics_say_distance_in_formats_without_presets(capture: ExportedCapture) -> None:
     check = json.loads((capture.of_preset("default") / "metrics.json").read_bytes())["exports"]
     assert max(check.pop(export)["max_difference_deg"] for export in ("angles", "mot")) < 0.001
     assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
 
 
-def test_animations_are_where_the_fit_has_the_joints(capture: ExportedCapture) -> None:
+def test_animations_are_where_fit_has_joints(capture: ExportedCapture) -> None:
     """Joints of the skeleton have the final positions of the track."""
     joints = capture.reconstruction.joints
     own = {one.name: one.landmarks[0] for one in SKELETON if len(one.landmarks) == 1}

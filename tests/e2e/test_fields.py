@@ -66,7 +66,7 @@ def test_both_main_people_are_found_by_many_views(clustered: Reconstruction) -> 
     assert clustered.warnings == ()
 
 
-def test_the_cut_and_the_processes_change_nothing(
+def test_cut_and_processes_change_nothing(
     clips: Path, sample: Sample, clustered: Reconstruction, tmp_path: Path
 ) -> None:
     write_results(clustered, tmp_path / "whole")
@@ -75,7 +75,7 @@ def test_the_cut_and_the_processes_change_nothing(
     assert digests(tmp_path / "cut") == digests(tmp_path / "whole")
 
 
-def test_the_service_gives_the_same_files(
+def test_service_gives_same_files(
     served: Served, clips: Path, sample: Sample, clustered: Reconstruction, tmp_path: Path
 ) -> None:
     write_results(clustered, tmp_path)
@@ -104,7 +104,7 @@ def test_the_service_gives_the_same_files(
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 
-def test_the_same_network_groups_bodies_for_tracking(clips: Path, sample: Sample) -> None:
+def test_same_network_groups_bodies_for_tracking(clips: Path, sample: Sample) -> None:
     session = open_session(clips, sample.calibration)
     tracks = reconstruct(session, replace(CONFIG, method="tracking")).tracks
     long = [track for track in tracks if track.num_frames >= NUM_FRAMES - 3]

@@ -69,7 +69,7 @@ def test_probe(foreign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert ran(foreign) == []
 
 
-def test_preflight_of_the_api(foreign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_preflight_of_api(foreign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(foreign)
     video_capture(tmp_path / "capture")
     parts = [("videos", (path.name, path.read_bytes())) for path in sorted(tmp_path.glob("capture/videos/*"))]
@@ -80,7 +80,7 @@ def test_preflight_of_the_api(foreign: Path, tmp_path: Path, monkeypatch: pytest
     assert [camera["num_frames"] for camera in answer.json()["preflight"]["cameras"]] == [20, 20]
 
 
-def test_serve_and_a_job(foreign: Path, tmp_path: Path) -> None:
+def test_serve_and_job(foreign: Path, tmp_path: Path) -> None:
     keypoint_capture(tmp_path / "capture")
     command = [MULTICAP, "serve", "--port", "0", "--workers", "1", "--data", str(tmp_path / "data")]
     with subprocess.Popen(command, cwd=foreign, stdout=subprocess.PIPE, text=True) as process:

@@ -40,7 +40,7 @@ def refused(answer: httpx2.Response) -> None:
     assert answer.json()["hint"]
 
 
-def test_a_full_disk_is_emptied_through_the_api_and_jobs_go_on(served: Served, capture: Path, tmp_path: Path) -> None:
+def test_full_disk_is_emptied_through_api_and_jobs_go_on(served: Served, capture: Path, tmp_path: Path) -> None:
     content = files(capture)
     client = served.client
     ended = client.post("/v1/jobs", files=content).raise_for_status().json()

@@ -110,7 +110,7 @@ def require_downloads(portal: ServedCapture, folder: Path) -> None:
     assert written == {result["name"]: result["sha256"] for result in results}
 
 
-def test_the_page_installs_what_is_tested() -> None:
+def test_page_installs_what_is_tested() -> None:
     """Versions on the page are those of the locks."""
     pinned = json.loads((CLIENTS / "package.json").read_text("utf-8"))["dependencies"]
     installed: dict[str, str] = {}
@@ -124,7 +124,7 @@ def test_the_page_installs_what_is_tested() -> None:
 
 
 @pytest.mark.parametrize("title", ["Python", "TypeScript: hey-api", "TypeScript: openapi-fetch"])
-def test_programs_of_the_page(portal: ServedCapture, tmp_path: Path, title: str) -> None:
+def test_programs_of_page(portal: ServedCapture, tmp_path: Path, title: str) -> None:
     section = SECTIONS[title]
     if section.uses_npm:
         if not (CLIENTS / "node_modules" / ".installed").is_file():

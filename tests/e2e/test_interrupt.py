@@ -134,7 +134,7 @@ main()
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])
-def test_while_the_libraries_are_loaded(options: list[str]) -> None:
+def test_while_libraries_are_loaded(options: list[str]) -> None:
     command = [sys.executable, "-c", WHILE_LOADING, "reconstruct", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
     assert done.returncode == 130

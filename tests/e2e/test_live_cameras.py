@@ -32,7 +32,7 @@ def wait_for(lines: list[dict[str, Any]], text: str) -> None:
         time.sleep(0.05)
 
 
-def test_a_camera_dies_and_comes_back(tmp_path: Path) -> None:
+def test_camera_dies_and_comes_back(tmp_path: Path) -> None:
     if not any(network.installed for network in status()):
         pytest.skip("the networks are not installed")
     rig = calibration(tmp_path / "rig.json", ["a", "b"])

@@ -34,7 +34,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [path for path in sorted(folder.iterdir()) if path.suffix in {".zip", ".csv", ".json"}]
 
 
-def test_keypoints_in_people_out_and_a_session_kept(served: Served, take: list[Path]) -> None:
+def test_keypoints_in_people_out_and_session_kept(served: Served, take: list[Path]) -> None:
     received: list[str | bytes] = []
 
     def take_message(content: str | bytes) -> None:

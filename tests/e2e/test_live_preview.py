@@ -19,7 +19,7 @@ from tests.e2e.test_live_page import num_bright
 
 
 @pytest.mark.slow
-def test_people_move_in_the_page() -> None:
+def test_people_move_in_page() -> None:
     room = record(replace(SCENES["room"], duration_s=1.0), 0, 3)
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(25.0))
     frames = recorded_frames(room.cameras, room.times, room.detections)

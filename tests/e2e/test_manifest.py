@@ -47,7 +47,7 @@ def test_offsets(served: Served, sample: Sample, tmp_path: Path) -> None:
     assert preflight["timebase"]["start_time_s"] == -0.08
 
 
-def test_a_recording_in_parts_gives_the_same_files_as_the_whole(served: Served, sample: Sample, tmp_path: Path) -> None:
+def test_recording_in_parts_gives_same_files_as_whole(served: Served, sample: Sample, tmp_path: Path) -> None:
     """The service gets chapters, and the library the whole video: each range of frames lies across two seams."""
     whole, results = tmp_path / "cam02.mp4", tmp_path / "results"
     groups = {"g": "8", "keyint_min": "8", "sc_threshold": "0", "preset": "ultrafast"}
@@ -82,7 +82,7 @@ def test_a_recording_in_parts_gives_the_same_files_as_the_whole(served: Served, 
     }
 
 
-def test_the_client_of_python_states_a_manifest(served: Served, tmp_path: Path) -> None:
+def test_client_of_python_states_manifest(served: Served, tmp_path: Path) -> None:
     videos = [write_video(tmp_path / f"{name}.mp4", 10) for name in ("view 10", "view 9")]
     rig = calibration(tmp_path / "rig.json", ["a", "b"])
     manifest = {"pair_by_order": True, "cameras": [{"name": "b", "rate": 50.0}]}

@@ -80,7 +80,7 @@ LOADED = {
     [("Captures", True), *((view, False) for view in LOADED)],
     ids=["loaded", *(f"{view}, new to the browser" for view in LOADED)],
 )
-def test_a_view_says_that_it_cannot_load_and_loads_when_it_can(
+def test_view_says_that_it_cannot_load_and_loads_when_it_can(
     served: Served, job: dict[str, Any], view: str, is_known: bool
 ) -> None:
     """Whether or not the browser has the code of the view."""
@@ -106,7 +106,7 @@ def test_a_view_says_that_it_cannot_load_and_loads_when_it_can(
         expect(alert).to_have_count(0)
 
 
-def test_a_second_click_without_a_connection_opens_the_other_view(page: Page, job: dict[str, Any]) -> None:
+def test_second_click_without_connection_opens_other_view(page: Page, job: dict[str, Any]) -> None:
     page.wait_for_load_state("networkidle")
     page.context.set_offline(True)
     open_view(page, "Calibrations", job)
@@ -117,7 +117,7 @@ def test_a_second_click_without_a_connection_opens_the_other_view(page: Page, jo
     expect(page.get_by_role("link", name="Rig offline as JSON").first).to_be_visible(timeout=180_000)
 
 
-def test_a_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]) -> None:
+def test_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]) -> None:
     """By its event stream, after the connection was lost, and after a server between refused the stream once."""
     streams: list[Request] = []
     page.on("request", lambda request: streams.append(request) if request.url.endswith("/events") else None)

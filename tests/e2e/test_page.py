@@ -258,7 +258,7 @@ def make_key(data_dir: Path, *options: str) -> str:
 
 
 @pytest.mark.slow
-def test_with_keys_a_browser_has_to_show_one(tmp_path: Path) -> None:
+def test_with_keys_browser_has_to_show_one(tmp_path: Path) -> None:
     secret, reading = make_key(tmp_path), make_key(tmp_path, "--scope", "read")
     with serving(tmp_path, 1) as served, opened(str(served.client.base_url), allowed=("401 (Unauthorized",)) as page:
         sending = page.get_by_role("heading", name="New capture", level=1)

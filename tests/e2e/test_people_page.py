@@ -182,7 +182,7 @@ def frames_of_both(portal: ServedPeople, one: int, other: int) -> int:
     return len(frames[0] & frames[1])
 
 
-def test_people_are_merged_and_the_merge_is_undone(page: Page, portal: ServedPeople) -> None:
+def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     frame = 40
     choose(page, "person-2", frame)
@@ -357,7 +357,7 @@ def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> No
     assert "Anna" in download.value.path().read_text()
 
 
-def test_refused_edit_keeps_the_others(page: Page, portal: ServedPeople) -> None:
+def test_refused_edit_keeps_others(page: Page, portal: ServedPeople) -> None:
     revision = portal.people()["revision"]
     held: list[Route] = []
 
@@ -414,7 +414,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     expect(panel(page).get_by_text("No edits.")).to_be_visible()
 
 
-def test_another_job_is_compared_on_the_same_clock(page: Page, portal: ServedPeople) -> None:
+def test_another_job_is_compared_on_same_clock(page: Page, portal: ServedPeople) -> None:
     session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
     for job in portal.client.get("/v1/jobs").raise_for_status().json()["jobs"]:
         if job["id"] != portal.job_id:

@@ -139,7 +139,7 @@ def calibrate_and_rename(host: Page, phone: Page) -> None:
     expect(phone.get_by_role("heading", name="Window", level=1)).to_be_visible()
 
 
-def test_clips_of_phones_become_a_capture_with_their_times(
+def test_clips_of_phones_become_capture_with_their_times(
     host: Page, served: Served, cameras: list[tuple[str, Path]], tmp_path: Path
 ) -> None:
     store_calibration(served)
@@ -179,7 +179,7 @@ def test_clips_of_phones_become_a_capture_with_their_times(
 
 
 @pytest.mark.accuracy
-def test_from_the_link_to_a_bvh_by_clicks_alone(
+def test_from_link_to_bvh_by_clicks_alone(
     host: Page, served: Served, cameras: list[tuple[str, Path]], tmp_path: Path
 ) -> None:
     store_calibration(served)

@@ -72,7 +72,7 @@ def post_session(served: Served, files: dict[str, Path], name: str) -> dict[str,
     return dict(answer.json())
 
 
-def test_dropped_files_become_a_capture_with_files_to_download(page: Page, keypoints: dict[str, Path]) -> None:
+def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoints: dict[str, Path]) -> None:
     files = [(name, base64.b64encode(path.read_bytes()).decode()) for name, path in keypoints.items()]
     page.evaluate(DROP, [page.get_by_text("Drop the videos").element_handle(), files])
     expect(page.get_by_label("Camera of cam_01.zip")).to_have_value("cam_01", timeout=180_000)
@@ -159,7 +159,7 @@ def test_captures_are_searched_renamed_and_deleted(page: Page, served: Served, k
 
 
 @pytest.mark.slow
-def test_videos_are_deleted_and_the_results_stay(page: Page, served: Served, tmp_path: Path) -> None:
+def test_videos_are_deleted_and_results_stay(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     files = [("videos", (path.name, path.read_bytes())) for path in sorted((tmp_path / "videos").iterdir())]
     files += [("calibration", ("calibration.json", (tmp_path / "calibration.json").read_bytes()))]
@@ -329,7 +329,7 @@ def test_zips_are_told_apart(page: Page, keypoints: dict[str, Path], tmp_path: P
 
 
 @pytest.mark.slow
-def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Served, tmp_path: Path) -> None:
+def test_findings_of_check_stand_beside_their_camera(page: Page, served: Served, tmp_path: Path) -> None:
     video_capture(tmp_path, 5)
     left, right = (tmp_path / "videos" / f"{name}.mp4" for name in ("left", "right"))
     # A frame a second is dropped: the times of the video say so.
@@ -349,7 +349,7 @@ def test_findings_of_the_check_stand_beside_their_camera(page: Page, served: Ser
 
 
 @pytest.mark.benchmark
-def test_first_view_opens_within_a_second(served: Served) -> None:
+def test_first_view_opens_within_second(served: Served) -> None:
     """From the request to the drawn list of captures, with an empty cache, on loopback."""
     with opened("about:blank") as page:
         page.goto(f"{served.client.base_url}#/captures")

@@ -32,7 +32,7 @@ def on_postgres(postgres: Postgres, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_the_same_bytes_also_when_the_server_is_restarted(
+def test_same_bytes_also_when_server_is_restarted(
     on_postgres: Served, postgres: Postgres, capture: Path, tmp_path: Path, method: Method
 ) -> None:
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
@@ -53,7 +53,7 @@ def test_the_same_bytes_also_when_the_server_is_restarted(
     assert on_postgres.client.delete(answer.json()["links"]["session"]).status_code == 204
 
 
-def test_the_tables_are_in_postgresql(on_postgres: Served, postgres: Postgres) -> None:
+def test_tables_are_in_postgresql(on_postgres: Served, postgres: Postgres) -> None:
     assert not (on_postgres.data_dir / "multicap.db").exists()
     engine = sa.create_engine(sa.make_url(postgres.url).set(drivername="postgresql+psycopg"))
     with engine.connect() as connection:

@@ -64,7 +64,7 @@ def noses(served: Served, job_id: str) -> dict[str, list[tuple[float, float]]]:
     return found
 
 
-def test_heads_are_gone_and_then_the_videos(served: Served, sample: Sample) -> None:
+def test_heads_are_gone_and_then_videos(served: Served, sample: Sample) -> None:
     job = post(served, sample)
     job_id, address = job["id"], f"/v1/sessions/{job['session_id']}"
     link = served.client.post(f"/v1/jobs/{job_id}/links", json={"scope": "job"}).raise_for_status().json()["url"]

@@ -15,7 +15,7 @@ PAGE = Path(__file__).parents[2] / "docs/python.md"
 ADDRESS = "http://127.0.0.1:8000"
 
 
-def test_examples_of_the_page(
+def test_examples_of_page(
     sample: Sample, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -26,7 +26,7 @@ def require_good(scores: Mapping[str, Any]) -> None:
 
 
 @needs("rendered")
-def test_rendered_people_of_a_second(task_cache: Path) -> None:
+def test_rendered_people_of_second(task_cache: Path) -> None:
     folder = folder_of("rendered")
     truth = load_rendered(folder)
     first = replace(truth, time_s=truth.time_s[:NUM_FRAMES], xyz_m=truth.xyz_m[:, :NUM_FRAMES], feet_m=None)

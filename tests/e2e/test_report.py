@@ -153,7 +153,7 @@ def test_report_is_accessible_and_fits(report: Path, width: int, scheme: Literal
         assert page.evaluate("document.documentElement.scrollWidth") == width
 
 
-def test_report_shows_the_edited_take(report: Path) -> None:
+def test_report_shows_edited_take(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     assert "40 frames at" in text
     assert "start frame 5" in text

@@ -42,7 +42,7 @@ def pictures(video: bytes) -> Iterator[np.ndarray]:
             yield frame.to_ndarray(format="rgb24").astype(int)
 
 
-def test_report_and_overlays_follow_an_edit(served: Served, sample: Sample) -> None:
+def test_report_and_overlays_follow_edit(served: Served, sample: Sample) -> None:
     job_id = post(served, sample)
     assert served.wait_for_end(job_id)["state"] == "succeeded"
     first = downloaded(served, job_id)

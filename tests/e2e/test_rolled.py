@@ -61,7 +61,7 @@ def test_people_are_those_of_upright_cameras(
     assert named == {name: {"turn_deg": (-90.0 * number) % 360} for name, number in quarters.items()}
 
 
-def test_the_check_before_a_reconstruction_sees_the_people_of_turned_cameras(sample: Sample, tmp_path: Path) -> None:
+def test_check_sees_people_of_turned_cameras(sample: Sample, tmp_path: Path) -> None:
     capture = roll(sample.videos, sample.calibration, {"cam01": 3, "cam03": 2}, tmp_path)
     session = open_session(list(capture.videos.values()), capture.calibration)
     check = check_at_instants(session, ReconstructionConfig())

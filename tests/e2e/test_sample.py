@@ -37,7 +37,7 @@ def taken(request: pytest.FixtureRequest) -> Taken:
     return Taken(request.getfixturevalue("beginning"), request.getfixturevalue("first_results"), NUM_FIRST)
 
 
-def test_two_people_live_through_the_take_and_nobody_is_made_up(taken: Taken) -> None:
+def test_two_people_live_through_take_and_nobody_is_made_up(taken: Taken) -> None:
     lengths = sorted((track.num_frames for track in taken.reconstruction.tracks), reverse=True)
     assert lengths[1] >= 0.95 * taken.num_frames
     # The bystander, seen by two cameras, may be found as a third person.
@@ -54,7 +54,7 @@ def test_reprojection_error_is_not_bought_by_dropping_views(taken: Taken) -> Non
         assert person["joints_per_frame"] >= 15
 
 
-def test_skeletons_json_is_the_documented_contract(taken: Taken) -> None:
+def test_skeletons_json_is_documented_contract(taken: Taken) -> None:
     reconstruction = taken.reconstruction
     document = json.loads((taken.results / "skeletons.json").read_text())
     stated = (document["schema_version"], document["num_frames"], document["frame_rate_hz"])
@@ -96,7 +96,7 @@ def run(arguments: Sequence[str]) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("chunk_frames", "processes"), [(7, 2), (8, 1)])
-def test_result_files_do_not_depend_on_the_cut(
+def test_result_files_do_not_depend_on_cut(
     sample: Sample, first_results: Path, tmp_path: Path, chunk_frames: int, processes: int
 ) -> None:
     answer = run(

@@ -60,7 +60,7 @@ def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cameras", accuracy_but(["cam01"], ["cam01", "cam01 cam02 cam03 cam04"]))
-def test_photographs_of_a_chessboard_give_the_focal_lengths(demos: Path, tmp_path: Path, cameras: str) -> None:
+def test_photographs_of_chessboard_give_focal_lengths(demos: Path, tmp_path: Path, cameras: str) -> None:
     folder = demos / "Demo_SinglePerson" / "calibration"
     for name in cameras.split():
         shutil.copytree(folder / "intrinsics" / f"int_{name}_img", tmp_path / "images" / f"int_{name}_img")

@@ -58,7 +58,7 @@ def is_seen(part: Locator) -> bool:
 
 
 @pytest.mark.slow
-def test_send_is_in_reach_on_a_phone_and_opens_the_job(page: Page, videos: dict[str, Path]) -> None:
+def test_send_is_in_reach_on_phone_and_opens_job(page: Page, videos: dict[str, Path]) -> None:
     assert is_seen(send(page))
     choose(page, *videos.values())
     expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
@@ -215,7 +215,7 @@ def test_two_files_of_one_name_are_not_mixed(page: Page, videos: dict[str, Path]
 
 
 @pytest.mark.slow
-def test_keypoints_without_timestamps_need_a_frame_rate(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
+def test_keypoints_without_timestamps_need_frame_rate(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     timestamps = keypoints["timestamps.csv"]
     rate = page.get_by_label("Frame rate of the keypoints, Hz")
     choose(page, *(path for path in keypoints.values() if path != timestamps))

@@ -20,9 +20,7 @@ from tests.waiting import is_alive, wait_for
 pytestmark = pytest.mark.xdist_group("service")
 
 
-def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
-    served: Served, sample: Sample, first_results: Path
-) -> None:
+def test_cancel_retry_and_kill_give_library_files(served: Served, sample: Sample, first_results: Path) -> None:
     job_id = served.post(sample, frame_range=[0, NUM_FIRST])
     wait_for(lambda: served.job(job_id)["progress"] > 0)
     served.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
@@ -64,9 +62,7 @@ def test_cancel_retry_and_a_killed_worker_process_give_the_library_s_files(
     assert 0.7 < job["space"]["store_bytes"] / used_bytes < 1.5
 
 
-def test_a_killed_worker_and_a_killed_broker_change_no_byte(
-    served: Served, sample: Sample, first_results: Path
-) -> None:
+def test_killed_worker_and_killed_broker_change_no_byte(served: Served, sample: Sample, first_results: Path) -> None:
     job_id = served.post(sample, frame_range=[0, NUM_FIRST])
     wait_for(lambda: served.job(job_id)["progress"] > 0.1)
     served.part("worker").kill()
@@ -76,7 +72,7 @@ def test_a_killed_worker_and_a_killed_broker_change_no_byte(
     assert served.downloads(job_id) == digests(first_results)
 
 
-def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
+def test_second_service_on_folder_is_refused(served: Served) -> None:
     second = subprocess.run(
         [*COMMAND, "--port", "0", "--data", str(served.data_dir)],
         capture_output=True,
@@ -90,7 +86,7 @@ def test_a_second_service_on_the_folder_is_refused(served: Served) -> None:
     assert served.client.get("/readyz").is_success
 
 
-def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None:
+def test_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None:
     port = str(served.client.base_url.port)
     command = [*COMMAND, "--port", port, "--data", str(tmp_path)]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
@@ -98,14 +94,14 @@ def test_a_port_that_is_taken_is_refused(served: Served, tmp_path: Path) -> None
     assert f"Port {port} can't be used on" in refused.stderr
 
 
-def test_a_killed_api_comes_back_on_its_port(served: Served) -> None:
+def test_killed_api_comes_back_on_its_port(served: Served) -> None:
     served.part("api").kill()
     # A new connection waits at the socket until the new process accepts it.
     assert httpx2.get(served.client.base_url.join("/healthz"), timeout=180, trust_env=False).is_success
     wait_for(lambda: len(served.tree()) == NUM_PROCESSES)
 
 
-def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
+def test_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
     command = [*COMMAND, "--port", "0", "--data", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process, httpx2.Client() as client:
         service = Served(process, tmp_path, client)
@@ -120,7 +116,7 @@ def test_a_killed_service_leaves_no_orphan(tmp_path: Path) -> None:
     wait_for(lambda: not any(is_alive(one) for one in tree), timeout_s=120)
 
 
-def test_the_command_that_a_refusal_names_lets_the_service_start(tmp_path: Path) -> None:
+def test_command_that_refusal_names_lets_service_start(tmp_path: Path) -> None:
     """The data folder is not the default folder, and a shell would split its name."""
     data = tmp_path / "a folder"
     # A loopback address, by a name that the service does not know.

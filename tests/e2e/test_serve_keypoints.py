@@ -68,7 +68,7 @@ def files(capture: Path) -> list[tuple[str, tuple[str, bytes]]]:
         ),
     ],
 )
-def test_the_same_files_as_without_the_service(
+def test_same_files_as_without_service(
     served: Served,
     capture: Path,
     tmp_path: Path,
@@ -124,7 +124,7 @@ def test_some_frames_and_some_people_at_another_rate(
 
 @OF_SERVICE
 @pytest.mark.slow
-def test_a_session_with_measured_clocks_has_the_same_files(served: Served, tmp_path: Path) -> None:
+def test_session_with_measured_clocks_has_same_files(served: Served, tmp_path: Path) -> None:
     """Cameras that started apart are synchronised by the manifest's choice; a job may state another."""
     simulation = record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3)
     late = simulation.cameras[1].name
@@ -155,7 +155,7 @@ def test_a_session_with_measured_clocks_has_the_same_files(served: Served, tmp_p
 
 @OF_SERVICE
 @pytest.mark.slow
-def test_a_disturbed_calibration_is_refined_with_the_same_files(served: Served, tmp_path: Path) -> None:
+def test_disturbed_calibration_is_refined_with_same_files(served: Served, tmp_path: Path) -> None:
     simulation = disturb_calibration(record(replace(find_scene("room"), duration_s=5.0), seed=2), 1.0, 0.0, seed=1)
     capture, results = tmp_path / "capture", tmp_path / "results"
     write_simulation(simulation, capture)
@@ -195,7 +195,7 @@ def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @OF_SERVICE
 @pytest.mark.slow
-def test_a_generated_client_gets_from_files_to_animations(served: Served, capture: Path, generated: ModuleType) -> None:
+def test_generated_client_gets_from_files_to_animations(served: Served, capture: Path, generated: ModuleType) -> None:
     def part(name: str) -> Any:
         return importlib.import_module(f"{generated.__name__}.{name}")
 

@@ -52,7 +52,7 @@ def test_shelf_by_clustering() -> None:
 
 
 @NEEDS_SHELF
-def test_live_capture_of_real_people_is_near_the_finished_session() -> None:
+def test_live_capture_of_real_people_is_near_finished_session() -> None:
     scores = evaluated("shelf", "--live")
     assert scores["live"]["people"] == 4
     assert scores["live"]["switches"] == 0
@@ -68,7 +68,7 @@ def test_shelf_at_one_image_in_five() -> None:
 
 @NEEDS_SHELF
 @pytest.mark.accuracy
-def test_shelf_at_one_image_in_five_and_what_the_parts_are_worth() -> None:
+def test_shelf_at_one_image_in_five_and_what_parts_are_worth() -> None:
     # In a child process without checks of shapes, which would take four times as long as the work.
     command = [sys.executable, "-m", "api.cli.main", "evaluate", "shelf", f"--data={FOLDER}", "--every=5", "--ablation"]
     command.append("--smoothing=none")  # the ablation concerns the steps before smoothing

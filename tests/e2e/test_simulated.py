@@ -52,7 +52,7 @@ def test_hands_that_touch_stay_both_peoples() -> None:
     assert whole["switches"] == 0
 
 
-def test_constraints_are_worth_what_the_paper_says() -> None:
+def test_constraints_are_worth_what_paper_says() -> None:
     """A short, small version of the paper's table 3; `multicap evaluate simulated --ablation` is the long one."""
     simulation = record(replace(find_scene("crowd"), duration_s=1.0), seed=3, num_views=8)
     with drawn_fields(simulation) as files:

@@ -49,7 +49,7 @@ def lists_of_edits(found: list[dict[str, int]], rng: np.random.Generator) -> lis
 
 
 @pytest.mark.slow
-def test_the_last_of_stacked_edits_wins_while_workers_are_killed(service: Served, tmp_path: Path) -> None:
+def test_last_of_stacked_edits_wins_while_workers_are_killed(service: Served, tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3), tmp_path / "capture")
     job_id, quiet_id = (reconstructed(service, tmp_path / "capture") for _ in range(2))
     lists = lists_of_edits(service.client.get(f"/v1/jobs/{job_id}/people").json()["found"], np.random.default_rng(SEED))

@@ -34,7 +34,7 @@ def stop(process: subprocess.Popen[str], number: signal.Signals) -> tuple[float,
 
 
 @pytest.mark.parametrize(("number", "is_ready"), [(signal.SIGTERM, True), (signal.SIGINT, False)])
-def test_a_service_is_stopped_without_killing(tmp_path: Path, number: signal.Signals, is_ready: bool) -> None:
+def test_service_is_stopped_without_killing(tmp_path: Path, number: signal.Signals, is_ready: bool) -> None:
     process = start(tmp_path)
     tree = [psutil.Process(process.pid)]
     if is_ready:
@@ -51,7 +51,7 @@ def test_a_service_is_stopped_without_killing(tmp_path: Path, number: signal.Sig
 
 
 @pytest.mark.benchmark
-def test_an_idle_service_ends_at_once(tmp_path: Path) -> None:
+def test_idle_service_ends_at_once(tmp_path: Path) -> None:
     took_s = []
     for number in range(5):
         process = start(tmp_path / str(number))

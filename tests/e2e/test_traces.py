@@ -66,7 +66,7 @@ def attributes(span: Any) -> dict[str, str | int | bool]:
     return {one.key: getattr(one.value, one.value.WhichOneof("value")) for one in span.attributes}
 
 
-def test_a_job_is_one_trace(collector: tuple[Collector, str], capture: Path, tmp_path: Path) -> None:
+def test_job_is_one_trace(collector: tuple[Collector, str], capture: Path, tmp_path: Path) -> None:
     found, address = collector
     with serving(tmp_path, 1, OTEL_EXPORTER_OTLP_ENDPOINT=address, OTEL_BSP_SCHEDULE_DELAY="200") as served:
         job_id = served.client.post("/v1/jobs", files=files(capture)).raise_for_status().json()["id"]

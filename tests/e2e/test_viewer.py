@@ -430,7 +430,7 @@ def test_all_pixels_are_drawn_again_at_rest(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_two_jobs_side_by_side_share_the_play_head(shown: Shown) -> None:
+def test_two_jobs_side_by_side_share_play_head(shown: Shown) -> None:
     shown.mount(2)
     page = shown.page
     expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2)
@@ -462,7 +462,7 @@ def test_missing_motion_is_reported(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_sheets_that_scroll_are_reached_by_the_keyboard(live: Live, job_ids: list[str]) -> None:
+def test_sheets_that_scroll_are_reached_by_keyboard(live: Live, job_ids: list[str]) -> None:
     with opened(str(live.client.base_url), {"width": 390, "height": 844}) as page:
         page.emulate_media(color_scheme="dark", reduced_motion="reduce")
         Shown(page, live, job_ids).mount()

@@ -218,7 +218,7 @@ def first_start(
         yield FirstStart(str(client.base_url), folder / "home", said, kernels_before, kernels, told, log)
 
 
-def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
+def test_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
     text = "import importlib.metadata as m; print(*{str(path).split('/')[0] for path in m.files('multicap')})"
     found = run(programs / "python", "-P", "-c", text, cwd=tmp_path).split()
     assert [name for name in found if not name.endswith(".dist-info") and name != ".."] == ["multicap"]
@@ -227,7 +227,7 @@ def test_the_wheel_holds_one_package(programs: Path, tmp_path: Path) -> None:
         assert run(programs / "python", "-P", "-c", text, cwd=tmp_path) == "None\n"
 
 
-def test_the_page_of_the_wheel_has_its_libraries(programs: Path, tmp_path: Path) -> None:
+def test_page_of_wheel_has_its_libraries(programs: Path, tmp_path: Path) -> None:
     if not (ROOT / "api/portal/vendor").is_dir():
         pytest.skip("the page's libraries are not installed (`make setup`)")
     text = "import multicap, pathlib; print(pathlib.Path(multicap.__file__).parent / 'api' / 'portal')"
@@ -239,7 +239,7 @@ def test_the_page_of_the_wheel_has_its_libraries(programs: Path, tmp_path: Path)
     assert (portal.parents[1] / viewer).read_bytes() == (ROOT / viewer).read_bytes()
 
 
-def test_a_build_installs_the_page_s_libraries_from_npm(tmp_path: Path) -> None:
+def test_build_installs_page_s_libraries_from_npm(tmp_path: Path) -> None:
     portal = tmp_path / "api" / "portal"
     shutil.copytree(ROOT / "api/portal", portal, ignore=shutil.ignore_patterns("node_modules", "vendor"))
     if not install_page_libraries(tmp_path):
@@ -254,24 +254,24 @@ def test_a_build_installs_the_page_s_libraries_from_npm(tmp_path: Path) -> None:
     assert not re.search(r"^import|[;}]import[ {*]", script)
 
 
-def test_stages_have_the_codes_of_the_checkout(programs: Path, foreign: Path) -> None:
+def test_stages_have_codes_of_checkout(programs: Path, foreign: Path) -> None:
     text = "import json; from multicap.pipeline.run.engine.code import stage_codes as c; print(json.dumps({**c()}))"
     assert json.loads(run(programs / "python", "-c", text, cwd=foreign)) == {**stage_codes()}
 
 
-def test_the_command_line(programs: Path, foreign: Path) -> None:
+def test_command_line(programs: Path, foreign: Path) -> None:
     said = run(programs / "multicap", "--version", cwd=foreign)
     assert said.startswith("multicap ")
     assert run(programs / "python", "-m", "multicap", "--version", cwd=foreign) == said
 
 
-def test_a_program_keeps_its_own_modules(programs: Path, tmp_path: Path) -> None:
+def test_program_keeps_its_own_modules(programs: Path, tmp_path: Path) -> None:
     (tmp_path / "pipeline.py").write_text("import multicap\nOPEN = multicap.open_session\n", encoding="utf-8")
     text = "import pipeline, multicap; print(pipeline.__file__, pipeline.OPEN is multicap.open_session)"
     assert run(programs / "python", "-c", text, cwd=tmp_path) == f"{tmp_path / 'pipeline.py'} True\n"
 
 
-def test_type_checkers_find_the_types(programs: Path, foreign: Path) -> None:
+def test_type_checkers_find_types(programs: Path, foreign: Path) -> None:
     """The wheel has the modules that `multicap` imports for type checkers, and is marked as typed."""
     text = "import multicap, pathlib; print(pathlib.Path(multicap.__file__).parent)"
     package = Path(run(programs / "python", "-c", text, cwd=foreign).strip())
@@ -285,7 +285,7 @@ def test_type_checkers_find_the_types(programs: Path, foreign: Path) -> None:
     ] == []
 
 
-def test_ready_is_said_when_a_job_would_start_at_once(first_start: FirstStart) -> None:
+def test_ready_is_said_when_job_would_start_at_once(first_start: FirstStart) -> None:
     matches = [COMPILING.fullmatch(sentence) for sentence in first_start.said]
     steps = [(int(match[1]), int(match[2])) for match in matches if match]
     assert len(steps) >= 5, first_start.said
@@ -298,14 +298,14 @@ def test_ready_is_said_when_a_job_would_start_at_once(first_start: FirstStart) -
     assert compiled["done"] == compiled["total"] == NUM_COMPILED
 
 
-def test_processes_of_a_pool(programs: Path, foreign: Path, tmp_path: Path, first_start: FirstStart) -> None:
+def test_processes_of_pool(programs: Path, foreign: Path, tmp_path: Path, first_start: FirstStart) -> None:
     options = [*video_capture(tmp_path / "capture"), f"--out={tmp_path / 'out'}", "--chunk-frames=10"]
     command: list[str | Path] = [programs / "multicap", "reconstruct", "--json", *options, "--processes=2"]
     said = run(*command, cwd=foreign, MULTICAP_HOME=str(first_start.home))
     assert json.loads(said)["metrics"]["num_frames"] == 20
 
 
-def test_a_job_by_the_client_and_the_same_in_the_process(
+def test_job_by_client_and_same_in_process(
     programs: Path, foreign: Path, tmp_path: Path, first_start: FirstStart
 ) -> None:
     capture = tmp_path / "capture"

@@ -165,7 +165,7 @@ def num_frames(path: Path) -> int:
 
 
 @pytest.mark.slow
-def test_captures_have_a_picture(page: Page, served: Served, tmp_path: Path) -> None:
+def test_captures_have_picture(page: Page, served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     files = [("videos", (name, paths[name].read_bytes())) for name in ("left.mp4", "right.mp4")]
     files += [("calibration", ("calibration.json", paths["calibration.json"].read_bytes()))]

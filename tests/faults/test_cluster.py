@@ -179,13 +179,13 @@ ONCE = [fault for fault in FAULTS if fault not in {fail_bucket, set_a_clock}]
 
 
 @pytest.mark.parametrize("fault", ONCE, ids=[fault.__name__ for fault in ONCE])
-def test_each_fault_of_a_cluster(cluster: Cluster, take: Path, expected: dict[str, str], fault: Fault) -> None:
+def test_each_fault_of_cluster(cluster: Cluster, take: Path, expected: dict[str, str], fault: Fault) -> None:
     chance = random.Random(f"{SEED}/{fault.__name__}")  # noqa: S311 - no secret
     one_run(cluster, take, expected, fault, chance, fault.__name__)
 
 
 @pytest.mark.soak
-def test_soak_of_a_cluster(cluster: Cluster, take: Path, expected: dict[str, str]) -> None:
+def test_soak_of_cluster(cluster: Cluster, take: Path, expected: dict[str, str]) -> None:
     print(f"seed {SEED}", flush=True)  # noqa: T201
     kinds: Counter[str] = Counter()
     for number in range(RUNS):

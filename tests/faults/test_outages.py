@@ -200,9 +200,7 @@ def test_outages_of_all_parts_at_once(service: SeveralMachines, take: Path, expe
 
 
 @pytest.mark.slow
-def test_the_page_and_readiness_answer_during_an_outage_and_the_job_says_what_it_waits_for(
-    service: SeveralMachines, take: Path
-) -> None:
+def test_page_answers_during_outage_and_job_says_reason(service: SeveralMachines, take: Path) -> None:
     seen: set[str] = set()
     session = service.call("POST", "/v1/sessions", files=files(take)).json()
     service.proxy.set("hang")

@@ -144,10 +144,10 @@ def run(campaign: Campaign, folder: Path, *counts: int) -> CampaignReport:
 
 
 @pytest.mark.parametrize("share", [1, pytest.param(5, marks=pytest.mark.hostile)])
-def test_a_short_campaign(campaign: Campaign, tmp_path: Path, share: int) -> None:
+def test_short_campaign(campaign: Campaign, tmp_path: Path, share: int) -> None:
     run(campaign, tmp_path / "videos", 8 * share, 2 * share, 2 * share)
 
 
 @pytest.mark.hostile
-def test_the_whole_campaign(campaign: Campaign, tmp_path: Path) -> None:
+def test_whole_campaign(campaign: Campaign, tmp_path: Path) -> None:
     run(campaign, tmp_path / "videos", *(round(SHARE * count) for count in (5000, 500, 500))).check_times()

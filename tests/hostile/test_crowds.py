@@ -69,7 +69,7 @@ def reconstruct(method: Method, name: str, num_cameras: int, num_frames: int) ->
 
 
 @pytest.mark.parametrize(("method", "name"), CASES)
-def test_a_frame_of_a_hostile_crowd_is_bounded(child: ProcessPoolExecutor, method: Method, name: str) -> None:
+def test_frame_of_hostile_crowd_is_bounded(child: ProcessPoolExecutor, method: Method, name: str) -> None:
     num_frames = 3 if method == "tracking" else 1
     taken_s, _, peak_kib = child.submit(reconstruct, method, name, 4, num_frames).result()
     assert taken_s < 2 * num_frames * MAX_FRAME_S
@@ -83,7 +83,7 @@ def test_frames_that_are_approximate_are_counted(child: ProcessPoolExecutor, met
 
 
 @pytest.mark.parametrize(("num_cameras", "num_expected"), [(12, 0), pytest.param(31, 1, marks=pytest.mark.hostile)])
-def test_many_cameras_in_a_hostile_crowd(child: ProcessPoolExecutor, num_cameras: int, num_expected: int) -> None:
+def test_many_cameras_in_hostile_crowd(child: ProcessPoolExecutor, num_cameras: int, num_expected: int) -> None:
     name = "nearly in one place"
     taken_s, num_approximate, peak_kib = child.submit(reconstruct, "tracking", name, num_cameras, 1).result()
     assert num_approximate == num_expected
@@ -101,7 +101,7 @@ def people_in_a_hall(num_people: int, num_cameras: int, num_frames: int) -> tupl
 
 
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_a_hundred_people_in_a_frame(method: Method) -> None:
+def test_hundred_people_in_frame(method: Method) -> None:
     session, truth_m = people_in_a_hall(100, 8, 6 if method == "tracking" else 4)
     assert max(int(np.bincount(one.frame).max()) for one in session.detections.values()) > 90
     people = associated(session, method)
@@ -112,7 +112,7 @@ def test_a_hundred_people_in_a_frame(method: Method) -> None:
     assert np.count_nonzero(apart_m.min(1) < 0.3) > 90
 
 
-def test_progress_comes_from_within_a_pass_over_a_crowd() -> None:
+def test_progress_comes_from_within_pass_over_crowd() -> None:
     session = hostile_crowds(40, 4, 20)["elsewhere in each frame"]()
     shares: list[float] = []
     association_of(session, "tracking").track(gathered(session), shares.append)

@@ -131,7 +131,7 @@ def jobs_per_s(folder: Path, num_workers: int) -> float:
         return num_jobs / (time.monotonic() - started_s)
 
 
-def test_four_workers_with_half_a_core_each(tmp_path: Path) -> None:
+def test_four_workers_with_half_core_each(tmp_path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("groups of processes need root")
     one, four = (jobs_per_s(tmp_path / str(number), number) for number in (1, 4))

@@ -1,7 +1,7 @@
 """Lists, searches and claims beside 10,000 sessions and 100,000 jobs on PostgreSQL.
 
 ``make load`` runs it: times are those of an API process that a client calls over loopback, one request after another.
-``test_no_query_reads_more_rows_than_a_page_needs`` asks PostgreSQL how many rows each query of a request reads.
+``test_no_query_reads_more_rows_than_page_needs`` asks PostgreSQL how many rows each query of a request reads.
 """
 
 import contextlib
@@ -147,7 +147,7 @@ def queries(engine: sa.Engine) -> Iterator[list[tuple[str, Any]]]:
         sa.event.remove(engine, "before_cursor_execute", note)
 
 
-def test_no_query_reads_more_rows_than_a_page_needs(many: tuple[ManyJobs, str]) -> None:
+def test_no_query_reads_more_rows_than_page_needs(many: tuple[ManyJobs, str]) -> None:
     filled, _ = many
     store, engine = filled.store.tenant("tenant-0"), filled.store._database._engine
     acts: dict[str, Callable[[], object]] = {

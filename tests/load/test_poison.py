@@ -144,7 +144,7 @@ def running(data_dir: Path) -> Iterator[PoisonBench]:
         yield bench
 
 
-def test_jobs_that_kill_their_workers_delay_another_tenant_by_a_bounded_factor(tmp_path: Path) -> None:
+def test_jobs_killing_workers_delay_others_by_bounded_factor(tmp_path: Path) -> None:
     ratios = []
     with running(tmp_path / "data") as bench:
         bench.seconds(bench.add_small())  # the workers have loaded what the jobs need

@@ -42,7 +42,7 @@ def two_takes(pause_s: float) -> KeypointSession:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_a_pause_of_nine_hours(method: Method) -> None:
+def test_pause_of_nine_hours(method: Method) -> None:
     steps: Counter[str] = Counter()
 
     def on_progress(progress: Progress) -> None:
@@ -67,7 +67,7 @@ def test_a_pause_of_nine_hours(method: Method) -> None:
 
 @pytest.mark.parametrize("method", ["tracking", pytest.param("clustering", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("frames", [(2000, 3000), pytest.param((10, 972_020), marks=pytest.mark.slow)])
-def test_frames_that_are_wanted_around_a_pause_and_in_it(method: Method, frames: tuple[int, int]) -> None:
+def test_frames_that_are_wanted_around_pause_and_in_it(method: Method, frames: tuple[int, int]) -> None:
     config = ReconstructionConfig(method=method, smoothing="none", frame_range=frames)
     found = reconstruct(two_takes(32_400.0), config)
     assert bool(found.tracks) == (frames[0] == 10)

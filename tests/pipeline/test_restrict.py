@@ -36,7 +36,7 @@ def positions(found: Reconstruction) -> Mapping[int, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Method) -> None:
+def test_they_move_as_they_do_in_whole(session: KeypointSession, method: Method) -> None:
     config = ReconstructionConfig(method=method, smoothing="none")
     whole = positions(reconstruct(session, config))
     part = reconstruct(session, replace(config, frame_range=(30, 70)))
@@ -49,7 +49,7 @@ def test_they_move_as_they_do_in_the_whole(session: KeypointSession, method: Met
 
 
 @pytest.mark.slow
-def test_all_of_them_are_the_whole(session: KeypointSession) -> None:
+def test_all_of_them_are_whole(session: KeypointSession) -> None:
     frames = 0, session.timebase.num_frames
     whole, same = (reconstruct(session, ReconstructionConfig(frame_range=one)) for one in (None, frames))
     for one, other in zip(whole.located, same.located, strict=True):

@@ -28,7 +28,7 @@ def opened(capture: Path) -> KeypointSession:
     return open_keypoints(capture / "keypoints", capture / "calibration.json", frame_rate_hz=RATE_HZ)
 
 
-def test_reconstruct_keypoints_from_another_number_equal_the_same_from_zero(capture: Path, tmp_path: Path) -> None:
+def test_reconstruct_keypoints_from_other_number_equals_zero(capture: Path, tmp_path: Path) -> None:
     config = ReconstructionConfig(frame_range=(4, 24))
     expected = reconstruct(opened(capture), config)
     for path in sorted((capture / "keypoints").rglob("*.json"), reverse=True):

@@ -16,7 +16,7 @@ def read_tree(rig: str) -> BoneTree:
 
 
 @pytest.mark.parametrize("rig", ["default", "mixamo", "game_engine"])
-def test_bones_equal_those_the_service_recognises(rig: str) -> None:
+def test_bones_equal_those_service_recognises(rig: str) -> None:
     expected = map_bones(decode_character("a.glb", character(bones_of(rig))))
     tree = read_tree(rig)
     found = recognise_bones(tree)

@@ -41,7 +41,7 @@ def test_modules_import_standard_library_and_blender_only(tmp_path: Path) -> Non
             assert found <= set(sys.stdlib_module_names) | OF_BLENDER, name
 
 
-def test_modules_without_blender_run_outside_of_the_project(tmp_path: Path) -> None:
+def test_modules_without_blender_run_outside_of_project(tmp_path: Path) -> None:
     with zipfile.ZipFile(build(tmp_path)) as archive:
         archive.extractall(tmp_path / "somewhere" / "odd_name")
     program = (

@@ -320,7 +320,7 @@ def test_redirects_lead_to_web_addresses_alone(wrong_service: WrongService, targ
         BlenderClient(wrong_service.address).download(ID, file_of(b"content"), tmp_path / "0", ignore)
 
 
-def test_redirects_in_a_circle_end(wrong_service: WrongService, tmp_path: Path) -> None:
+def test_redirects_in_circle_end(wrong_service: WrongService, tmp_path: Path) -> None:
     wrong_service.answers["/"] = says(302, b"", Location="/again")
     with pytest.raises(RequestError):
         BlenderClient(wrong_service.address).download(ID, file_of(b"content"), tmp_path / "0", ignore)
@@ -428,7 +428,7 @@ def gate(live: Live) -> Iterator[ServiceGate]:
     made.close()
 
 
-def test_connections_that_break_in_a_piece(
+def test_connections_that_break_in_piece(
     live: Live, gate: ServiceGate, capture_files: tuple[list[Path], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(client_module, "_PIECE_BYTES", 7000)

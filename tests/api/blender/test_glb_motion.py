@@ -55,7 +55,7 @@ def posed_m(motion: PersonMotion, frame: int) -> dict[str, np.ndarray]:
     return places
 
 
-def test_joints_are_where_the_service_has_them(content: bytes, tmp_path: Path) -> None:
+def test_joints_are_where_service_has_them(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "0.glb"
     path.write_bytes(content)
     facts, motion = check_glb(path), read_motion(path)

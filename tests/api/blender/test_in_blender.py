@@ -161,7 +161,7 @@ def test_keys_lie_at_frames_at_any_rate(
     assert of_armature == pytest.approx([0.0, NUM_FRAMES - 1], abs=1e-3)
 
 
-def test_keys_of_people_keep_their_times_at_the_rate_of_the_scene(
+def test_keys_of_people_keep_their_times_at_rate_of_scene(
     live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]]
 ) -> None:
     with_people(live, named, files)
@@ -203,7 +203,7 @@ def test_fbx_without_glb(live: Live, named: Reconstruction, blender: Callable[..
     assert put["message"] == "Choose one person whose motion the armature gets."
 
 
-def test_cameras_of_the_take(
+def test_cameras_of_take(
     live: Live, named: Reconstruction, files: dict[str, bytes], blender: Callable[..., list[Any]]
 ) -> None:
     with_people(live, named, files)
@@ -226,7 +226,7 @@ def test_cameras_of_the_take(
 
 
 @pytest.mark.parametrize(("rig", "scale"), [("mixamo", 0.01), ("default", 1.0), ("game_engine", 1.0)])
-def test_motion_on_an_armature(
+def test_motion_on_armature(
     live: Live,
     named: Reconstruction,
     files: dict[str, bytes],
@@ -298,7 +298,7 @@ def test_bones_whose_names_tell_nothing(
     assert live.client.get("/v1/characters").json()["characters"] == []
 
 
-def test_send_a_folder(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
+def test_send_folder(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:
     folder = tmp_path / "Walk 7"
     folder.mkdir()
     for number in range(2):

@@ -107,7 +107,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
         [(rig, *place) for rig in RIGS for place in PLACES],
     ),
 )
-def test_limbs_point_as_the_person_s(
+def test_limbs_point_as_person_s(
     motion: PersonMotion,
     rig: str,
     turn_deg: tuple[float, float, float],
@@ -164,7 +164,7 @@ def test_hips_and_feet_go_as_far_as_legs_are_long(motion: PersonMotion) -> None:
         assert place[mapped.bones["LeftFoot"]][2] == pytest.approx(expected_m, abs=0.02)
 
 
-def test_bones_without_a_joint_stay_at_rest(motion: PersonMotion) -> None:
+def test_bones_without_joint_stay_at_rest(motion: PersonMotion) -> None:
     armature = armature_of(bones_of("default"), Rotation.identity(), 1.0, (0.0, 0.0, 0.0), seed=3)
     mapped = add_trunk(read_tree("default"), recognise_bones(read_tree("default")))
     pose = next(Retargeting(motion, armature, mapped).frames())

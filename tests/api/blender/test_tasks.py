@@ -68,7 +68,7 @@ def test_pause_ends_with_task() -> None:
     wait_for(lambda: task.is_over, timeout_s=10)
 
 
-def test_files_of_a_folder(tmp_path: Path) -> None:
+def test_files_of_folder(tmp_path: Path) -> None:
     for name in ("b.MP4", "a.mov", "._a.mov", "notes.md", "calib.toml"):
         (tmp_path / name).write_bytes(b"12")
     files = find_capture(tmp_path)

@@ -160,7 +160,7 @@ def test_damaged_and_missing_certificates_are_made_anew(tmp_path: Path, name: st
         assert authority_of(renewed) != before
 
 
-def test_unusable_folder_is_a_sentence(tmp_path: Path) -> None:
+def test_unusable_folder_is_sentence(tmp_path: Path) -> None:
     (tmp_path / "certificates").write_text("a file")
     with pytest.raises(CertificateError, match="Check its owner and mode"):
         own_encryption(tmp_path)
@@ -179,7 +179,7 @@ def given(tmp_path: Path) -> tuple[Path, Path]:
     return certificate, key
 
 
-def test_certificate_given_states_names_of_the_service(given: tuple[Path, Path]) -> None:
+def test_certificate_given_states_names_of_service(given: tuple[Path, Path]) -> None:
     encryption = given_encryption(*given)
     assert encryption.names == ("studio.example", "192.0.2.7")
     variables = encryption.environment(8443, ["other.example"], None)
@@ -258,7 +258,7 @@ def test_phones_join_and_upload_over_it(make_settings: Callable[..., Settings], 
             httpx2.get(f"http://localhost:{port}/healthz")
 
 
-def test_without_an_authority_there_is_no_certificate_to_get(service: Live) -> None:
+def test_without_authority_there_is_no_certificate_to_get(service: Live) -> None:
     problem_of(service.client.get("/certificate"), 404, "not_found")
 
 

@@ -58,7 +58,7 @@ def test_bad_input_lists_all_problems_as_json(tmp_path: Path) -> None:
     assert str(tmp_path) not in result.stdout
 
 
-def test_bad_input_lists_problems_a_line_for_a_person(tmp_path: Path) -> None:
+def test_bad_input_lists_problems_line_for_person(tmp_path: Path) -> None:
     result = runner.invoke(
         app, ["reconstruct", f"--videos={tmp_path}", f"--calibration={tmp_path / 'none.toml'}", f"--out={tmp_path}"]
     )
@@ -243,7 +243,7 @@ def test_wrong_usage_exits_with_2() -> None:
     assert runner.invoke(app, ["fly"]).exit_code == 2
 
 
-def test_models_list_has_the_keys_that_others_rely_on() -> None:
+def test_models_list_has_keys_that_others_rely_on() -> None:
     listed = json.loads(runner.invoke(app, ["models", "list", "--json"]).stdout)["models"]
     assert {"name", "installed", "licence", "sha256"} <= set(listed[0])
     assert [one["name"] for one in listed] == [one.name for one in models.status()]
@@ -362,7 +362,7 @@ def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("narrow")
 @pytest.mark.parametrize("as_json", [False, True])
-def test_too_little_memory_is_told_without_a_stack_trace(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_little_memory_is_told_without_stack_trace(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(typer.Exit) as left, reporting(as_json):
         bytearray(2**62)
     assert left.value.exit_code == 1
@@ -414,7 +414,7 @@ def test_ids_and_names_are_never_shortened_in_lists(tmp_path: Path) -> None:
     assert row.endswith(" UTC")
 
 
-def test_until_when_a_key_is_valid() -> None:
+def test_until_when_key_is_valid() -> None:
     now = datetime(2026, 12, 1, 10, 0, 30, tzinfo=UTC)
 
     def until(expires_at: datetime | None, revoked_at: datetime | None = None) -> str:
@@ -452,7 +452,7 @@ NEWER = "written by a newer version of Multicap (schema 0099). Upgrade Multicap,
         pytest.param(["api"], 1, marks=pytest.mark.slow),
     ],
 )
-def test_database_newer_version_is_a_sentence(tmp_path: Path, command: list[str], status: int) -> None:
+def test_database_newer_version_is_sentence(tmp_path: Path, command: list[str], status: int) -> None:
     assert runner.invoke(app, ["keys", "list", "--data", str(tmp_path)]).exit_code == 0
     with contextlib.closing(sqlite3.connect(tmp_path / "multicap.db")) as database, database:
         database.execute("UPDATE alembic_version SET version_num = '0099'")

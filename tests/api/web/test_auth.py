@@ -158,7 +158,7 @@ def test_contract_says_which_calls_want_key() -> None:
 
 
 @pytest.mark.parametrize(("method", "path"), GUARDED)
-def test_without_a_valid_key_there_is_nothing(guarded: Guarded, method: str, path: str) -> None:
+def test_without_valid_key_there_is_nothing(guarded: Guarded, method: str, path: str) -> None:
     revoked, revoked_secret = guarded.key(ALL)
     guarded.live.services.store.keys.revoke(revoked.id)
     _, expired_secret = guarded.key(ALL, lifetime_s=-1.0)
@@ -203,7 +203,7 @@ def test_another_tenant_s_footage_makes_no_session(guarded: Guarded) -> None:
         assert {item["code"] for item in problem["errors"]} == {"session_unknown", "calibration_unknown"}
 
 
-def test_lists_show_the_caller_s_own(guarded: Guarded) -> None:
+def test_lists_show_caller_s_own(guarded: Guarded) -> None:
     for path, name in (("/v1/sessions", "sessions"), ("/v1/jobs", "jobs")):
         assert guarded.ask("GET", path, guarded.mine).json()[name] == []
         assert len(guarded.ask("GET", path, guarded.theirs).json()[name]) == 1
@@ -330,7 +330,7 @@ class TestBrowser:
             assert "set-cookie" not in answer.headers
 
 
-def test_over_tls_the_cookie_is_of_this_host_alone(make_settings: Callable[..., Settings]) -> None:
+def test_over_tls_cookie_is_of_this_host_alone(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(trusted_proxies=frozenset({"127.0.0.1"}))) as live:
         _, secret = live.services.store.keys.add("mine", "portal", USUAL)
         live.client.headers |= {"X-Forwarded-Proto": "https", "Origin": f"https://127.0.0.1:{live.address[1]}"}
@@ -352,7 +352,7 @@ def test_over_tls_the_cookie_is_of_this_host_alone(make_settings: Callable[..., 
         problem_of(live.client.get("/v1/jobs", headers={"Cookie": f"{name}={value}"}), 401, "key_required")
 
 
-def test_browsers_come_and_go_on_a_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
+def test_browsers_come_and_go_on_full_disk(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 64) as disk, running(make_settings(data_dir=disk / "data")) as live:
         _, secret = live.services.store.keys.add("mine", "portal", USUAL)
         requests: list[tuple[str, dict[str, Any]]] = [("POST", {"json": {"key": secret}}), ("DELETE", {})]

@@ -41,7 +41,7 @@ UNKNOWN = "0192d7a5-7c1e-7b2a-8f3e-6d5c4b3a2f10"
         ("POST", "/v1/jobs", 415, "unsupported_media_type"),
     ],
 )
-def test_every_refusal_is_a_problem(live: Live, method: str, path: str, status: int, code: str) -> None:
+def test_every_refusal_is_problem(live: Live, method: str, path: str, status: int, code: str) -> None:
     problem_of(live.client.request(method, path), status, code)
 
 
@@ -111,7 +111,7 @@ def test_json_of_another_type_is_not_read(live: Live) -> None:
     assert problem["detail"] == "This address accepts application/json."
 
 
-def test_failure_of_the_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_of_service_says_nothing_of_its_insides(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("/srv/secret/path is gone")
 

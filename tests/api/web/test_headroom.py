@@ -109,7 +109,7 @@ def test_repeated_requests_are_answered_without_headroom(make_settings: Callable
     ]
 
 
-def test_pages_from_elsewhere_may_read_the_refusal(make_settings: Callable[..., Settings]) -> None:
+def test_pages_from_elsewhere_may_read_refusal(make_settings: Callable[..., Settings]) -> None:
     portal = "https://portal.example"
     settings = make_settings(allowed_origins=frozenset({portal}), headroom_bytes=MORE_THAN_ANY_DISK)
     with running(settings) as live:

@@ -188,7 +188,7 @@ def test_stream_ends_with_its_link(studio: Studio) -> None:
     studio.ask("POST", f"/v1/jobs/{job_id}/cancel")
 
 
-def test_rights_of_link_count_even_with_a_key(studio: Studio) -> None:
+def test_rights_of_link_count_even_with_key(studio: Studio) -> None:
     token = studio.token("file", "person-1.bvh")
     answer = studio.ask("GET", f"/v1/jobs/{studio.job_id}", params={"link": token})
     problem_of(answer, 404, "not_found")

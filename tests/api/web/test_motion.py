@@ -74,7 +74,7 @@ EXPECTED = {
 }
 
 
-def test_frames_of_a_range(live: Live, path: str) -> None:
+def test_frames_of_range(live: Live, path: str) -> None:
     for query, expected in EXPECTED.items():
         answer = live.client.get(f"{path}{query}")
         assert (answer.status_code, answer.content) == (200, expected), query
@@ -91,14 +91,14 @@ RANGES = [
 ]
 
 
-def test_bytes_of_the_frames(live: Live, path: str) -> None:
+def test_bytes_of_frames(live: Live, path: str) -> None:
     for wanted, start, stop in RANGES:
         answer = live.client.get(path, headers={"Range": wanted})
         assert (answer.status_code, answer.content) == (206, WHOLE[start:stop]), wanted
         assert answer.headers["content-range"] == f"bytes {start}-{stop - 1}/{len(WHOLE)}"
 
 
-def test_bytes_behind_the_end(live: Live, path: str) -> None:
+def test_bytes_behind_end(live: Live, path: str) -> None:
     answer = live.client.get(path, headers={"Range": f"bytes={len(WHOLE)}-"})
     problem_of(answer, 416, "range_not_satisfiable")
     assert answer.headers["content-range"] == f"bytes */{len(WHOLE)}"
@@ -113,7 +113,7 @@ def test_each_range_has_its_own_tag(live: Live, path: str) -> None:
     assert live.client.get(f"{path}?from=2", headers={"If-None-Match": tags[1]}).status_code == 200
 
 
-def test_head_has_the_length(live: Live, path: str) -> None:
+def test_head_has_length(live: Live, path: str) -> None:
     answer = live.client.head(f"{path}?person=4")
     assert (answer.status_code, answer.headers["content-length"]) == (200, str(len(part(4, 20, 30))))
 
@@ -138,7 +138,7 @@ def test_downloads_leave_motion_out(live: Live, path: str) -> None:
     assert live.client.get(f"{results}/motion.json").status_code == 200
 
 
-def test_motion_of_a_revision_stays_until_the_next_one_is_made(live: Live) -> None:
+def test_motion_of_revision_stays_until_next_one_is_made(live: Live) -> None:
     job_id = live.job_id()
     found = (PersonSpan(1, 0, 30),)
     live.finish(job_id, motion=FILES, people=found)

@@ -11,7 +11,7 @@ from tests.api.conftest import Live
 from worker.store.spec import JobSpec
 
 
-def test_options_describe_every_choice_of_a_job(live: Live) -> None:
+def test_options_describe_every_choice_of_job(live: Live) -> None:
     listed = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     properties = live.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     assert list(listed) == [
@@ -41,7 +41,7 @@ def test_options_describe_every_choice_of_a_job(live: Live) -> None:
     assert listed["frame_range"]["unset"] == "all frames"
 
 
-def test_each_purpose_sets_the_same_choices_to_allowed_values(live: Live) -> None:
+def test_each_purpose_sets_same_choices_to_allowed_values(live: Live) -> None:
     purposes = live.client.get("/v1/options").json()["purposes"]
     assert len({purpose["name"] for purpose in purposes}) == len(purposes) > 1
     for purpose in purposes:
@@ -69,7 +69,7 @@ def test_each_purpose_sets_the_same_choices_to_allowed_values(live: Live) -> Non
     ],
     ids=str,
 )
-def test_specs_keep_to_the_declared_limits(wrong: dict[str, object]) -> None:
+def test_specs_keep_to_declared_limits(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         JobSpec.model_validate(wrong)
 
@@ -82,13 +82,13 @@ def test_specs_take_what_is_declared() -> None:
     assert (spec.people, spec.frame_range, spec.output_rate_hz) == (2, (0, 5), 1.0)
 
 
-def test_reconstruct_has_an_option_for_every_choice() -> None:
+def test_reconstruct_has_option_for_every_choice() -> None:
     options = {option for parameter in load("reconstruct").params for option in parameter.opts}
     choices = (*CHOICES.values(), *declared_choices(ReconstructionConfig))
     assert {f"--{choice.option}" for choice in choices} <= options
 
 
-def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_is_what_code_says(capsys: pytest.CaptureFixture[str]) -> None:
     assert PAGE.read_text(encoding="utf-8") == document()
     assert main(["--check"]) == 0
     assert capsys.readouterr().err == ""

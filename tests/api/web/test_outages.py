@@ -65,7 +65,7 @@ def test_store_that_refuses_is_another_problem(on_s3: Live, proxy: UnreliablePro
     problem_of(on_s3.post_session(), 503, "artifacts_refused")
 
 
-def test_our_own_client_continues_a_download_where_it_broke(
+def test_our_own_client_continues_download_where_it_broke(
     on_s3: Live, proxy: UnreliableProxy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(own_client, "_FIRST_PAUSE_S", 0.1)
@@ -93,7 +93,7 @@ def test_our_own_client_continues_a_download_where_it_broke(
     assert 0 < starts[0] < starts[1] < len(LARGE)
 
 
-def test_our_own_client_follows_a_job_through_an_outage(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_our_own_client_follows_job_through_outage(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(own_client, "_FIRST_PAUSE_S", 0.1)
     job_id = live.job_id()
     job = live.client.get(f"/v1/jobs/{job_id}").json()
@@ -187,7 +187,7 @@ class TestTwoProcesses:
         assert Uploader(others.client).send(address, 0, b"abcdef").status_code == 204
 
 
-def test_readiness_answers_while_the_database_hangs(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readiness_answers_while_database_hangs(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     release = threading.Event()
     monkeypatch.setattr(live.services.store, "ping", lambda: release.wait(60))
     errors = problem_of(live.client.get("/readyz"), 503, "not_ready")["errors"]

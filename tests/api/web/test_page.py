@@ -189,7 +189,7 @@ def test_without_sample_capture_page_says_how_to_install_it(live: Live, monkeypa
         expect(page.get_by_role("alert")).to_contain_text("Run: multicap samples install")
 
 
-def test_without_its_libraries_the_page_says_what_is_missing(live: Live) -> None:
+def test_without_its_libraries_page_says_what_is_missing(live: Live) -> None:
     with opened(str(live.client.base_url), allowed=("404",)) as page:
         page.route("**/portal/vendor/**", lambda route: route.fulfill(status=404))
         page.reload()

@@ -35,7 +35,7 @@ def edit(live: Live, job_id: str, *edits: object, **headers: str) -> Any:
     return live.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits}, headers=headers)
 
 
-def test_people_are_edited_and_the_edits_undone(live: Live, job_id: str) -> None:
+def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
     assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["people"] == f"/v1/jobs/{job_id}/people"
     before = people(live, job_id)
     assert (before["revision"], before["edits"], before["num_frames"]) == (0, [], 60)
@@ -77,9 +77,7 @@ def test_old_entity_tag_is_conflict(live: Live, job_id: str) -> None:
     assert people(live, job_id)["edits"] == [ANNA]
 
 
-def test_edits_are_not_applied_for_an_unchanged_answer(
-    live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_edits_are_not_applied_for_unchanged_answer(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert edit(live, job_id, ANNA).status_code == 202
     live.finish(job_id, people=FOUND)
     etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
@@ -144,7 +142,7 @@ def test_edits_are_stacked(live: Live, job_id: str) -> None:
     assert all(attempt["finished_at"] for attempt in attempts)
 
 
-def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id: str) -> None:
+def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: str) -> None:
     def read() -> tuple[int, list[int], bytes, int]:
         job = live.client.get(f"/v1/jobs/{job_id}").json()
         listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
@@ -177,7 +175,7 @@ def test_files_stay_until_those_of_the_next_revision_are_made(live: Live, job_id
     assert read() == (1, [1], b"edited", 200)
 
 
-def test_downloads_name_the_revision_of_the_edits(live: Live, job_id: str) -> None:
+def test_downloads_name_revision_of_edits(live: Live, job_id: str) -> None:
     def names() -> list[str]:
         (listed,) = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
         sent = [live.client.get(path).headers["content-disposition"] for path in (listed["link"], zipped)]

@@ -62,7 +62,7 @@ def test_unfinished_jobs(make_settings: Callable[..., Settings]) -> None:
         problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 429, "quota_exceeded")
 
 
-def test_requests_a_minute(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requests_minute(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch) -> None:
     with running(make_settings(max_requests_per_minute=5)) as live:
         secrets = [live.services.store.keys.add(tenant, "x", {Scope.READ})[1] for tenant in ("mine", "mine", "theirs")]
         first, second, theirs = ({"Authorization": f"Bearer {secret}"} for secret in secrets)

@@ -98,7 +98,7 @@ def test_ranges(live: Live, path: str) -> None:
         assert answer.headers["etag"] == ETAG
 
 
-def test_ranges_beyond_the_end(live: Live, path: str) -> None:
+def test_ranges_beyond_end(live: Live, path: str) -> None:
     for wanted in ("bytes=1024-", "bytes=5000-6000", "bytes=-0"):
         answer = live.client.get(path, headers={"Range": wanted})
         problem_of(answer, 416, "range_not_satisfiable")
@@ -140,7 +140,7 @@ def test_all_as_one_archive(live: Live, job_id: str) -> None:
     }
 
 
-def test_videos_are_in_a_folder_of_the_archive_as_they_are(live: Live) -> None:
+def test_videos_are_in_folder_of_archive_as_they_are(live: Live) -> None:
     job_id = live.job_id()
     video = bytes(1000)
     live.finish(job_id, overlays={"overlay-cam_0.mp4": video})
@@ -156,7 +156,7 @@ def test_videos_are_in_a_folder_of_the_archive_as_they_are(live: Live) -> None:
     assert (packed.compress_type, packed.file_size) == (zipfile.ZIP_STORED, 1000)
 
 
-def test_file_of_the_take_has_no_person(live: Live) -> None:
+def test_file_of_take_has_no_person(live: Live) -> None:
     job_id = live.job_id()
     live.finish(job_id, scenes={"take.glb": b"glTF"})
     (listed,) = (
@@ -310,7 +310,7 @@ DAMAGES = pytest.mark.parametrize("damage", [flip, truncate])
         {"If-None-Match": "*"},
     ],
 )
-def test_no_byte_of_a_damaged_file_is_sent(
+def test_no_byte_of_damaged_file_is_sent(
     live: Live, path: str, stored: Path, damage: Callable[[Path], None], headers: dict[str, str]
 ) -> None:
     damage(stored)
@@ -325,7 +325,7 @@ def test_no_byte_of_a_damaged_file_is_sent(
 
 
 @DAMAGES
-def test_no_archive_is_begun_with_a_damaged_file(
+def test_no_archive_is_begun_with_damaged_file(
     live: Live, job_id: str, stored: Path, damage: Callable[[Path], None]
 ) -> None:
     damage(stored)
@@ -369,7 +369,7 @@ def test_backup_that_is_made_meanwhile_breaks_no_download(live: Live, name: str,
 
 
 @pytest.mark.slow
-def test_results_of_a_damaged_bucket(
+def test_results_of_damaged_bucket(
     make_settings: Callable[..., Settings], s3: S3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name, value in s3.environment.items():

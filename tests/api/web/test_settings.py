@@ -23,7 +23,7 @@ def test_all_else_is_reached_from_elsewhere(host: str) -> None:
     assert not Settings(host=host, trust_network=True).is_exposed
 
 
-def test_api_and_workers_mean_the_same_places(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_api_and_workers_mean_same_places(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("MULTICAP_DATA_DIR", str(tmp_path))
     api, worker = Settings(), WorkerSettings()
     assert api.resolved_database_url == worker.resolved_database_url

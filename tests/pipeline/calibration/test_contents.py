@@ -32,7 +32,7 @@ def test_survey_coordinates_are_metres() -> None:
     assert possible_units([placed(camera, np.array([5e5, 3e5, 40.0])) for camera in RING]) == ("m",)
 
 
-def test_the_farthest_camera_is_named_with_both_distances() -> None:
+def test_farthest_camera_is_named_with_both_distances() -> None:
     """As of a calibration whose origin is the first camera."""
     rig = [placed(camera, -center(RING[0])) for camera in RING]
     farthest = max(rig, key=lambda camera: float(np.linalg.norm(center(camera))))

@@ -46,7 +46,7 @@ def test_utf_16_in_archives(tmp_path: Path) -> None:
     assert_rig(read_contents(write_zip(tmp_path / "rig.zip", files)))
 
 
-def test_half_a_character_of_utf_16_is_refused(tmp_path: Path) -> None:
+def test_half_character_of_utf_16_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_bytes("[cam_0]".encode("utf-16") + b"1")
     with pytest.raises(InputError):
         read_contents(tmp_path / "rig.toml")

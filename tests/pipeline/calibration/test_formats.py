@@ -23,7 +23,7 @@ def documented() -> list[str]:
     return rows
 
 
-def test_table_of_formats_is_the_one_of_the_readers() -> None:
+def test_table_of_formats_is_one_of_readers() -> None:
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     table = text[text.index("| format | file, recognised by | lengths |") :].partition("\n\n")[0]
     assert sorted(documented()) == sorted(table.splitlines()[2:])

@@ -41,7 +41,7 @@ def rig_of_12(lens: str) -> tuple[Camera, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"multicap"}))
-def test_program_triangulates_with_the_cameras_that_are_written(tmp_path: Path, name: str, lens: str) -> None:
+def test_program_triangulates_with_cameras_that_are_written(tmp_path: Path, name: str, lens: str) -> None:
     if not (PEERS / ".installed").is_file():
         pytest.skip("aniposelib and Caliscope are not installed (`make verify-exports` does it)")
     rig = rig_of_12(lens)

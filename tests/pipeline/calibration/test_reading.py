@@ -59,13 +59,13 @@ def test_intrinsics_alone() -> None:
         ({"distortion": [1e10] * 5}, "invalid_distortion"),
     ],
 )
-def test_what_decides_is_checked_of_each_camera(changes: dict[str, Any], code: str) -> None:
+def test_each_camera_is_checked_in_full(changes: dict[str, Any], code: str) -> None:
     with pytest.raises(InputError) as error:
         Reading("rig.toml").contents("TOML", [raw("a"), raw("b", **changes)], "m")
     assert [(problem.code, problem.camera) for problem in error.value.problems] == [(code, "b")]
 
 
-def test_notes_are_short_whatever_the_file_names() -> None:
+def test_notes_are_short_whatever_file_names() -> None:
     reading = Reading("rig.toml")
     reading.pass_over({f"field \0{k:050d}": k for k in range(10_000)}, frozenset())
     reading.leave_out([f"camera {k}" for k in range(10_000)], "markers, no video")
@@ -80,5 +80,5 @@ def test_names_that_are_no_names_of_folders_are_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["cam 1", "...", "$(reboot)", "`id`;'\"", "-rf", "[red]cam", "ñ"])
-def test_names_that_a_shell_would_read_are_allowed(name: str) -> None:
+def test_names_that_shell_would_read_are_allowed(name: str) -> None:
     assert name_problem(name) is None

@@ -52,7 +52,7 @@ def problems_of(path: Path) -> list[tuple[str, str | None, str | None]]:
     focal_px=st.floats(50.0, 5000.0),
     num_coefficients=st.sampled_from([0, 4, 5, 8, 12]),
 )
-def test_what_is_written_is_read(
+def test_written_file_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, angles: list[float], focal_px: float, num_coefficients: int
 ) -> None:
     camera = Camera(
@@ -124,7 +124,7 @@ def test_short_names_of_benchmark_conversions(tmp_path: Path) -> None:
     np.testing.assert_allclose(center_in_world(read), [0.0, 0.0, -2.0])
 
 
-def test_qualisys_cameras_look_at_the_stage_from_above_the_floor() -> None:
+def test_qualisys_cameras_look_at_stage_from_above_floor() -> None:
     sample = samples.locate()
     if sample is None:
         pytest.skip("the sample capture is not installed (`multicap samples install`)")
@@ -176,7 +176,7 @@ def test_messages_are_true(tmp_path: Path, changes: dict[str, Any], message: str
     assert [problem.message for problem in error.value.problems] == [message]
 
 
-def test_a_size_that_is_missing_in_a_benchmark_conversion(tmp_path: Path) -> None:
+def test_size_that_is_missing_in_benchmark_conversion(tmp_path: Path) -> None:
     path = tmp_path / "shelf.json"
     camera = {"name": "a", "K": own()["matrix"], "R": IDENTITY, "t": [0.0, 0.0, 2.0]}
     path.write_text(json.dumps({"cameras": [camera]}))
@@ -224,7 +224,7 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
     )
 
 
-def test_coefficients_of_a_telephoto_lens_are_taken(tmp_path: Path) -> None:
+def test_coefficients_of_telephoto_lens_are_taken(tmp_path: Path) -> None:
     """Lens with a view of 5 degrees: at r = 0.05 from the centre k3 r^6 is 0.009, an ordinary distortion."""
     matrix = [[22_000.0, 0.0, 959.5], [0.0, 22_000.0, 539.5], [0.0, 0.0, 1.0]]
     distortion = [0.5, -300.0, 0.001, -0.002, 6e5]
@@ -239,7 +239,7 @@ def test_coefficients_of_a_telephoto_lens_are_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("distortion", [[1e9] * 12, [-1e9] * 5])
-def test_the_largest_coefficients_overflow_nowhere(tmp_path: Path, distortion: list[float]) -> None:
+def test_largest_coefficients_overflow_nowhere(tmp_path: Path, distortion: list[float]) -> None:
     (camera,) = read_calibration(write_own(tmp_path / "cameras.json", [own(distortion=distortion)]))
     points_m = np.array([[0.0, 0.0, 1.0], [100.0, -70.0, -2.9]])
     assert np.isfinite(project(camera, points_m)).all()
@@ -259,7 +259,7 @@ def test_names_that_could_do_harm(tmp_path: Path, name: Any) -> None:
 FISHEYE = "[a]\nsize=[6,4]\nmatrix=[[5,0,3],[0,5,2],[0,0,1]]\nrotation=[0,0,0]\ntranslation=[0,0,1]\nfisheye="
 
 
-def test_a_fisheye_without_coefficients_has_four_zeros(tmp_path: Path) -> None:
+def test_fisheye_without_coefficients_has_four_zeros(tmp_path: Path) -> None:
     path = tmp_path / "fisheye.toml"
     path.write_text(FISHEYE + "true\n")
     (camera,) = read_calibration(path)
@@ -321,9 +321,7 @@ def test_200_megabytes_are_refused_unread(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("units", "factor"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
-def test_units_are_those_that_a_person_says_where_the_format_does_not(
-    tmp_path: Path, units: Units, factor: float
-) -> None:
+def test_units_are_those_that_person_says_where_format_does_not(tmp_path: Path, units: Units, factor: float) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(
         """
@@ -339,7 +337,7 @@ translation = [500.0, 0.0, 4000.0]
     np.testing.assert_allclose(camera.cam_from_world.translation_m, np.array([500.0, 0.0, 4000.0]) * factor)
 
 
-def test_the_axis_that_points_up_becomes_z(tmp_path: Path) -> None:
+def test_axis_that_points_up_becomes_z(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({"schema_version": 1, "cameras": [own()]}))
     (camera,) = read_calibration(path)
@@ -350,7 +348,7 @@ def test_the_axis_that_points_up_becomes_z(tmp_path: Path) -> None:
     assert contents.axes == "-Y up, as stated: turned to Z up"
 
 
-def test_units_of_a_format_that_says_its_own_are_refused(tmp_path: Path) -> None:
+def test_units_of_format_that_says_its_own_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({"schema_version": 1, "cameras": [own()]}))
     assert len(read_calibration(path, "m")) == 1

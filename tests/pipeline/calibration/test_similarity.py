@@ -33,12 +33,12 @@ def moved_world(turn: np.ndarray, growth: float, shift: np.ndarray) -> list[Came
     growth=st.floats(0.95, 1.05),
     shift=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
 )
-def test_a_similarity_is_undone(turn: tuple[float, ...], growth: float, shift: tuple[float, ...]) -> None:
+def test_similarity_is_undone(turn: tuple[float, ...], growth: float, shift: tuple[float, ...]) -> None:
     aligned = align_world(CAMERAS, moved_world(np.array(turn), growth, np.array(shift)))
     np.testing.assert_allclose(offsets(CAMERAS, aligned), 0.0, atol=1e-5)
 
 
-def test_a_camera_that_moved_far_does_not_move_the_world() -> None:
+def test_camera_that_moved_far_does_not_move_world() -> None:
     step = np.array([0.05, -0.03, 0.02, 0.2, -0.3, 0.1, 0.0])
     refined = [move_camera(CAMERAS[0], step), *CAMERAS[1:]]
     aligned = align_world(CAMERAS, refined)
@@ -48,7 +48,7 @@ def test_a_camera_that_moved_far_does_not_move_the_world() -> None:
     np.testing.assert_allclose(turn_deg(CAMERAS[0], aligned[0]), np.degrees(np.linalg.norm(step[:3])), atol=0.05)
 
 
-def test_the_best_similarity_is_that_of_umeyama() -> None:
+def test_best_similarity_is_that_of_umeyama() -> None:
     rng = np.random.default_rng(2)
     points_m = rng.normal(size=(6, 3))
     similarity = Similarity(1.7, Rotation.from_rotvec([0.4, -0.9, 2.0]).as_matrix(), np.array([0.5, -2.0, 1.0]))

@@ -44,7 +44,7 @@ def fitted(calibrated: Camera, size_px: tuple[int, int], rotation_deg: int) -> C
         ((1001, 562), (1008, 562), 0, (0, 0)),
     ],
 )
-def test_padding_is_at_the_right_and_bottom_of_the_stored_picture(
+def test_padding_is_at_right_and_bottom_of_stored_picture(
     calibrated_px: tuple[int, int], shown_px: tuple[int, int], rotation_deg: int, moved_px: tuple[int, int]
 ) -> None:
     before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
@@ -65,7 +65,7 @@ def test_padding_is_at_the_right_and_bottom_of_the_stored_picture(
         ((1088, 1920), (1080, 1920), 270, (-8, 0)),
     ],
 )
-def test_padding_of_a_mirrored_picture_is_at_the_other_side(
+def test_padding_of_mirrored_picture_is_at_other_side(
     calibrated_px: tuple[int, int], shown_px: tuple[int, int], rotation_deg: int, moved_px: tuple[int, int]
 ) -> None:
     before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
@@ -74,14 +74,14 @@ def test_padding_of_a_mirrored_picture_is_at_the_other_side(
     np.testing.assert_allclose(project(found[0], POINTS_M), project(before, POINTS_M) + np.array(moved_px), atol=1e-9)
 
 
-def test_camera_of_the_stored_picture_does_not_fit_one_that_is_mirrored_and_turned() -> None:
+def test_camera_of_stored_picture_rejects_mirrored_one() -> None:
     assert fit_to_picture(camera((1920, 1080)), (1080, 1920), 90) is not None
     assert fit_to_picture(camera((1920, 1080)), (1080, 1920), 90, is_mirrored=True) is None
 
 
 @pytest.mark.parametrize("off_px", [1, -1])
 @pytest.mark.parametrize("size_px", [(1920, 1080), (1000, 1000)])
-def test_sides_that_are_counted_one_pixel_off_leave_the_matrix(size_px: tuple[int, int], off_px: int) -> None:
+def test_sides_that_are_counted_one_pixel_off_leave_matrix(size_px: tuple[int, int], off_px: int) -> None:
     width, height = size_px
     before = camera((width + off_px, height + off_px), (-0.1, 0.05, 0.001, -0.002))
     np.testing.assert_array_equal(project(fitted(before, size_px, 0), POINTS_M), project(before, POINTS_M))
@@ -113,7 +113,7 @@ def test_scaled_pictures_share_their_outer_edges(factor: float, skew_px: float) 
 
 @pytest.mark.parametrize("num_coefficients", [0, 4, 5, 8, 12])
 @pytest.mark.parametrize("rotation_deg", [90, 270])
-def test_a_quarter_turn_turns_pixels(num_coefficients: int, rotation_deg: int) -> None:
+def test_quarter_turn_turns_pixels(num_coefficients: int, rotation_deg: int) -> None:
     before = camera((1920, 1080), 0.02 * np.arange(1, num_coefficients + 1) * (-1) ** np.arange(num_coefficients))
     after = fitted(before, (1080, 1920), rotation_deg)
     x, y = project(before, POINTS_M).T
@@ -140,12 +140,12 @@ def test_other_sizes_do_not_fit(calibrated_px: tuple[int, int], shown_px: tuple[
     assert fit_to_picture(camera(calibrated_px), shown_px, rotation_deg) is None
 
 
-def test_a_skewed_camera_is_not_turned() -> None:
+def test_skewed_camera_is_not_turned() -> None:
     assert fit_to_picture(camera((1920, 1080), skew_px=1.0), (1080, 1920), 90) is None
 
 
 @pytest.mark.parametrize(("size_px", "fits"), [((1080, 1920), True), ((1920, 1080), False), ((540, 960), False)])
-def test_an_unknown_size_is_the_videos_if_the_principal_point_is_central(size_px: tuple[int, int], fits: bool) -> None:
+def test_unknown_size_is_videos_if_principal_point_is_central(size_px: tuple[int, int], fits: bool) -> None:
     before = camera(UNKNOWN_SIZE)
     found = fit_to_picture(before, size_px, 0)
     assert (found is not None) == fits
@@ -163,7 +163,7 @@ def test_an_unknown_size_is_the_videos_if_the_principal_point_is_central(size_px
         ((1080, 1440), 90, (1.0, 4 / 3)),
     ],
 )
-def test_a_calibration_of_stored_pixels_is_stretched_as_they_are(
+def test_calibration_of_stored_pixels_is_stretched_as_they_are(
     calibrated_px: tuple[int, int], rotation_deg: int, factors: tuple[float, float]
 ) -> None:
     before = camera(calibrated_px, (-0.1, 0.05, 0.001, -0.002))
@@ -178,7 +178,7 @@ def test_a_calibration_of_stored_pixels_is_stretched_as_they_are(
     np.testing.assert_allclose(project(found[0], POINTS_M), expected, atol=1e-9)
 
 
-def test_a_calibration_of_the_shown_picture_is_taken_as_it_is() -> None:
+def test_calibration_of_shown_picture_is_taken_as_it_is() -> None:
     calibrated = camera((1920, 1080))
     assert fit_to_video(calibrated, (1920, 1080), 0, (1440, 1080)) == (calibrated, "")
     found = fit_to_video(camera((960, 540)), (1920, 1080), 0, (1440, 1080))
@@ -188,7 +188,7 @@ def test_a_calibration_of_the_shown_picture_is_taken_as_it_is() -> None:
 
 
 @pytest.mark.parametrize(("focal_px", "is_stretched"), [((1500.0, 1505.0), False), ((1130.0, 1500.0), True)])
-def test_focal_lengths_tell_the_pixels_of_a_calibration_without_a_size(
+def test_focal_lengths_tell_pixels_of_calibration_without_size(
     focal_px: tuple[float, float], is_stretched: bool
 ) -> None:
     matrix = np.array([[focal_px[0], 0.0, 719.5], [0.0, focal_px[1], 539.5], [0.0, 0.0, 1.0]])

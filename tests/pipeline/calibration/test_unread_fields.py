@@ -31,7 +31,7 @@ def names(fields: dict[str, Any], distortion: Any = None) -> list[str]:
         "lens_terms",
     ],
 )
-def test_list_as_long_as_a_lens_is_found_under_any_name(name: str, count: int) -> None:
+def test_list_as_long_as_lens_is_found_under_any_name(name: str, count: int) -> None:
     lens = LENS[:count]
     assert names({name: lens}) == names({name: [lens]}) == names({name: [[number] for number in lens]}) == [name]
 
@@ -91,7 +91,7 @@ def test_other_values_are_no_lens(fields: dict[str, Any]) -> None:
     assert names(fields) == []
 
 
-def test_field_that_repeats_the_distortion_is_no_other_lens() -> None:
+def test_field_that_repeats_distortion_is_no_other_lens() -> None:
     assert names({"dist_original": LENS[:5]}, [LENS[:5]]) == []
     assert names({"dist_original": LENS[:5]}, LENS[1:6]) == ["dist_original"]
 
@@ -108,10 +108,10 @@ def test_field_that_repeats_the_distortion_is_no_other_lens() -> None:
         ({"exposure": 1280, "known": [1280, 720]}, []),
     ],
 )
-def test_size_is_a_pair_around_the_principal_point(fields: dict[str, Any], found: list[str]) -> None:
+def test_size_is_pair_around_principal_point(fields: dict[str, Any], found: list[str]) -> None:
     assert list(size_fields(fields, frozenset({"known"}), MATRIX)) == found
 
 
 @pytest.mark.parametrize("matrix", [None, "none", [[1.0]], [[float("nan")] * 3] * 3])
-def test_size_is_not_looked_for_without_a_matrix(matrix: Any) -> None:
+def test_size_is_not_looked_for_without_matrix(matrix: Any) -> None:
     assert list(size_fields({"dims": [1280, 720]}, frozenset(), matrix)) == []

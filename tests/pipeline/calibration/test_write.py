@@ -18,7 +18,7 @@ from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fis
 
 
 @pytest.mark.parametrize("ending", ENCODERS)
-def test_what_is_written_is_read(tmp_path: Path, ending: str) -> None:
+def test_written_file_is_read_back(tmp_path: Path, ending: str) -> None:
     rig = (
         *RIG,
         camera('Kamera "1" é: #', 0.5, ()),
@@ -100,7 +100,7 @@ def test_lens_without_distortion_has_five_zeros(name: str) -> None:
     assert text.count("0.0, 0.0, 0.0, 0.0, 0.0") == 1
 
 
-def test_sections_of_anipose_are_in_the_order_of_the_cameras_as_text() -> None:
+def test_sections_of_anipose_are_in_order_of_cameras_as_text() -> None:
     """aniposelib sorts them: cam_10 would come before cam_2."""
     for count in (10, 11, 12, 101):
         rig = [camera(f"c{number}", 0.01 * number) for number in range(count)]

@@ -45,7 +45,7 @@ def places(problems: list[Problem]) -> list[tuple[str | None, str | None, str | 
         {"a": (0.0, 999.999, 1000.0), "b": (0.0, 1.0, 1000.0)},  # the last frame that is taken
     ],
 )
-def test_clocks_within_the_limits(spans: Spans) -> None:
+def test_clocks_within_limits(spans: Spans) -> None:
     assert not found(spans)
 
 
@@ -58,7 +58,7 @@ def test_two_pairs_of_cameras_that_are_two_days_apart() -> None:
     assert "172,806.00 s" in str(problems["session_too_long"][0])
 
 
-def test_the_fastest_camera_of_a_session_with_too_many_frames_is_named() -> None:
+def test_fastest_camera_of_session_with_too_many_frames_is_named() -> None:
     problems = found({"a": (0.0, 3600.0, 25.0), "fast": (10.0, 1.0, 1000.0)})
     assert problems.keys() == {"too_many_frames"}
     assert places(problems["too_many_frames"]) == [("fast.mp4", "fast", "rate")]
@@ -73,5 +73,5 @@ def test_all_cameras_that_are_wrong_are_named_at_once() -> None:
     assert places(problems["session_too_long"]) == [("b.mp4", "b", "rate"), ("d.mp4", "d", "rate")]
 
 
-def test_a_rate_that_is_none_is_not_multiplied() -> None:
+def test_rate_that_is_none_is_not_multiplied() -> None:
     assert not found({"a": (0.0, 1.0, 25.0), "b": (0.0, 1.0, 25.0)}, rate_hz=float("inf"))

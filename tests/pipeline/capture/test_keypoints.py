@@ -59,7 +59,7 @@ def frame_with_people(scene: Path, simulation: Simulation) -> Path:
     return scene / "keypoints" / first.camera / f"frame_{int(first.frame[0]):012d}_keypoints.json"
 
 
-def test_what_was_simulated_comes_back(scene: Path, simulation: Simulation) -> None:
+def test_simulated_truth_comes_back(scene: Path, simulation: Simulation) -> None:
     session = opened(scene)
     assert session.joints == COCO_17
     assert session.warnings == ()
@@ -140,7 +140,7 @@ def test_joints_that_are_no_numbers_or_have_no_score_are_unseen(scene: Path, sim
     assert np.isfinite(found.box_px[0]).all()
 
 
-def test_a_camera_that_saw_nobody_is_said(scene: Path) -> None:
+def test_camera_that_saw_nobody_is_said(scene: Path) -> None:
     for path in split_frames(scene):
         path.write_text('{"people": []}')
     session = opened(scene)
@@ -168,7 +168,7 @@ def test_other_files_are_ignored_and_said(scene: Path) -> None:
         '{"people": [{"pose_keypoints_2d": [1, 2]}]}',
     ],
 )
-def test_a_damaged_file_is_named(scene: Path, content: str) -> None:
+def test_damaged_file_is_named(scene: Path, content: str) -> None:
     path = split_frames(scene)[2]
     path.write_text(content)
     assert path.name in problems_of(scene)["keypoints_unreadable"]
@@ -221,7 +221,7 @@ def test_files_that_macos_adds_are_passed_over_and_named_once(scene: Path) -> No
     assert finding.message.endswith(f": ._{path.name}, ._{path.stem}_2.json, __MACOSX.")
 
 
-def test_cameras_without_a_folder_are_left_out(scene: Path) -> None:
+def test_cameras_without_folder_are_left_out(scene: Path) -> None:
     rig = json.loads((scene / "calibration.json").read_text())
     rig["cameras"].insert(0, rig["cameras"][0] | {"name": "ceiling"})
     (scene / "calibration.json").write_text(json.dumps(rig))
@@ -231,7 +231,7 @@ def test_cameras_without_a_folder_are_left_out(scene: Path) -> None:
     assert any("ceiling" in warning for warning in session.warnings)
 
 
-def test_a_calibration_without_sizes_is_refused(scene: Path) -> None:
+def test_calibration_without_sizes_is_refused(scene: Path) -> None:
     lens = {"fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0, "k": [0.0] * 3, "p": [0.0] * 2}
     names = [camera["name"] for camera in json.loads((scene / "calibration.json").read_text())["cameras"]]
     cameras = {name: {"R": np.eye(3).tolist(), "T": [0.0, 0.0, float(k)], **lens} for k, name in enumerate(names)}
@@ -275,7 +275,7 @@ def test_bad_timestamps(scene: Path, change: Callable[[list[str]], list[str]], c
 
 
 @pytest.mark.parametrize("start_s", [3700, 1_700_000_000, 1_700_000_000_000])
-def test_times_since_1970_get_the_hint_that_helps(scene: Path, start_s: int) -> None:
+def test_times_since_1970_get_hint_that_helps(scene: Path, start_s: int) -> None:
     path = scene / "timestamps.csv"
     head, *rows = path.read_text().splitlines()
     times = [(row.rpartition(",")[0], float(row.rpartition(",")[2])) for row in rows]
@@ -296,7 +296,7 @@ def test_rows_may_come_in_any_order(scene: Path, simulation: Simulation) -> None
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
-def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float) -> None:
+def test_timestamps_at_limits_of_rates_are_taken(scene: Path, rate_hz: float) -> None:
     rows = [
         f"{folder.name},{int(path.name[6:18])},{10.0 + int(path.name[6:18]) / rate_hz!r}"
         for folder in sorted((scene / "keypoints").iterdir())
@@ -306,7 +306,7 @@ def test_timestamps_at_the_limits_of_rates_are_taken(scene: Path, rate_hz: float
     assert opened(scene).timebase.frame_rate_hz == rate_hz
 
 
-def test_one_clock_only_and_a_sane_one(scene: Path) -> None:
+def test_one_clock_only_and_sane_one(scene: Path) -> None:
     assert "two_clocks" in problems_of(scene, frame_rate_hz=30.0)
     assert "frame_rate" in problems_of(scene, timed=False, frame_rate_hz=0.0)
 
@@ -324,19 +324,19 @@ def retime(scene: Path, time_s: Callable[[int], float], cameras: slice = slice(N
     (scene / "timestamps.csv").write_text("\n".join([head, *others, *ours]) + "\n")
 
 
-def test_the_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
+def test_rate_of_uneven_times_is_their_mean(scene: Path) -> None:
     """Intervals of 2 and 3 ticks of a 60 Hz clock, whose median is 20 or 30 Hz."""
     retime(scene, lambda number: int(2.5 * number) / 60)
     assert opened(scene).timebase.frame_rate_hz == pytest.approx(24.0, rel=0.02)
 
 
-def test_the_rate_of_times_rounded_to_milliseconds(scene: Path) -> None:
+def test_rate_of_times_rounded_to_milliseconds(scene: Path) -> None:
     """The median interval is 33 ms, which would be 30.3 Hz."""
     retime(scene, lambda number: round(number / 30, 3))
     assert opened(scene).timebase.frame_rate_hz == 30.0
 
 
-def test_the_rate_of_even_times(scene: Path) -> None:
+def test_rate_of_even_times(scene: Path) -> None:
     retime(scene, lambda number: number / 25)
     assert opened(scene).timebase.frame_rate_hz == 25.0
 
@@ -345,7 +345,7 @@ def test_the_rate_of_even_times(scene: Path) -> None:
     ("last_s", "codes"),
     [(40_000.0, ["too_many_frames"]), (100_000.0, ["session_too_long"] * 3), (1e8, ["timestamps_start"])],
 )
-def test_a_last_time_that_is_far_too_late(scene: Path, last_s: float, codes: list[str]) -> None:
+def test_last_time_that_is_far_too_late(scene: Path, last_s: float, codes: list[str]) -> None:
     retime(scene, lambda number: number / 100 if number < 20 else last_s + number / 100)
     with pytest.raises(InputError) as raised:
         opened(scene)
@@ -355,7 +355,7 @@ def test_a_last_time_that_is_far_too_late(scene: Path, last_s: float, codes: lis
         assert all(problem.camera and problem.field == "time_s" for problem in raised.value.problems)
 
 
-def test_a_camera_whose_times_are_of_another_hour(scene: Path) -> None:
+def test_camera_whose_times_are_of_another_hour(scene: Path) -> None:
     retime(scene, lambda number: 3600.0 + number / 25, slice(1))
     assert list(problems_of(scene)) == ["no_overlap"]
 
@@ -392,7 +392,7 @@ def with_people(path: Path, num_people: int, person: list[float]) -> None:
     path.write_text(json.dumps({"people": [{"pose_keypoints_2d": person}] * num_people}))
 
 
-def test_people_without_a_joint_are_left_out(scene: Path, simulation: Simulation) -> None:
+def test_people_without_joint_are_left_out(scene: Path, simulation: Simulation) -> None:
     before = opened(scene)
     for path in (scene / "keypoints").rglob("*.json"):
         edit(path, lambda people: people.extend([[0.0] * 51] * 200))
@@ -403,7 +403,7 @@ def test_people_without_a_joint_are_left_out(scene: Path, simulation: Simulation
         )
 
 
-def test_a_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
+def test_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
     for path in (scene / "keypoints").rglob("*.json"):
         with_people(path, 3, [0.0] * 51)
     assert [warning for warning in opened(scene).warnings if "saw nobody" in warning]
@@ -424,7 +424,7 @@ def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:
     assert max(np.bincount(opened(scene).detections[first.parent.name].frame)) == MAX_PEOPLE
 
 
-def test_more_joints_than_a_session_may_hold_are_not_read(scene: Path, simulation: Simulation) -> None:
+def test_more_joints_than_session_may_hold_are_not_read(scene: Path, simulation: Simulation) -> None:
     files = scene / "keypoints", scene / "calibration.json", scene / "timestamps.csv"
     num_joints = sum(one.score.size for one in simulation.detections.values())
     assert open_keypoints(*files, max_joints=num_joints)
@@ -453,7 +453,7 @@ def test_stated_folders_are_those_of_their_cameras(scene: Path, simulation: Simu
     assert session.findings == ()
 
 
-def test_recordings_name_folders_and_the_others_are_paired_by_name(scene: Path, simulation: Simulation) -> None:
+def test_recordings_name_folders_and_others_are_paired_by_name(scene: Path, simulation: Simulation) -> None:
     rest = scene / "calibration.json", scene / "timestamps.csv"
     by_name = open_keypoints(scene / "keypoints", *rest)
     first, second, *_ = [camera.name for camera in simulation.cameras]
@@ -468,7 +468,7 @@ def test_recordings_name_folders_and_the_others_are_paired_by_name(scene: Path, 
         np.testing.assert_array_equal(session.detections[name].keypoints_px, detections.keypoints_px)
 
 
-def test_a_camera_of_a_recording_is_not_left_out(scene: Path, simulation: Simulation) -> None:
+def test_camera_of_recording_is_not_left_out(scene: Path, simulation: Simulation) -> None:
     first, *_ = [camera.name for camera in simulation.cameras]
     shutil.rmtree(scene / "keypoints" / first)
     rest = scene / "calibration.json", scene / "timestamps.csv"
@@ -498,7 +498,7 @@ def renumbered(scene: Path, number: Callable[[int], int]) -> None:
 
 
 @pytest.mark.parametrize("first", [1, 36, 5000])
-def test_open_keypoints_numbers_from_another_than_zero_begin_with_the_first_frame(scene: Path, first: int) -> None:
+def test_open_keypoints_begins_with_first_frame(scene: Path, first: int) -> None:
     before = opened(scene, timed=False, frame_rate_hz=25.0)
     renumbered(scene, lambda number: number + first)
     session = opened(scene, timed=False, frame_rate_hz=25.0)
@@ -510,7 +510,7 @@ def test_open_keypoints_numbers_from_another_than_zero_begin_with_the_first_fram
         np.testing.assert_array_equal(session.detections[camera].frame, before.detections[camera].frame)
 
 
-def test_open_keypoints_cameras_from_different_numbers_begin_with_the_earliest(scene: Path) -> None:
+def test_open_keypoints_begins_with_earliest_number(scene: Path) -> None:
     renumbered(scene, lambda number: number + 1000)
     for path in split_frames(scene)[:7]:
         path.unlink()
@@ -520,7 +520,7 @@ def test_open_keypoints_cameras_from_different_numbers_begin_with_the_earliest(s
     assert session.times[late].time_s[0] == 1007 / 50
 
 
-def test_open_keypoints_timestamps_from_20_s_begin_with_the_first_time(scene: Path) -> None:
+def test_open_keypoints_timestamps_begin_with_first_time(scene: Path) -> None:
     renumbered(scene, lambda number: number + 700)
     path = scene / "timestamps.csv"
     head, *rows = path.read_text().splitlines()
@@ -536,20 +536,20 @@ def test_open_keypoints_timestamps_from_20_s_begin_with_the_first_time(scene: Pa
     assert timebase.num_frames == round((last_s - first_s) * timebase.frame_rate_hz) + 1
 
 
-def test_open_keypoints_numbers_that_are_times_since_1970_are_refused_as_times(scene: Path) -> None:
+def test_open_keypoints_refuses_times_since_1970(scene: Path) -> None:
     renumbered(scene, lambda number: 1_700_000_000_000 + 40 * number)
     (message,) = problems_of(scene, timed=False, frame_rate_hz=25.0).values()
     assert "has the number 1700000000000" in message
     assert "If the numbers are times, give timestamps." in message
 
 
-def test_open_keypoints_numbers_that_are_milliseconds_are_reported(scene: Path) -> None:
+def test_open_keypoints_reports_milliseconds_as_numbers(scene: Path) -> None:
     renumbered(scene, lambda number: 40 * number)
     (warning,) = opened(scene, timed=False, frame_rate_hz=25.0).warnings
     assert warning == "Frame numbers are at least 40 apart, which is 1.6 s at 25 Hz."
 
 
-def test_open_keypoints_timestamps_and_calibration_beside_the_folders_are_not_ignored(scene: Path) -> None:
+def test_open_keypoints_uses_files_beside_folders(scene: Path) -> None:
     for name in ("timestamps.csv", "calibration.json"):
         (scene / name).rename(scene / "keypoints" / name)
     (scene / "keypoints" / "other.csv").write_text("")

@@ -36,7 +36,7 @@ def refused(tmp_path: Path, *archives: Path) -> dict[str, str]:
     return {str(problem.file): problem.message for problem in raised.value.problems}
 
 
-def test_files_at_the_top_or_in_a_folder_and_nothing_else(tmp_path: Path) -> None:
+def test_files_at_top_or_in_folder_and_nothing_else(tmp_path: Path) -> None:
     first = archive(tmp_path / "cam_0.zip", {FRAME: b"{}", "notes.txt": b"no"})
     second = archive(tmp_path / "cam_1.ZIP", {"take/": b"", f"take/{FRAME}": b"[]", "picture.png": b"no"})
     assert unpacked(tmp_path, first, second) == {f"cam_0/{FRAME}": b"{}", f"cam_1/{FRAME}": b"[]"}
@@ -83,7 +83,7 @@ def test_archives_that_are_too_large_together(tmp_path: Path, monkeypatch: pytes
     assert list(refused(tmp_path, *archives)) == ["cam_1.zip"]
 
 
-def test_an_encrypted_archive(tmp_path: Path) -> None:
+def test_encrypted_archive(tmp_path: Path) -> None:
     path = archive(tmp_path / "cam_0.zip", {FRAME: b"{}"})
     content = bytearray(path.read_bytes())
     # The bit that says so, in the entry's header and in the directory.
@@ -93,14 +93,14 @@ def test_an_encrypted_archive(tmp_path: Path) -> None:
     assert "encrypted" in refused(tmp_path, path)["cam_0.zip"]
 
 
-def test_nothing_is_unpacked_where_a_directory_is_wrong(tmp_path: Path) -> None:
+def test_nothing_is_unpacked_where_directory_is_wrong(tmp_path: Path) -> None:
     good = archive(tmp_path / "cam_0.zip", {FRAME: b"{}"})
     wrong = archive(tmp_path / "cam_1.zip", {f"a/{FRAME}": b"{}", f"b/{FRAME}": b"{}"})
     assert refused(tmp_path, good, wrong).keys() == {"cam_1.zip"}
     assert not [path for path in (tmp_path / "unpacked").rglob("*") if path.is_file()]
 
 
-def test_a_directory_of_any_size_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_directory_of_any_size_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zips, "MAX_DIRECTORY_BYTES", 2**20)
     files = {f"frame_{k:0200d}_keypoints.json": b"" for k in range(4500)}
     assert "directory" in refused(tmp_path, archive(tmp_path / "cam_0.zip", files))["cam_0.zip"]

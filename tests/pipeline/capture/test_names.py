@@ -23,7 +23,7 @@ def test_cameras_in_names(case: dict[str, Any]) -> None:
     assert [list(found[name]) for name in case["names"]] == case["found"]
 
 
-def test_second_names_count_unless_they_are_another_camera_s_first() -> None:
+def test_second_names_count_unless_first_of_another() -> None:
     cameras = {"left": ["cam_0"], "cam_0": ["cam_1"], "door": [""]}
     assert cameras_in_names(["w_left", "w_cam_0", "w_cam_1"], cameras) == {
         "w_left": ("left",),
@@ -38,13 +38,13 @@ def test_natural_order() -> None:
 
 
 @given(NAMES)
-def test_a_camera_s_own_name_is_its_own(cameras: list[str]) -> None:
+def test_camera_s_own_name_is_its_own(cameras: list[str]) -> None:
     found = cameras_in_names(cameras, {camera: [] for camera in cameras})
     assert found == {camera: (camera,) for camera in cameras}
 
 
 @given(NAMES, st.sampled_from(["walk", "7.2", "Éa"]), st.sampled_from("_- ."))
-def test_words_around_a_single_camera_s_name_change_nothing(cameras: list[str], word: str, separator: str) -> None:
+def test_words_around_single_camera_s_name_change_nothing(cameras: list[str], word: str, separator: str) -> None:
     for camera in cameras:
         name = separator.join([word, camera, word])
         has_words = bool(words(camera))

@@ -14,11 +14,11 @@ CAMERAS = [camera("left", "cam_0"), camera("right", "cam_1")]
 
 
 @pytest.mark.parametrize("names", [["left", "right"], ["cam_0", "cam_1"], ["cam_0", "right"]])
-def test_a_name_is_the_cameras_or_its_sections(names: list[str]) -> None:
+def test_name_is_cameras_or_its_sections(names: list[str]) -> None:
     assert pair(CAMERAS, names, "video") == (dict(zip(["left", "right"], names, strict=True)), [], [])
 
 
-def test_a_name_goes_before_a_section() -> None:
+def test_name_goes_before_section() -> None:
     swapped = [camera("cam_1", "cam_0"), camera("cam_0", "cam_1")]
     assert pair(swapped, ["cam_0", "cam_1"], "video")[0] == {"cam_0": "cam_0", "cam_1": "cam_1"}
 
@@ -56,7 +56,7 @@ def test_eleven_cameras_in_alphabetical_order(pattern: str) -> None:
     assert (pairs, problems) == ({f"cam{k}": pattern.format(k) for k in range(1, 12)}, [])
 
 
-def test_an_ambiguous_name_is_refused_with_both_lists() -> None:
+def test_ambiguous_name_is_refused_with_both_lists() -> None:
     _, problems, _ = pair(CAMERAS, ["left_right_1", "right_2"], "video")
     assert [(problem.code, problem.camera or problem.file) for problem in problems] == [
         ("camera_without_video", "left"),
@@ -89,7 +89,7 @@ def test_cameras_without_input_are_left_out_if_two_have_one() -> None:
     assert finding.message.endswith("ceiling 11, .... They are left out.")
 
 
-def test_a_required_camera_is_not_left_out() -> None:
+def test_required_camera_is_not_left_out() -> None:
     cameras = [*CAMERAS, camera("ceiling"), camera("door")]
     _, problems, (finding,) = pair(cameras, ["left", "right"], "video", required={"door"})
     assert [(one.code, one.camera) for one in problems] == [("camera_without_video", "door")]

@@ -11,7 +11,7 @@ CASES = json.loads((Path(__file__).parent / "parts_cases.json").read_text())
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case["about"] for case in CASES])
-def test_recordings_by_the_names_of_their_files(case: dict[str, Any]) -> None:
+def test_recordings_by_names_of_their_files(case: dict[str, Any]) -> None:
     assert [list(recording) for recording in recordings_of(case["names"])] == case["recordings"]
 
 

@@ -21,7 +21,7 @@ PRINTED = (
 )
 
 
-def test_json_is_the_same_after_reading() -> None:
+def test_json_is_same_after_reading() -> None:
     again = json.dumps(Preflight.from_json(json.loads(PRINTED)).to_json())
     of_today = PRINTED
     for start_s in ("0.04", "0.0"):
@@ -31,7 +31,7 @@ def test_json_is_the_same_after_reading() -> None:
     assert again == of_today[:-1] + ', "clock": "declared", "sync": "declared", "timeline": "take", "up": "z"}'
 
 
-def test_fields_are_those_of_the_json() -> None:
+def test_fields_are_those_of_json() -> None:
     preflight = Preflight.from_json(json.loads(PRINTED))
     assert [(one.name, one.file, one.size_px) for one in preflight.cameras] == [
         ("cam_0", "GX01.mp4", (1280, 720)),
@@ -43,7 +43,7 @@ def test_fields_are_those_of_the_json() -> None:
     assert (preflight.recordings[0].camera, preflight.recordings[0].offset_s, preflight.units) == ("cam_0", 0.48, "mm")
 
 
-def test_rows_of_the_first_versions_can_be_read() -> None:
+def test_rows_of_first_versions_can_be_read() -> None:
     document = json.loads(PRINTED)
     for key in ("stretches", "recordings", "units", "findings"):
         del document[key]

@@ -62,7 +62,7 @@ class TestParts:
         assert finding.evidence == {"files": names}
         assert ", ".join(names) in finding.message
 
-    def test_the_record_keeps_them(self, folder: Path, rig: Path) -> None:
+    def test_record_keeps_them(self, folder: Path, rig: Path) -> None:
         session = open_session(folder, rig, [Recording("left", offset_s=0.04, offset_std_s=0.002)])
         again = decode_session(encode_session(session), folder)
         assert files_of(again) == files_of(session)
@@ -74,15 +74,15 @@ class TestParts:
         assert preflight.cameras[0].more_files == ("left_GX020119.MP4", "left_GX030119.MP4")
         assert Preflight.from_json(preflight.to_json()) == preflight
 
-    def test_a_missing_chapter_is_named(self, folder: Path, rig: Path) -> None:
+    def test_missing_chapter_is_named(self, folder: Path, rig: Path) -> None:
         (folder / "left_GX020119.MP4").unlink()
         assert problems(folder, rig) == [("parts_gap", "left_GX010119")]
 
-    def test_the_first_chapter_may_be_left_out(self, folder: Path, rig: Path) -> None:
+    def test_first_chapter_may_be_left_out(self, folder: Path, rig: Path) -> None:
         (folder / "left_GX010119.MP4").unlink()
         assert files_of(open_session(folder, rig))["left"] == ["left_GX020119.MP4", "left_GX030119.MP4"]
 
-    def test_a_seam_that_does_not_fit_is_refused(self, folder: Path, rig: Path) -> None:
+    def test_seam_that_does_not_fit_is_refused(self, folder: Path, rig: Path) -> None:
         write_video(folder / "left_GX020119.MP4", 8, (80, 48))
         assert problems(folder, rig) == [("parts_differ", "left_GX020119.MP4")]
 
@@ -98,7 +98,7 @@ class TestParts:
             ("duplicate_recording_file", "C0009.MP4"),
         ]
 
-    def test_chapters_follow_the_one_that_is_stated(self, clip: Path, tmp_path: Path, rig: Path) -> None:
+    def test_chapters_follow_one_that_is_stated(self, clip: Path, tmp_path: Path, rig: Path) -> None:
         parts = cut_at_keyframes(clip, [tmp_path / f"GX0{number}0042.MP4" for number in (1, 2, 3)])
         other = shutil.copy(clip, tmp_path / "GX010077.MP4")
         stated = [Recording("right", parts[0].name), Recording("left", "GX010077.MP4")]
@@ -115,7 +115,7 @@ class TestParts:
             "part 2": ["walk_part_2.mp4"],
         }
 
-    def test_a_calibration_to_be_made_has_a_camera_for_all_parts(self, folder: Path) -> None:
+    def test_calibration_to_be_made_has_camera_for_all_parts(self, folder: Path) -> None:
         session = open_session(folder, None, [Recording("door", "right.mp4")])
         assert files_of(session) == {
             "left_GX010119": [f"left_GX0{number}0119.MP4" for number in (1, 2, 3)],
@@ -124,7 +124,7 @@ class TestParts:
 
 
 class TestFolders:
-    def test_cameras_have_folders_with_the_folders_of_their_cards(self, clip: Path, tmp_path: Path, rig: Path) -> None:
+    def test_cameras_have_folders_with_folders_of_their_cards(self, clip: Path, tmp_path: Path, rig: Path) -> None:
         videos = tmp_path / "videos"
         for camera in ("left", "right"):
             card = videos / camera / "DCIM" / "100GOPRO"

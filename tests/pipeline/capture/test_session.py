@@ -63,7 +63,7 @@ def problems_of(videos: Any, cameras: Path) -> set[tuple[str, str | None]]:
     return {(problem.code, problem.camera or problem.file) for problem in error.value.problems}
 
 
-def test_frames_that_repeat_a_time_are_said(folder: Path, tmp_path: Path) -> None:
+def test_frames_that_repeat_time_are_said(folder: Path, tmp_path: Path) -> None:
     def repeat(number: int, packet: "av.Packet[Any]") -> "list[av.Packet[Any]]":
         packet.pts, packet.dts = 40 * (number - (number == 7)), number - 1000
         return [packet]
@@ -122,7 +122,7 @@ def test_images_in_place_of_videos(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
+def test_31_cameras_of_tenth_of_second_are_decoded(tmp_path: Path) -> None:
     clip = write_video(tmp_path / "clip.mp4", 3, rate_hz=30)
     names = [f"cam{k:02}" for k in range(31)]
     videos = [Path(shutil.copy(clip, tmp_path / f"{name}.mp4")) for name in names]
@@ -132,7 +132,7 @@ def test_31_cameras_of_a_tenth_of_a_second_are_decoded(tmp_path: Path) -> None:
         assert [number for number, _ in decode(video, 0, 3)] == [0, 1, 2]
 
 
-def test_videos_match_cameras_by_name_in_the_calibrations_order(folder: Path, tmp_path: Path) -> None:
+def test_videos_match_cameras_by_name_in_calibrations_order(folder: Path, tmp_path: Path) -> None:
     session = open_session(folder, calibration(tmp_path / "c.json", ["b", "a"]))
     assert [camera.name for camera in session.cameras] == ["b", "a"]
     assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
@@ -168,21 +168,21 @@ def test_never_half_by_name_half_by_order(folder: Path, tmp_path: Path) -> None:
     }
 
 
-def test_calibration_with_a_camera_too_few_or_too_many(folder: Path, tmp_path: Path) -> None:
+def test_calibration_with_camera_too_few_or_too_many(folder: Path, tmp_path: Path) -> None:
     assert problems_of(folder, calibration(tmp_path / "c.json", ["a"])) == {("video_without_camera", "b")}
     session = open_session(folder, calibration(tmp_path / "c.json", ["c", "a", "b"]))
     assert [camera.name for camera in session.cameras] == ["a", "b"]
     assert session.warnings == ("The camera c of the calibration has no video: it is left out.",)
 
 
-def test_a_camera_with_a_recording_is_not_left_out(folder: Path, tmp_path: Path) -> None:
+def test_camera_with_recording_is_not_left_out(folder: Path, tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
     with pytest.raises(InputError) as error:
         open_session(folder, cameras, [Recording("c", offset_s=0.5)])
     assert [(problem.code, problem.camera) for problem in error.value.problems] == [("camera_without_video", "c")]
 
 
-def test_other_files_in_the_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
+def test_other_files_in_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
     (folder / "notes.txt").write_text("hello")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
     assert session.warnings == ("notes.txt is ignored: it is not a video.",)
@@ -196,7 +196,7 @@ def test_no_video_and_one_video(folder: Path, tmp_path: Path) -> None:
     assert ("too_few_videos", None) in problems_of(folder, cameras)
 
 
-def test_two_videos_with_the_same_name(folder: Path, tmp_path: Path) -> None:
+def test_two_videos_with_same_name(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "a.mp4", folder / "a.mov")
     cameras = calibration(tmp_path / "c.json", ["a", "b"])
     assert problems_of(folder, cameras) == {("duplicate_video", "a")}
@@ -215,7 +215,7 @@ def test_video_and_calibration_of_different_size(folder: Path, tmp_path: Path) -
     }
 
 
-def test_a_calibration_of_another_size_is_adapted_with_a_warning(folder: Path, tmp_path: Path) -> None:
+def test_calibration_of_another_size_is_adapted_with_warning(folder: Path, tmp_path: Path) -> None:
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"], size_px=(128, 96)))
     assert session.warnings == (
         "a: the video has 64 x 48 pixels, the calibration 128 x 96; the calibration is scaled by 0.5.",
@@ -227,9 +227,7 @@ def test_a_calibration_of_another_size_is_adapted_with_a_warning(folder: Path, t
 
 
 @pytest.mark.parametrize("size_px", [(65, 49), (63, 47)])
-def test_calibration_whose_sides_are_one_pixel_off_takes_the_size_of_the_videos(
-    folder: Path, tmp_path: Path, size_px: tuple[int, int]
-) -> None:
+def test_calibration_one_pixel_off_takes_video_size(folder: Path, tmp_path: Path, size_px: tuple[int, int]) -> None:
     path = calibration(tmp_path / "c.json", ["a", "b"], size_px=size_px)
     session = open_session(folder, path)
     for camera, stated in zip(session.cameras, read_calibration(path), strict=True):
@@ -238,7 +236,7 @@ def test_calibration_whose_sides_are_one_pixel_off_takes_the_size_of_the_videos(
     assert [finding.code for finding in session.findings] == ["calibration_adapted"] * 2
 
 
-def test_a_calibration_without_sizes_takes_those_of_the_videos(folder: Path, tmp_path: Path) -> None:
+def test_calibration_without_sizes_takes_those_of_videos(folder: Path, tmp_path: Path) -> None:
     def voxelpose(principal_px: float) -> dict[str, Any]:
         lens = {"fx": 50.0, "fy": 50.0, "cx": principal_px, "cy": 23.5, "k": [0.0] * 3, "p": [0.0] * 2}
         return {"R": np.eye(3).tolist(), "T": [0.0, 0.0, -3000.0], **lens}
@@ -268,7 +266,7 @@ def test_everything_wrong_is_said_at_once(folder: Path, tmp_path: Path) -> None:
     }
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_folder_that_is_not_there(tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b"])
     assert ("video_missing", "nowhere") in problems_of(tmp_path / "nowhere", cameras)
 
@@ -276,7 +274,7 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
 class TestRecordings:
     """Information about videos that neither the videos nor the calibration hold."""
 
-    def test_offsets_shift_a_camera_s_times(self, folder: Path, tmp_path: Path) -> None:
+    def test_offsets_shift_camera_s_times(self, folder: Path, tmp_path: Path) -> None:
         cameras = calibration(tmp_path / "c.json", ["a", "b"])
         plain = open_session(folder, cameras)
         shifted = open_session(folder, cameras, [Recording("b", offset_s=-0.2), Recording("a", offset_s=0.04)])
@@ -286,7 +284,7 @@ class TestRecordings:
         assert shifted.timebase.num_frames == plain.timebase.num_frames + 6  # 25 frames a second
         np.testing.assert_array_equal(shifted.videos[1].time_s, plain.videos[1].time_s)  # frames are found as before
 
-    def test_a_rate_replaces_the_times_of_the_video(self, folder: Path, tmp_path: Path) -> None:
+    def test_rate_replaces_times_of_video(self, folder: Path, tmp_path: Path) -> None:
         cameras = calibration(tmp_path / "c.json", ["a", "b"])
         session = open_session(folder, cameras, [Recording("a", frame_rate_hz=50.0, offset_s=0.1)])
         np.testing.assert_allclose(session.times["a"].time_s, 0.1 + np.arange(10) / 50.0)
@@ -305,7 +303,7 @@ class TestRecordings:
 
     @pytest.mark.parametrize("rate_hz", [1.0, 1000.0])
     @pytest.mark.parametrize("offset_s", [0.0, 0.1, 0.25])
-    def test_the_limits_of_rates_are_taken_whatever_the_offset(
+    def test_limits_of_rates_are_taken_whatever_offset(
         self, folder: Path, tmp_path: Path, rate_hz: float, offset_s: float
     ) -> None:
         """A start at 0.1 s turns 1000 Hz into 1000.0000000000002 Hz by rounding."""
@@ -314,12 +312,12 @@ class TestRecordings:
         assert session.timebase.frame_rate_hz == rate_hz
 
     @pytest.mark.parametrize("rate_hz", [0.99, 1010.0])
-    def test_rates_beyond_the_limits_are_refused(self, folder: Path, tmp_path: Path, rate_hz: float) -> None:
+    def test_rates_beyond_limits_are_refused(self, folder: Path, tmp_path: Path, rate_hz: float) -> None:
         with pytest.raises(InputError) as error:
             open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), [Recording("a", frame_rate_hz=rate_hz)])
         assert [problem.code for problem in error.value.problems] == ["frame_rate"]
 
-    def test_files_are_the_cameras_that_they_are_said_to_be(self, folder: Path, tmp_path: Path) -> None:
+    def test_files_are_cameras_that_they_are_said_to_be(self, folder: Path, tmp_path: Path) -> None:
         cameras = calibration(tmp_path / "c.json", ["left", "right"])
         session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])
         assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
@@ -330,7 +328,7 @@ class TestRecordings:
         session = open_session(folder, some, [Recording("right", "b.mp4")])
         assert [video.path.name for video in session.videos] == ["a.mp4", "b.mp4"]
 
-    def test_accents_of_a_file_may_be_composed_or_not(self, folder: Path, tmp_path: Path) -> None:
+    def test_accents_of_file_may_be_composed_or_not(self, folder: Path, tmp_path: Path) -> None:
         (folder / "a.mp4").rename(folder / "Cafe\u0301.mp4")
         cameras = calibration(tmp_path / "c.json", ["left", "b"])
         session = open_session(folder, cameras, [Recording("left", "Caf\u00e9.mp4")])
@@ -355,14 +353,14 @@ class TestRecordings:
             ),
         ],
     )  # fmt: skip
-    def test_what_can_not_be(
+    def test_impossible_values_are_refused(
         self, folder: Path, tmp_path: Path, recordings: list[Recording], found: set[tuple[str, str]]
     ) -> None:
         with pytest.raises(InputError) as error:
             open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]), recordings)
         assert {(problem.code, problem.camera) for problem in error.value.problems} == found
 
-    def test_offsets_of_days_with_a_rate_of_1000(self, folder: Path, tmp_path: Path) -> None:
+    def test_offsets_of_days_with_rate_of_1000(self, folder: Path, tmp_path: Path) -> None:
         """Videos of ten frames give 172 million output frames."""
         for name in ("c", "d"):
             shutil.copy(folder / "a.mp4", folder / f"{name}.mp4")
@@ -396,14 +394,14 @@ class TestTimesOfVideos:
         return open_session(videos, calibration(tmp_path / "c.json", ["a", "b"]))
 
     @pytest.mark.parametrize("ending", ["mp4", "mkv"])
-    def test_24_frames_a_second_on_a_clock_of_60_hz(self, tmp_path: Path, ending: str) -> None:
+    def test_24_frames_second_on_clock_of_60_hz(self, tmp_path: Path, ending: str) -> None:
         ticks = np.floor(np.arange(97) * 2.5)
         session = self.open(tmp_path, [round(tick * 1000 / 60) for tick in ticks], ending)
         assert session.timebase.frame_rate_hz == 24.0
         assert session.timebase.num_frames == 97
 
     @pytest.mark.parametrize("ending", ["mp4", "mkv"])
-    def test_a_phone_s_frames_that_jitter(self, tmp_path: Path, ending: str) -> None:
+    def test_phone_s_frames_that_jitter(self, tmp_path: Path, ending: str) -> None:
         jitter_s = np.random.default_rng(3).uniform(-0.004, 0.004, 90)
         jitter_s[[0, -1]] = 0.0
         session = self.open(
@@ -412,19 +410,19 @@ class TestTimesOfVideos:
         assert session.timebase.frame_rate_hz == pytest.approx(30_000 / 1001, rel=1e-3)
         assert session.timebase.num_frames == 90
 
-    def test_a_rate_of_ntsc_is_shown_without_rounding(self, tmp_path: Path) -> None:
+    def test_rate_of_ntsc_is_shown_without_rounding(self, tmp_path: Path) -> None:
         stamps_ms = [round(number * 1001 / 30) for number in range(100)]
         session = self.open(tmp_path, stamps_ms, "mkv")
         shown = json.dumps(report(session, ["a.mkv", "b.mkv"], "m").to_json())
         assert shown.count('"frame_rate_hz": 29.97002997002997,') == 3
 
     @pytest.mark.parametrize("num_frames", [2, 3])
-    def test_a_tenth_of_a_second(self, tmp_path: Path, num_frames: int) -> None:
+    def test_tenth_of_second(self, tmp_path: Path, num_frames: int) -> None:
         session = self.open(tmp_path, [0, 40, 80][:num_frames])
         assert session.timebase.frame_rate_hz == 25.0
         assert session.timebase.num_frames == num_frames
 
-    def test_a_pause_within_the_videos(self, tmp_path: Path) -> None:
+    def test_pause_within_videos(self, tmp_path: Path) -> None:
         session = self.open(tmp_path, [*range(0, 400, 40), *range(3_600_000, 3_600_400, 40)])
         assert session.timebase.num_frames == 90_010
         assert session.stretches == (range(11), range(89_999, 90_010))
@@ -438,7 +436,7 @@ class TestTimesOfVideos:
         ]
 
 
-def test_intrinsics_need_neither_poses_nor_a_unit(folder: Path, tmp_path: Path) -> None:
+def test_intrinsics_need_neither_poses_nor_unit(folder: Path, tmp_path: Path) -> None:
     """Footage of a calibration that is to be made, with lenses that are known."""
     alone = tmp_path / "intrinsics.toml"
     lens = "size = [64, 48]\nmatrix = [[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]]\n"
@@ -456,7 +454,7 @@ def test_intrinsics_need_neither_poses_nor_a_unit(folder: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("part", ["calibration", "intrinsics"])
-def test_the_check_takes_intrinsics_alone_in_their_own_part(folder: Path, tmp_path: Path, part: str) -> None:
+def test_check_takes_intrinsics_alone_in_their_own_part(folder: Path, tmp_path: Path, part: str) -> None:
     alone = tmp_path / "lens.toml"
     alone.write_text(
         "".join(f"[{n}]\nsize = [64, 48]\nmatrix = [[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]\n" for n in "ab")

@@ -39,7 +39,7 @@ def of_times(video: VideoInfo, times_s: Mapping[str, float]) -> dict[str, VideoI
     return {camera: replace(video, timecode=Timecode(one, 25.0), created_s=one) for camera, one in times_s.items()}
 
 
-def test_starts_count_from_the_earliest_video(any_video: VideoInfo) -> None:
+def test_starts_count_from_earliest_video(any_video: VideoInfo) -> None:
     videos = of_times(any_video, {"a": 3600.4, "b": 3600.0, "c": 3661.0})
     for clock in ("timecode", "creation_time"):
         found, problems = starts_s(videos, clock)
@@ -57,7 +57,7 @@ def test_timecode_passes_midnight(any_video: VideoInfo) -> None:
 
 @pytest.mark.parametrize("rate", [*map(Fraction, (24, 25, 30, 50, 60)), *(Fraction(n, 1001) for n in NTSC_TICKS)])
 @pytest.mark.parametrize("mark", [":", ";"])
-def test_timecode_across_midnight_counts_the_frames_of_a_day(any_video: VideoInfo, rate: Fraction, mark: str) -> None:
+def test_timecode_across_midnight_counts_frames_of_day(any_video: VideoInfo, rate: Fraction, mark: str) -> None:
     """One second before midnight, and one second and half a minute after it: no number is dropped in between."""
     texts = {"a": f"00:00:01{mark}00", "b": f"23:59:59{mark}00", "c": f"00:00:30{mark}06"}
     stated = {
@@ -88,7 +88,7 @@ def videos(folder: Path, **changes: str) -> list[Path]:
     return [folder / f"{name}.mov" for name in rates]
 
 
-def test_rates_of_several_cameras_meet_on_the_clock_of_their_timecode(tmp_path: Path) -> None:
+def test_rates_of_cameras_meet_on_timecode(tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
     session = open_session(videos(tmp_path), cameras, [Recording("c", offset_s=0.01)], clock="timecode")
     # Drop-frame timecode is 3.6 ms an hour behind the time of day.
@@ -111,7 +111,7 @@ def test_times_of_creation_are_said_to_be_coarse(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("clock", ["timecode", "creation_time"])
-def test_videos_without_the_clock_are_all_named(tmp_path: Path, clock: Clock) -> None:
+def test_videos_without_clock_are_all_named(tmp_path: Path, clock: Clock) -> None:
     paths = videos(tmp_path)
     for path in paths[1:]:
         path.unlink()
@@ -132,7 +132,7 @@ def test_timecodes_that_do_not_overlap_are_named_as_such(tmp_path: Path) -> None
     assert (problem.code, problem.camera) == ("no_overlap", "b")
 
 
-def test_the_check_of_a_session_records_its_clock(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_of_session_records_its_clock(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--videos", *map(str, videos(tmp_path)), "--calibration"]
     words += [str(calibration(tmp_path / "c.json", ["a", "b", "c"])), "--clock", "timecode"]
     assert preflight.main(words) == 0

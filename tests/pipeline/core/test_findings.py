@@ -42,7 +42,7 @@ def test_only_errors_are_errors() -> None:
     assert has_error([DOUBT, from_problem(Problem(INVALID_NAME, "Wrong."))])
 
 
-def test_a_finding_names_its_camera_once_and_is_safe_to_print() -> None:
+def test_finding_names_its_camera_once_and_is_safe_to_print() -> None:
     assert str(Finding(Code("size"), "left: the video is small.", "left")) == "left: the video is small."
     assert str(Finding(Code("pairs"), "left and the others disagree.", "left")) == "left and the others disagree."
     assert str(Finding(Code("dark"), "lefthand walls are dark.", "left")) == "left: lefthand walls are dark."

@@ -54,6 +54,6 @@ def test_points_of_published_orders(name: str, index: int, joint: str | None) ->
     assert LAYOUTS[name].points[index] == joint
 
 
-def test_hands_begin_with_the_wrist_which_is_the_body_s() -> None:
+def test_hands_begin_with_wrist_which_is_body_s() -> None:
     assert HAND_POINTS["left"][:2] == (None, "left_thumb_cmc")
     assert {len(points) for points in HAND_POINTS.values()} == {21}

@@ -40,13 +40,13 @@ def path(tmp_path: Path) -> Path:
     ],
     ids=["plain", "mark", "Windows", "old Mac", "decimal commas", "tabs", "spaces", "quoted"],
 )
-def test_one_table_in_the_forms_of_many_programs(path: Path, change: Callable[[str], str]) -> None:
+def test_one_table_in_forms_of_many_programs(path: Path, change: Callable[[str], str]) -> None:
     content = change(TEXT)
     assert [(line, {name: row[name] for name in ROWS[0][1]}) for line, row in rows(path, content.encode())] == ROWS
     assert [row["frame"] for _, row in rows(path, content.removeprefix("\ufeff").encode("utf-16"))] == ["0", "1"]
 
 
-def test_comma_in_a_table_with_commas_is_no_decimal_comma(path: Path) -> None:
+def test_comma_in_table_with_commas_is_no_decimal_comma(path: Path) -> None:
     assert rows(path, b'name,note\na,"1,5"\n') == [(2, {"name": "a", "note": "1,5"})]
 
 
@@ -60,6 +60,6 @@ def test_short_rows_are_filled_and_missing_columns_named(path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"name\n\xff\xff\n", b"\xff\xfen", b'name\n"' + b"x" * 200_000])
-def test_other_content_is_an_error(path: Path, content: bytes) -> None:
+def test_other_content_is_error(path: Path, content: bytes) -> None:
     with pytest.raises((ValueError, csv.Error)):
         rows(path, content)

@@ -46,7 +46,7 @@ def distance(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.sqrt(max(0.0, 1 - np.sqrt(one * other).sum())))
 
 
-def test_each_part_has_the_colours_of_its_clothes() -> None:
+def test_each_part_has_colours_of_its_clothes() -> None:
     (histograms,) = measured(image(RED, BLUE), *body())
     assert (histograms.shape, histograms.dtype) == ((len(PARTS), NUM_BINS), np.uint8)
     torso, legs = histograms
@@ -54,17 +54,17 @@ def test_each_part_has_the_colours_of_its_clothes() -> None:
     assert legs[[19, 20, 21]].sum() == legs.sum() > 250
 
 
-def test_a_row_takes_little_room() -> None:
+def test_row_takes_little_room() -> None:
     assert len(PARTS) * NUM_BINS <= 64
 
 
-def test_a_joint_set_with_other_numbers_gives_the_same() -> None:
+def test_joint_set_with_other_numbers_gives_same() -> None:
     ours = measured(image(RED, GREY), *body())
     np.testing.assert_array_equal(colour_histograms(image(RED, GREY), *body(COCO_18), COCO_18), ours)
 
 
 @pytest.mark.parametrize("light", [0.5, 0.75, 1.2])
-def test_the_light_changes_a_colour_less_than_other_clothes_do(light: float) -> None:
+def test_light_changes_colour_less_than_other_clothes_do(light: float) -> None:
     plain = measured(image(RED, PALE_RED), *body())[0]
     other = measured((light * image(RED, PALE_RED)).clip(0, 255).astype(np.uint8), *body())[0]
     assert distance(plain[0], measured(image(BLUE, RED), *body())[0, 0]) > 0.9
@@ -72,14 +72,14 @@ def test_the_light_changes_a_colour_less_than_other_clothes_do(light: float) -> 
     assert distance(plain[1], other[1]) < 0.2
 
 
-def test_clothes_without_a_hue_differ_by_their_brightness() -> None:
+def test_clothes_without_hue_differ_by_their_brightness() -> None:
     torsos = [measured(image(colour, GREY), *body())[0, 0] for colour in (BLACK, GREY, WHITE)]
     assert all(torso[24:].sum() == torso.sum() for torso in torsos)
     assert min(distance(torsos[0], torsos[1]), distance(torsos[1], torsos[2])) > 0.9
 
 
 @pytest.mark.parametrize("fault", ["missing", "low", "outside", "short"])
-def test_a_part_without_its_joints_is_unknown(fault: str) -> None:
+def test_part_without_its_joints_is_unknown(fault: str) -> None:
     keypoints_px, score = body()
     hip = COCO_17.index("left_hip")
     match fault:
@@ -97,7 +97,7 @@ def test_a_part_without_its_joints_is_unknown(fault: str) -> None:
     assert legs.any() == (fault != "short")
 
 
-def test_what_is_there_of_others_changes_nothing() -> None:
+def test_records_of_others_change_nothing() -> None:
     rng = np.random.default_rng(3)
     picture = rng.integers(0, 256, (200, 200, 3), dtype=np.uint8)
     keypoints_px, score = (np.repeat(one, 5, axis=0) for one in body())
@@ -107,7 +107,7 @@ def test_what_is_there_of_others_changes_nothing() -> None:
     np.testing.assert_array_equal(together, alone)
 
 
-def test_stored_joints_give_the_same_bytes_as_those_of_the_network() -> None:
+def test_stored_joints_give_same_bytes_as_those_of_network() -> None:
     picture = np.random.default_rng(4).integers(0, 256, (200, 200, 3), dtype=np.uint8)
     keypoints_px, score = (one.astype(np.float32) for one in body())
     keypoints_px += np.float32(0.1)
@@ -116,7 +116,7 @@ def test_stored_joints_give_the_same_bytes_as_those_of_the_network() -> None:
     )
 
 
-def test_a_picture_without_people_has_no_rows() -> None:
+def test_picture_without_people_has_no_rows() -> None:
     nobody = np.empty((0, 17, 2)), np.empty((0, 17))
     assert measured(image(RED, BLUE), *nobody).shape == (0, len(PARTS), NUM_BINS)
     keypoints_px, score = body()

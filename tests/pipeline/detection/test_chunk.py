@@ -65,7 +65,7 @@ def detect_in(session: CaptureSession, detector: TopDown, borders: list[int], fo
     return concatenate(chunks, ["left"], len(BODY_FEET.names))["left"]
 
 
-def test_bodies_are_followed_between_detections_whatever_the_cut(session: CaptureSession) -> None:
+def test_bodies_are_followed_between_detections_whatever_cut(session: CaptureSession) -> None:
     follow_s = 3.0 / session.timebase.frame_rate_hz
     body = BrightBody()
     whole = detect_in(session, top_down(body), [0, NUM_FRAMES], follow_s)
@@ -78,9 +78,7 @@ def test_bodies_are_followed_between_detections_whatever_the_cut(session: Captur
 
 
 @pytest.mark.parametrize(("refines_body", "num_frames"), [(True, 0.0), (False, 3.0)])
-def test_every_frame_is_detected_by_default_and_where_crops_give_feet_alone(
-    session: CaptureSession, refines_body: bool, num_frames: float
-) -> None:
+def test_every_frame_is_detected_by_default(session: CaptureSession, refines_body: bool, num_frames: float) -> None:
     body = BrightBody()
     follow_s = num_frames / session.timebase.frame_rate_hz
     detect_in(session, top_down(body, refines_body), [0, NUM_FRAMES], follow_s)

@@ -38,15 +38,15 @@ def found(pictures: list[np.ndarray], start: int = 0) -> list[int]:
 
 
 @pytest.mark.parametrize("doubled", [(), (20,), (7, 8, 30, 59), tuple(range(1, 60, 2)), (1, 2, 4, 6, 7, 9, 11, 12, 14)])
-def test_doubled_pictures_of_a_camera_with_noise_are_found(doubled: tuple[int, ...]) -> None:
+def test_doubled_pictures_of_camera_with_noise_are_found(doubled: tuple[int, ...]) -> None:
     assert found(scene(40, 8.0, doubled)) == list(doubled)
 
 
-def test_doubled_pictures_without_noise_are_found_where_a_person_moves() -> None:
+def test_doubled_pictures_are_found_where_person_moves() -> None:
     assert found(scene(40, 0.0, (12, 33), coding=0.0)) == [12, 33]
 
 
-def test_a_scene_that_stands_still_has_no_doubled_pictures() -> None:
+def test_scene_that_stands_still_has_no_doubled_pictures() -> None:
     still = scene(40, 0.0, tuple(range(1, NUM_FRAMES)), coding=0.3)
     assert found(still) == []
     assert found([still[0]] * 10) == []

@@ -62,7 +62,7 @@ def test_from_image_to_map_and_back_nothing_is_shifted(
 
 
 @pytest.mark.parametrize("size_px", SIZES)
-def test_a_cell_of_the_map_lies_where_its_pixels_do(size_px: tuple[int, int]) -> None:
+def test_cell_of_map_lies_where_its_pixels_do(size_px: tuple[int, int]) -> None:
     """Position of a peak computed by hand, from sizes of the network's input and pixel centres."""
     long_side = max(size_px)
     seen_px = [round(side * 512 / long_side) for side in size_px]
@@ -77,7 +77,7 @@ def test_a_cell_of_the_map_lies_where_its_pixels_do(size_px: tuple[int, int]) ->
     np.testing.assert_allclose(detector_of(outputs).detect(image).keypoints_px[0, 0], expected_px, atol=1e-9)
 
 
-def test_colours_come_in_the_order_that_the_network_wants() -> None:
+def test_colours_come_in_order_that_network_wants() -> None:
     image = np.full((64, 64, 3), (10, 20, 30), np.uint8)
     rgb, _ = detector_of().prepare(image)
     bgr, _ = detector_of(channels="bgr").prepare(image)
@@ -87,7 +87,7 @@ def test_colours_come_in_the_order_that_the_network_wants() -> None:
     assert bgr[0, :, 100, 100].tolist() == [30, 20, 10]
 
 
-def test_an_unknown_network_is_said() -> None:
+def test_unknown_network_is_said() -> None:
     with pytest.raises(ModelError, match="Known: movenet-multipose"):
         open_detector("posenet")
 
@@ -104,7 +104,7 @@ def image_rgb() -> np.ndarray:
         return next(container.decode(video=0)).to_ndarray(format="rgb24")
 
 
-def test_people_of_the_sample_are_found(detector: Detector, image_rgb: np.ndarray) -> None:
+def test_people_of_sample_are_found(detector: Detector, image_rgb: np.ndarray) -> None:
     bodies = detector.detect(image_rgb)
     walker, watcher, bystander = bodies.keypoints_px
     # Where one sees them in the picture.
@@ -118,7 +118,7 @@ def test_people_of_the_sample_are_found(detector: Detector, image_rgb: np.ndarra
     assert np.isfinite(bodies.keypoints_px).all()
 
 
-def test_a_mirrored_image_gives_the_mirrored_people(detector: Detector, image_rgb: np.ndarray) -> None:
+def test_mirrored_image_gives_mirrored_people(detector: Detector, image_rgb: np.ndarray) -> None:
     bodies = detector.detect(image_rgb)
     mirrored = detector.detect(np.ascontiguousarray(image_rgb[:, ::-1]))
     swapped = [
@@ -135,9 +135,7 @@ def test_a_mirrored_image_gives_the_mirrored_people(detector: Detector, image_rg
 
 
 @pytest.mark.parametrize("turn_deg", [90.0, 180.0, 270.0])
-def test_a_hanging_camera_sees_the_people_of_an_upright_one(
-    detector: Detector, image_rgb: np.ndarray, turn_deg: float
-) -> None:
+def test_hanging_camera_sees_people_of_upright_one(detector: Detector, image_rgb: np.ndarray, turn_deg: float) -> None:
     bodies = detector.detect(image_rgb)
     hanging = turned(detector, turn_deg).detect(np.ascontiguousarray(np.rot90(image_rgb, -round(turn_deg / 90))))
     # Positions in the upright picture, by the picture's shape alone.
@@ -151,7 +149,7 @@ def test_a_hanging_camera_sees_the_people_of_an_upright_one(
     np.testing.assert_allclose(hanging.box_px[:, 2:], hanging.keypoints_px.max(1))
 
 
-def test_the_same_image_gives_the_same_bytes(detector: Detector, image_rgb: np.ndarray) -> None:
+def test_same_image_gives_same_bytes(detector: Detector, image_rgb: np.ndarray) -> None:
     first, second = detector.detect(image_rgb), open_detector().detect(image_rgb)
     assert first.keypoints_px.tobytes() == second.keypoints_px.tobytes()
     assert first.score.tobytes() == second.score.tobytes()

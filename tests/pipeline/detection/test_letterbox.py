@@ -8,7 +8,7 @@ from pipeline.detection.letterbox import LetterBox, apply_letterbox, fit_letterb
 SIZES = [(1920, 1080), (1088, 1920), (640, 480), (333, 517), (1279, 719), (97, 41), (512, 512)]
 
 
-def test_the_long_side_is_scaled_and_the_rest_padded() -> None:
+def test_long_side_is_scaled_and_rest_padded() -> None:
     assert fit_letterbox((1920, 1080), 512 / 1920, 32) == LetterBox((1920, 1080), (512, 288), (512, 288))
     assert fit_letterbox((1088, 1920), 512 / 1920, 32) == LetterBox((1088, 1920), (290, 512), (320, 512))
     assert fit_letterbox((64, 48), 512 / 64, 32) == LetterBox((64, 48), (512, 384), (512, 384))
@@ -55,7 +55,7 @@ def test_turned_images_map_there_and_back_and_lie_inside(
     assert (in_network_px <= np.array(letterbox.scaled_size_px) - 0.5 + slack).all()
 
 
-def test_a_quarter_turn_to_the_left_brings_the_right_edge_up() -> None:
+def test_quarter_turn_to_left_brings_right_edge_up() -> None:
     letterbox = fit_letterbox((1920, 1080), 512 / 1920, 32, 90.0)
     assert letterbox == LetterBox((1920, 1080), (288, 512), (288, 512), 90.0)
     corners_px = np.array([(1919.5, -0.5), (1919.5, 1079.5), (-0.5, -0.5)])
@@ -69,7 +69,7 @@ def test_a_quarter_turn_to_the_left_brings_the_right_edge_up() -> None:
 
 @pytest.mark.parametrize("turn_deg", [90.0, 180.0, 270.0])
 @pytest.mark.parametrize("size", SIZES)
-def test_a_hanging_camera_gives_the_input_of_an_upright_one(size: tuple[int, int], turn_deg: float) -> None:
+def test_hanging_camera_gives_input_of_upright_one(size: tuple[int, int], turn_deg: float) -> None:
     upright = np.random.default_rng(3).integers(0, 256, (size[1], size[0], 3), np.uint8)
     hanging = np.ascontiguousarray(np.rot90(upright, -round(turn_deg / 90)))
     size_px = hanging.shape[1], hanging.shape[0]
@@ -85,7 +85,7 @@ def test_nan_stays_nan() -> None:
 
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0, 33.0, 137.0])
 @pytest.mark.parametrize("size", SIZES)
-def test_what_is_resampled_lies_where_the_mapping_says(size: tuple[int, int], turn_deg: float) -> None:
+def test_resampled_picture_follows_mapping(size: tuple[int, int], turn_deg: float) -> None:
     width, height = size
     center_px = np.array([0.37 * width + 0.21, 0.61 * height - 0.17])
     letterbox = fit_letterbox(size, 512 / max(size), 32, turn_deg)
@@ -100,7 +100,7 @@ def test_what_is_resampled_lies_where_the_mapping_says(size: tuple[int, int], tu
     np.testing.assert_allclose(found_px, letterbox.network_from_image(center_px), atol=0.02)
 
 
-def test_the_padding_is_black_and_the_colours_keep_their_order() -> None:
+def test_padding_is_black_and_colours_keep_their_order() -> None:
     image = np.full((30, 100, 3), (10, 20, 30), np.uint8)
     padded = apply_letterbox(image, fit_letterbox((100, 30), 512 / 100, 32))
     assert padded.shape == (160, 512, 3)

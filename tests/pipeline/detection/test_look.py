@@ -51,7 +51,7 @@ def make_session(folder: Path, num_frames: int, keyframe_every: int) -> CaptureS
 
 
 @pytest.mark.parametrize("keyframe_every", [5, 250])
-def test_the_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> None:
+def test_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> None:
     session, detector, steps = make_session(tmp_path, 80, keyframe_every), TallBody(), []
     look = look_at_people(session, "right", detector.turned, RULE, 0.0, 8, True, lambda: steps.append(1))
     assert look == CameraLook(CameraSizes((384,)))  # 400 pixels need more padding
@@ -62,13 +62,13 @@ def test_the_whole_video_is_looked_at(tmp_path: Path, keyframe_every: int) -> No
     assert chosen[-1] >= 70
 
 
-def test_an_upright_camera_of_a_network_of_one_size_is_not_looked_at(tmp_path: Path) -> None:
+def test_upright_camera_of_network_of_one_size_is_not_looked_at(tmp_path: Path) -> None:
     session, detector = make_session(tmp_path, 20, 5), TallBody()
     assert look_at_people(session, "right", detector.turned, None, 0.0, 8, False) == CameraLook()
     assert detector.grey == []
 
 
-def test_all_turns_of_an_unknown_camera_are_looked_at_once(tmp_path: Path) -> None:
+def test_all_turns_of_unknown_camera_are_looked_at_once(tmp_path: Path) -> None:
     """The detector finds as much in all turns, so the picture stays as it is."""
     session, detector, steps = make_session(tmp_path, 20, 5), TallBody(), []
     look = look_at_people(session, "right", detector.turned, None, None, 4, False, lambda: steps.append(1))
@@ -78,7 +78,7 @@ def test_all_turns_of_an_unknown_camera_are_looked_at_once(tmp_path: Path) -> No
     assert len(steps) == 4
 
 
-def test_the_size_is_that_of_the_upright_picture(tmp_path: Path) -> None:
+def test_size_is_that_of_upright_picture(tmp_path: Path) -> None:
     """A camera on its side, in whose picture the body lies: 48 pixels of the upright picture's width of 80."""
     session, detector = make_session(tmp_path, 20, 5), TallBody()
     look = look_at_people(session, "right", detector.turned, RULE, 90.0, 8, True)

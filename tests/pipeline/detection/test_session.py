@@ -30,21 +30,21 @@ def test_outputs_come_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"no network", b"\x08\x08\x12\x04test"])
-def test_a_broken_file_is_said_without_its_path(content: bytes, tmp_path: Path) -> None:
+def test_broken_file_is_said_without_its_path(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "net.onnx").write_bytes(content)
     with pytest.raises(ModelError, match=r"^net\.onnx is damaged") as caught:
         open_network(tmp_path / "net.onnx")
     assert str(tmp_path) not in str(caught.value)
 
 
-def test_a_truncated_network_is_said(tmp_path: Path) -> None:
+def test_truncated_network_is_said(tmp_path: Path) -> None:
     path = write_network(tmp_path / "net.onnx")
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(ModelError, match=r"^net\.onnx is damaged"):
         open_network(path)
 
 
-def test_a_batch_on_the_cpu_is_run_image_by_image() -> None:
+def test_batch_on_cpu_is_run_image_by_image() -> None:
     """The outputs of an image do not depend on the batch that it comes in."""
     sizes = []
 
@@ -57,7 +57,7 @@ def test_a_batch_on_the_cpu_is_run_image_by_image() -> None:
     assert sizes == [1, 1]
 
 
-def test_a_provider_that_can_not_run_a_network_leaves_it_to_the_cpu(
+def test_provider_that_can_not_run_network_leaves_it_to_cpu(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(session, "current_provider", lambda: Provider("cuda", "1"))
@@ -67,7 +67,7 @@ def test_a_provider_that_can_not_run_a_network_leaves_it_to_the_cpu(
     assert "The network net runs on the CPU, not by cuda" in caplog.text
 
 
-def test_a_provider_with_other_outputs_leaves_the_network_to_the_cpu(
+def test_provider_with_other_outputs_leaves_network_to_cpu(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A stand-in for a GPU: its network gives values that are off by a hundredth."""
@@ -87,7 +87,7 @@ def test_a_provider_with_other_outputs_leaves_the_network_to_the_cpu(
     assert "differ from the CPU's by 0.01" in caplog.text
 
 
-def test_gpus_run_the_twin_of_a_network_in_integers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpus_run_twin_of_network_in_integers(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[Path] = []
     monkeypatch.setattr(detector, "verify", Path)
     monkeypatch.setattr(detector, "open_network", opened.append)

@@ -32,12 +32,12 @@ def hanging(camera: Camera, turn_deg: float) -> Camera:
 
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize("lean_deg", [-TOLERATED_DEG + 1, -5.0, 0.0, 12.0, TOLERATED_DEG - 1])
-def test_cameras_near_a_quarter_are_turned_by_it(turn_deg: float, lean_deg: float) -> None:
+def test_cameras_near_quarter_are_turned_by_it(turn_deg: float, lean_deg: float) -> None:
     assert turn_of_roll(hanging(ring_camera("left", 0.7), turn_deg + lean_deg)) == turn_deg
 
 
 @given(roll_deg=st.floats(-180.0, 180.0), azimuth=st.floats(0.0, 6.0))
-def test_other_cameras_are_turned_to_the_degree(roll_deg: float, azimuth: float) -> None:
+def test_other_cameras_are_turned_to_degree(roll_deg: float, azimuth: float) -> None:
     """Heads are above feet in the turned picture, up to what is tolerated."""
     camera = hanging(ring_camera("left", azimuth), roll_deg)
     turn_deg = turn_of_roll(camera)
@@ -55,7 +55,7 @@ def test_other_cameras_are_turned_to_the_degree(roll_deg: float, azimuth: float)
 
 @pytest.mark.parametrize(("from_vertical_deg", "is_known"), [(0.0, False), (20.0, False), (30.0, True), (90.0, True)])
 @pytest.mark.parametrize("looks_down", [True, False])
-def test_a_picture_from_above_or_below_has_no_up(from_vertical_deg: float, is_known: bool, looks_down: bool) -> None:
+def test_picture_from_above_or_below_has_no_up(from_vertical_deg: float, is_known: bool, looks_down: bool) -> None:
     tilt = np.radians(180 - from_vertical_deg if looks_down else from_vertical_deg)
     forward = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     right = np.array([0.0, -1.0, 0.0])
@@ -101,7 +101,7 @@ def collapsing(off_deg: float) -> float:
 
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0])
 @pytest.mark.parametrize(("confidence", "shows_lean"), [(falling, True), (falling, False), (collapsing, False)])
-def test_people_show_the_turn_of_a_camera_of_which_nothing_is_known(
+def test_people_show_turn_of_camera_of_which_nothing_is_known(
     turn_deg: float, confidence: Callable[[float], float], shows_lean: bool
 ) -> None:
     people = StandingPeople(turn_deg, confidence)
@@ -117,14 +117,14 @@ def test_people_show_the_turn_of_a_camera_of_which_nothing_is_known(
 @pytest.mark.parametrize("actual_deg", [0.0, 180.0, 270.0])
 @pytest.mark.parametrize("known_deg", [47.0, 90.0, 180.0])
 @pytest.mark.parametrize("shows_lean", [True, False])
-def test_a_world_that_is_not_level_turns_no_picture_wrongly(
+def test_world_that_is_not_level_turns_no_picture_wrongly(
     actual_deg: float, known_deg: float, shows_lean: bool
 ) -> None:
     found_deg, _ = find_turn(known_deg, COCO_17, StandingPeople(actual_deg, falling), shows_lean)
     assert found_deg == actual_deg
 
 
-def test_a_known_turn_is_confirmed_by_one_look() -> None:
+def test_known_turn_is_confirmed_by_one_look() -> None:
     people = StandingPeople(137.0, falling)
     assert find_turn(137.0, COCO_17, people, shows_lean=True)[0] == 137.0
     assert people.looks == [137.0]
@@ -134,7 +134,7 @@ def test_a_known_turn_is_confirmed_by_one_look() -> None:
     assert people.looks == [137.0, 0.0]
 
 
-def test_a_camera_that_is_known_to_be_upright_stays_so_whatever_people_do() -> None:
+def test_upright_camera_stays_upright_whatever_people_do() -> None:
     people = StandingPeople(0.0, falling, shown=(90.0, 90.0))  # they lie
     assert find_turn(0.0, COCO_17, people, shows_lean=True)[0] == 0.0
     assert people.looks == [0.0]
@@ -142,7 +142,7 @@ def test_a_camera_that_is_known_to_be_upright_stays_so_whatever_people_do() -> N
 
 @pytest.mark.parametrize("known_deg", [None, 180.0])
 @pytest.mark.parametrize("shows_lean", [True, False])
-def test_without_people_the_calibration_counts(known_deg: float | None, shows_lean: bool) -> None:
+def test_without_people_calibration_counts(known_deg: float | None, shows_lean: bool) -> None:
     nobody = StandingPeople(0.0, lambda _: 0.0)
     assert find_turn(known_deg, COCO_17, nobody, shows_lean)[0] == (known_deg or 0.0)
 

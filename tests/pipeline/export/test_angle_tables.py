@@ -42,7 +42,7 @@ def test_csv_has_angles_and_standard_deviations_in_degrees() -> None:
     assert set(rows[0].values()) == {"0", "2.000000", ""}
 
 
-def test_mot_has_the_form_of_opensim() -> None:
+def test_mot_has_form_of_opensim() -> None:
     content = b"".join(angle_tables.encode_mot(some_angles(), CLOCK, "person-1.mot", FRAMES)).decode("ascii")
     head, _, body = content.partition("endheader\n")
     assert head == "person-1.mot\nversion=1\nnRows=12\nnColumns=44\ninDegrees=yes\n"
@@ -92,7 +92,7 @@ def test_files_are_read_back_as_they_were_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(found[3:10, :, 0], expected, atol=6e-4)
 
 
-def test_results_hold_angles_and_report_a_changed_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_hold_angles_and_report_changed_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     person = take(track_of(walker(30)), num_frames=40)
     paths = write_files(person, tmp_path / "first", ("angles", "mot")).paths
     assert [path.name for path in paths] == ["person-1.angles.csv", "person-1.mot", "skeletons.json", "metrics.json"]

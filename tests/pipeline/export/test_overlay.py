@@ -36,7 +36,7 @@ def standing(x_m: float) -> np.ndarray:
     return walker(3) - np.array([1.0 - x_m, 2.0, 0.0])
 
 
-def test_bones_are_drawn_where_the_camera_sees_them() -> None:
+def test_bones_are_drawn_where_camera_sees_them() -> None:
     person_m = standing(0.0)[1]
     image = draw_skeletons(GREY, CAMERA, {1: person_m}, COCO_17)
     hip, knee = (project(CAMERA, person_m[COCO_17.index(name)]) for name in ("left_hip", "left_knee"))
@@ -65,7 +65,7 @@ def test_fingers_are_thinner_than_arms() -> None:
     np.testing.assert_array_equal(image[finger[1], finger[0]], color_rgb(1))
 
 
-def test_a_name_stands_in_place_of_the_number() -> None:
+def test_name_stands_in_place_of_number() -> None:
     person_m = {7: standing(0.0)[1]}
 
     def drawn(name: str | None) -> np.ndarray:
@@ -94,7 +94,7 @@ def test_people_have_different_colours() -> None:
     assert apart.min() > 50
 
 
-def test_unseen_joints_and_people_behind_the_camera_are_left_out() -> None:
+def test_unseen_joints_and_people_behind_camera_are_left_out() -> None:
     unseen = np.full((17, 3), np.nan)
     behind = standing(0.0)[0] - np.array([0.0, 10.0, 0.0])
     beside = standing(0.0)[0] - np.array([0.0, 4.0 - 1e-5, 0.0])
@@ -170,7 +170,7 @@ def drawn_column(image: np.ndarray, row: float) -> float:
     return float(np.argwhere((np.abs(rows - 90) > 50).any(-1))[:, 1].mean())
 
 
-def test_people_are_where_they_were_at_the_time_of_each_frame(tmp_path: Path) -> None:
+def test_people_are_where_they_were_at_time_of_each_frame(tmp_path: Path) -> None:
     session = session_of(LARGE, tmp_path)
     frames: list[None] = []
     path = tmp_path / "overlay.mp4"
@@ -189,7 +189,7 @@ def test_people_are_where_they_were_at_the_time_of_each_frame(tmp_path: Path) ->
     assert num_compared == NUM_FRAMES
 
 
-def test_the_video_is_of_the_take_alone(tmp_path: Path) -> None:
+def test_video_is_of_take_alone(tmp_path: Path) -> None:
     session = session_of(CAMERA, tmp_path)
     # Frames 3 to 7 of the camera were taken within half an output frame of these five.
     cut = take_of(CAMERA, Timebase(OFFSET_S + 3 / RATE_HZ, RATE_HZ, 5), runner(5))
@@ -212,7 +212,7 @@ def test_names_are_safe_and_different() -> None:
     assert all(one.isalnum() or one in "-_." for name in names for one in name)
 
 
-def test_an_interrupted_work_ends_at_once(tmp_path: Path) -> None:
+def test_interrupted_work_ends_at_once(tmp_path: Path) -> None:
     session = session_of(CAMERA, tmp_path)
 
     def stop() -> None:

@@ -134,7 +134,7 @@ def test_csv() -> None:
         np.testing.assert_allclose(read_m, expected_m, atol=1e-4)
 
 
-def test_the_same_track_always_gives_the_same_bytes() -> None:
+def test_same_track_always_gives_same_bytes() -> None:
     for encode in (partial(c3d_file.encode, origin_m=np.zeros(3)), csv_table.encode):
         assert b"".join(encode(track(), COCO_17, timebase(25.0))) == b"".join(encode(track(), COCO_17, timebase(25.0)))
 

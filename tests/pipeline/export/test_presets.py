@@ -63,7 +63,7 @@ def rest(preset: Preset, path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_rest_pose_stands_upright_and_faces_the_right_way(preset: Preset, tmp_path: Path) -> None:
+def test_rest_pose_stands_upright_and_faces_right_way(preset: Preset, tmp_path: Path) -> None:
     at = rest(preset, tmp_path / "person.bvh")
     up, forward = (2, np.array([0, -1, 0])) if preset == "unreal" else (1, np.array([0, 0, 1]))
     assert at["Head"][up] - at["Hips"][up] == pytest.approx(0.60, abs=0.15)
@@ -83,14 +83,14 @@ def test_arms_are_stretched_out_or_lowered(preset: Preset, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_fingers_have_the_names_of_the_target_software(preset: Preset) -> None:
+def test_fingers_have_names_of_target_software(preset: Preset) -> None:
     convention = PRESETS[preset]
     ours = ["LeftHandThumb1", "LeftHandThumb2", "LeftHandThumb3", "RightHandPinky1", "RightHandPinky3"]
     assert [convention.name(name) for name in ours] == FINGERS[preset]
     assert len({convention.name(joint.name) for joint in WHOLE_SKELETON}) == len(WHOLE_SKELETON)
 
 
-def test_mixamo_numbers_the_ends_of_fingers() -> None:
+def test_mixamo_numbers_ends_of_fingers() -> None:
     assert PRESETS["mixamo"].name("LeftHandIndex3End") == "mixamorig:LeftHandIndex4"
 
 
@@ -114,7 +114,7 @@ def test_our_own_reader_agrees_with_another(preset: Preset, has_fingers: bool, t
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_our_own_reader_reads_an_order_for_each_joint(preset: Preset, tmp_path: Path) -> None:
+def test_our_own_reader_reads_order_for_each_joint(preset: Preset, tmp_path: Path) -> None:
     motion = tumbling()
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(motion, preset))

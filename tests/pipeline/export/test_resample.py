@@ -28,7 +28,7 @@ def take(session: KeypointSession) -> Reconstruction:
 
 
 @pytest.mark.slow
-def test_the_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:
+def test_session_s_own_rate_changes_nothing(take: Reconstruction) -> None:
     same = resample(take, take.timebase.frame_rate_hz)
     assert asdict(same.timebase) == asdict(take.timebase)
     for one, other in zip(take.tracks, same.tracks, strict=True):
@@ -81,7 +81,7 @@ def test_everybody_is_where_they_are_between_two_frames(take: Reconstruction, ra
         assert all(0 <= one.start_frame <= len(motion.root_m) for one in motion.contacts)
 
 
-def test_who_lives_between_two_frames_is_left_out(take: Reconstruction) -> None:
+def test_person_between_two_frames_is_left_out(take: Reconstruction) -> None:
     short = replace(take.tracks[0], start_frame=1, **{
         name: getattr(take.tracks[0], name)[:2]
         for name in ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
@@ -95,7 +95,7 @@ def test_who_lives_between_two_frames_is_left_out(take: Reconstruction) -> None:
 
 
 @given(seed=st.integers(0, 1000), weight=st.floats(0.0, 1.0))
-def test_between_two_rotations_it_turns_along_the_shorter_arc(seed: int, weight: float) -> None:
+def test_between_two_rotations_it_turns_along_shorter_arc(seed: int, weight: float) -> None:
     before, after = Rotation.random(2, rng=np.random.default_rng(seed))
     quat_xyzw = np.stack([before.as_quat(), -after.as_quat()])[:, None]
     found_xyzw = _rotations_at(quat_xyzw, np.array([0.0, weight, 1.0]))
@@ -112,7 +112,7 @@ def test_quaternions_that_are_continuous_stay_so(take: Reconstruction) -> None:
         assert ((quat[1:] * quat[:-1]).sum(-1) > 0).all()
 
 
-def test_fingers_are_resampled_with_the_body(take: Reconstruction) -> None:
+def test_fingers_are_resampled_with_body(take: Reconstruction) -> None:
     motions = tuple(with_fingers(motion) for motion in take.motions)
     whole = replace(take, animation=replace(take.animation, motions=motions))
     rate_hz = 2 * take.timebase.frame_rate_hz
@@ -124,7 +124,7 @@ def test_fingers_are_resampled_with_the_body(take: Reconstruction) -> None:
         np.testing.assert_allclose(forward_kinematics(motion)[::2], forward_kinematics(old), atol=1e-9)
 
 
-def test_a_single_frame_keeps_its_rotations() -> None:
+def test_single_frame_keeps_its_rotations() -> None:
     quat_xyzw = Rotation.random(4, rng=np.random.default_rng(0)).as_quat()[None]
     np.testing.assert_array_equal(_rotations_at(quat_xyzw, np.zeros(1)), quat_xyzw)
 

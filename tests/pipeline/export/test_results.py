@@ -125,7 +125,7 @@ def test_too_many_frames_at_other_rate_are_refused_first(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("fault", ["a row is lost", "a joint is lost", "a joint is made up"])
-def test_a_file_that_does_not_hold_what_was_written_is_no_result(
+def test_file_that_does_not_hold_what_was_written_is_no_result(
     fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encode = csv_table.encode
@@ -148,7 +148,7 @@ def test_a_file_that_does_not_hold_what_was_written_is_no_result(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_joint_beside_its_place_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_joint_beside_its_place_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     encode = csv_table.encode
 
     def moved(track: Track3D, *arguments: object) -> Iterator[bytes]:
@@ -163,7 +163,7 @@ def test_a_joint_beside_its_place_is_said(tmp_path: Path, monkeypatch: pytest.Mo
     assert check["skeletons"]["max_distance_mm"] < 0.1
 
 
-def test_survey_coordinates_have_an_origin_near_the_people(tmp_path: Path) -> None:
+def test_survey_coordinates_have_origin_near_people(tmp_path: Path) -> None:
     """Two people in projected coordinates, 5,400 km from the equator, are within 0.1 mm in files of every format."""
     away_m = np.array([500_123.4, 5_412_345.6, 312.7])
     cameras = tuple(

@@ -67,7 +67,7 @@ def path(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Pat
 NAMES = {"person-1": "person-1", "Zoë K.": "person-2"}
 
 
-def test_a_take_in_three(named: Reconstruction, path: Path) -> None:
+def test_take_in_three(named: Reconstruction, path: Path) -> None:
     issues = validate_with_khronos([path])[path]
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
     read = read_take_with_three(path)
@@ -120,7 +120,7 @@ def stored(path: Path) -> dict[str, list[dict[str, object]]]:
     return described
 
 
-def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
+def test_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
     box = read_take_with_three(path)["meshes"]["floor"]
     (low_x, low_y, low_z), (high_x, high_y, high_z) = box["min"], box["max"]
     roots_m = np.concatenate([motion.root_m for motion in named.motions])
@@ -193,7 +193,7 @@ def test_fbx_cameras_in_three_js_have_focal_lengths(mixed: Reconstruction, mixed
         assert width / 2 / (half * found["aspect"]) == pytest.approx(f_x, rel=1e-6), camera.name
 
 
-def test_fbx_cameras_fit_the_film_to_the_longer_side(mixed: Reconstruction, mixed_path: Path) -> None:
+def test_fbx_cameras_fit_film_to_longer_side(mixed: Reconstruction, mixed_path: Path) -> None:
     scene = StoredScene(read(mixed_path.read_bytes()))
     for model, camera in zip(scene.of_kind("Model", "Camera"), mixed.cameras, strict=True):
         (lens,) = scene.children(model, "NodeAttribute")
@@ -212,7 +212,7 @@ def test_fbx_cameras_fit_the_film_to_the_longer_side(mixed: Reconstruction, mixe
 
 @pytest.mark.blender
 @pytest.mark.parametrize("format_", ["glb", "fbx"])
-def test_a_take_in_blender(named: Reconstruction, format_: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_take_in_blender(named: Reconstruction, format_: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     path: Path = request.getfixturevalue({"glb": "path", "fbx": "fbx_path"}[format_])
     read = read_take_with_blender(path, RATE_HZ, tmp_path, named.cameras)
     assert set(read["people"]) == set(NAMES)
@@ -266,14 +266,12 @@ def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path:
     assert len(keys) < 10
 
 
-def test_a_take_has_its_frames_whatever_the_timeline_of_people(
-    named: Reconstruction, path: Path, tmp_path: Path
-) -> None:
+def test_take_has_its_frames_whatever_timeline_of_people(named: Reconstruction, path: Path, tmp_path: Path) -> None:
     write_results(named, tmp_path, GLB, timeline="person")
     assert (tmp_path / "take.glb").read_bytes() == path.read_bytes()
 
 
-def test_a_person_is_the_same_in_both_files(named: Reconstruction, path: Path) -> None:
+def test_person_is_same_in_both_files(named: Reconstruction, path: Path) -> None:
     """Nodes, body and animation of the first person are those of the person's own file."""
     alone, together = stored(path.with_name("person-1.glb")), stored(path)
     num_nodes = len(alone["nodes"])
@@ -305,7 +303,7 @@ def test_survey_coordinates_have_origin_of_files(named: Reconstruction, tmp_path
         np.testing.assert_allclose(np.array(node["translation"]), expected_m, atol=1e-6)
 
 
-def test_a_take_that_is_too_large_is_left_out_with_a_warning(
+def test_take_that_is_too_large_is_left_out_with_warning(
     named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert glb.fits(take_scene(named))
@@ -317,7 +315,7 @@ def test_a_take_that_is_too_large_is_left_out_with_a_warning(
     assert [check["code"] for check in checks if check["code"] == "take_too_large"] == ["take_too_large"]
 
 
-def test_a_take_whose_file_is_cut_off_is_no_result(
+def test_take_whose_file_is_cut_off_is_no_result(
     named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encode = glb.encode_take

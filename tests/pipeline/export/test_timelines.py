@@ -78,7 +78,7 @@ def y_up(xyz_m: np.ndarray) -> np.ndarray:
     return np.stack([xyz_m[..., 0], xyz_m[..., 2], -xyz_m[..., 1]], axis=-1)
 
 
-def test_bvh_has_all_frames_and_holds_the_nearest_pose(two_people: Reconstruction, of_take: Path) -> None:
+def test_bvh_has_all_frames_and_holds_nearest_pose(two_people: Reconstruction, of_take: Path) -> None:
     for name, expected_m in nearest_m(two_people).items():
         path = of_take / f"{name}.bvh"
         assert f"\nFrames: {NUM_FRAMES}\n".encode() in path.read_bytes()
@@ -103,7 +103,7 @@ def test_glb_holds_nearest_pose_and_hides_absent_people(two_people: Reconstructi
     assert b"absent" not in (of_take / "person-1.glb").read_bytes()
 
 
-def test_fbx_has_all_frames_and_holds_the_nearest_pose(two_people: Reconstruction, of_take: Path) -> None:
+def test_fbx_has_all_frames_and_holds_nearest_pose(two_people: Reconstruction, of_take: Path) -> None:
     paths = {of_take / f"{name}.fbx": name for name in OF_PERSON}
     for path, read in read_with_three(list(paths)).items():
         assert read.frame_rate_hz == pytest.approx(RATE_HZ, rel=1e-4)
@@ -168,9 +168,7 @@ def test_files_of_own_frames_equal_files_of_motion(two_people: Reconstruction, t
     assert len(next(iter(read_with_bvhio(tmp_path / "person-2.bvh").values()))) == len(OF_PERSON["person-2"])
 
 
-def test_only_the_files_of_people_depend_on_the_timeline(
-    two_people: Reconstruction, of_take: Path, tmp_path: Path
-) -> None:
+def test_only_files_of_people_depend_on_timeline(two_people: Reconstruction, of_take: Path, tmp_path: Path) -> None:
     write_results(two_people, tmp_path, EXPORTS, timeline="person")
     for name in ("skeletons.json", "metrics.json", "person-1.bvh", "person-1.trc", "person-1.c3d", "person-1.glb"):
         assert (tmp_path / name).read_bytes() == (of_take / name).read_bytes(), name
@@ -180,7 +178,7 @@ def test_only_the_files_of_people_depend_on_the_timeline(
         ).read_bytes()
 
 
-def test_all_files_have_the_frames_of_the_take_at_another_rate(two_people: Reconstruction, tmp_path: Path) -> None:
+def test_all_files_have_frames_of_take_at_another_rate(two_people: Reconstruction, tmp_path: Path) -> None:
     write_results(two_people, tmp_path, EXPORTS, frame_rate_hz=50.0)
     for name in OF_PERSON:
         assert len(read_with_bvhio(tmp_path / f"{name}.bvh")["Hips"]) == 2 * NUM_FRAMES - 1
@@ -191,7 +189,7 @@ def test_all_files_have_the_frames_of_the_take_at_another_rate(two_people: Recon
 
 
 @pytest.mark.parametrize("frames", [range(3, 12), range(5, 8), range(6, 7), range(3), range(20, 30), range(7, 2000)])
-def test_blocks_of_poses_that_hold_make_up_the_frames(frames: range) -> None:
+def test_blocks_of_poses_that_hold_make_up_frames(frames: range) -> None:
     own, values = range(5, 8), np.array([5, 6, 7])
     blocks = list(held_blocks(own, frames))
     found = [values[frame - own.start] for block, num_times in blocks for frame in list(block) * num_times]

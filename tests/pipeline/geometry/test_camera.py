@@ -50,14 +50,14 @@ def test_undistortion_inverts_distortion(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", COEFFICIENTS)
-def test_rays_go_through_the_points_that_they_see(kind: str) -> None:
+def test_rays_go_through_points_that_they_see(kind: str) -> None:
     one = camera(COEFFICIENTS[kind])
     expected = points(3) - center_in_world(one)
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     np.testing.assert_allclose(rays_in_world(one, undistort_px(one, project(one, points(3)))), expected, atol=1e-9)
 
 
-def test_behind_the_camera_and_nan() -> None:
+def test_behind_camera_and_nan() -> None:
     one = camera([])
     behind = center_in_world(one) - one.cam_from_world.rotation[2]
     assert np.isnan(project(one, behind)).all()
@@ -66,7 +66,7 @@ def test_behind_the_camera_and_nan() -> None:
 
 
 @given(shift=st.tuples(*[st.floats(-1.0, 1.0)] * 3), turn=st.tuples(*[st.floats(-0.4, 0.4)] * 3))
-def test_epipolar_lines_contain_the_other_views_points(
+def test_epipolar_lines_contain_other_views_points(
     shift: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     left = camera([])
@@ -77,7 +77,7 @@ def test_epipolar_lines_contain_the_other_views_points(
     np.testing.assert_allclose(epipolar_distance_px(fundamental, seen_left, seen_right), 0.0, atol=1e-6)
 
 
-def test_epipolar_distance_is_the_mean_of_both_images() -> None:
+def test_epipolar_distance_is_mean_of_both_images() -> None:
     """Epipolar lines of two equal cameras side by side are rows."""
     left = camera([], turn=(0.0, 0.0, 0.0))
     right = Camera("b", left.size_px, left.matrix, left.distortion, Rigid3(np.eye(3), np.array([-0.8, -0.1, 4.0])))
@@ -87,5 +87,5 @@ def test_epipolar_distance_is_the_mean_of_both_images() -> None:
     )
 
 
-def test_distance_to_a_line() -> None:
+def test_distance_to_line() -> None:
     np.testing.assert_allclose(distance_to_line_px(np.array([[3.0, 4.0]]), np.array([[0.0, 2.0, -2.0]])), 3.0)

@@ -79,7 +79,7 @@ def test_undistortion_is_opencvs() -> None:
     np.testing.assert_allclose(undistort_px(flat_camera, seen_px), expected, atol=1e-4)
 
 
-def test_points_beyond_the_limit_are_nan() -> None:
+def test_points_beyond_limit_are_nan() -> None:
     one = camera(COEFFICIENTS["none"])
     assert angle_limit_rad(one.distortion) == MAX_ANGLE_RAD
     inside, outside = points_at(one, np.radians([84.9, 85.1]))
@@ -91,7 +91,7 @@ def test_points_beyond_the_limit_are_nan() -> None:
     np.testing.assert_array_equal(np.isfinite(undistort_px(one, seen_px)).all(-1), [True, False, False])
 
 
-def test_the_limit_is_where_the_radius_stops_growing() -> None:
+def test_limit_is_where_radius_stops_growing() -> None:
     folding = np.array([-0.4, 0.0, 0.0, 0.0])  # 1 - 1.2 t^2 = 0
     assert angle_limit_rad(folding) == pytest.approx(np.sqrt(1 / 1.2))
     beyond = np.array([[np.tan(0.95), 0.0]])

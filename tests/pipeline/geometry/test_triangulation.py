@@ -39,7 +39,7 @@ def test_instants_are_triangulated_from_distorted_pixels() -> None:
     assert triangulate_instants(RING, points_px[:0]).shape == (0, 3, 3)
 
 
-def test_rows_measure_metres_to_a_plane_through_the_ray() -> None:
+def test_rows_measure_metres_to_plane_through_ray() -> None:
     """Equations 7-9 with the norm of eq. 11: moving a point by 1 cm across the optical axis gives 1 cm."""
     target_m = np.array([[0.0, 0.0, 1.0]])
     rows = plane_rows(PROJECTIONS, seen(target_m))[0, 0]
@@ -48,7 +48,7 @@ def test_rows_measure_metres_to_a_plane_through_the_ray() -> None:
     np.testing.assert_allclose(np.abs(rows @ moved), [0.01, 0.0], atol=1e-9)
 
 
-def test_the_origin_of_the_world_does_not_matter() -> None:
+def test_origin_of_world_does_not_matter() -> None:
     points_px = seen(np.array([[0.3, 0.2, 1.1]])) + np.random.default_rng(0).normal(0, 5, (4, 1, 2))
     shift = np.eye(4)
     shift[:3, 3] = [100.0, -50.0, 20.0]
@@ -84,7 +84,7 @@ def test_rays_that_are_nearly_parallel_give_nan() -> None:
 
 
 @pytest.mark.parametrize("camera", range(4))
-def test_one_wrong_view_does_not_pull_the_point(camera: int) -> None:
+def test_one_wrong_view_does_not_pull_point(camera: int) -> None:
     truth = np.random.default_rng(1).uniform(-0.8, 0.8, (30, 3))
     points_px = seen(truth)
     points_px[camera] += np.random.default_rng(2).choice([-1, 1], (30, 2)) * 90.0
@@ -94,7 +94,7 @@ def test_one_wrong_view_does_not_pull_the_point(camera: int) -> None:
     assert robust.max() < 0.03
 
 
-def test_of_two_views_that_contradict_a_third_the_guess_decides() -> None:
+def test_of_two_views_that_contradict_third_guess_decides() -> None:
     """Of three views one is wrong, which a prediction from earlier frames identifies."""
     truth = np.array([[0.2, 0.1, 1.2]])
     points_px = seen(truth)[:3]

@@ -45,7 +45,7 @@ def num_bytes(paths: Iterable[Path]) -> int:
     return sum(path.stat().st_size for path in paths if path.is_file())
 
 
-def test_a_reconstruction_writes_about_what_is_foreseen(session: KeypointSession, tmp_path: Path) -> None:
+def test_reconstruction_writes_about_what_is_foreseen(session: KeypointSession, tmp_path: Path) -> None:
     formats = formats_of_people(installed_formats())
     config = ReconstructionConfig(exports=formats)
     foreseen = session_space(session, config)
@@ -61,7 +61,7 @@ def test_every_format_is_counted(export: Export) -> None:
     assert of_videos(ReconstructionConfig(exports=(export,))).result_bytes > 1.1 * without
 
 
-def test_the_record_of_a_session_says_as_much_as_the_session(session: KeypointSession) -> None:
+def test_record_of_session_says_as_much_as_session(session: KeypointSession) -> None:
     preflight = Preflight.from_json(json.loads(json.dumps(preflight_of(session).to_json())))
     config = ReconstructionConfig(exports=("bvh",))
     of_record, of_session = foreseen_space(preflight, config), session_space(session, config)
@@ -72,7 +72,7 @@ def test_the_record_of_a_session_says_as_much_as_the_session(session: KeypointSe
     assert abs(copies_bytes - of_record.result_bytes) <= 1
 
 
-def test_what_the_space_depends_on() -> None:
+def test_space_depends_on_choices() -> None:
     plain = of_videos(ReconstructionConfig())
     assert plain.num_people == 3
     assert 1.9 < of_videos(ReconstructionConfig(), 36_000).store_bytes / plain.store_bytes < 2.1
@@ -92,7 +92,7 @@ def test_what_the_space_depends_on() -> None:
     assert plain.scratch_bytes > plain.result_bytes
 
 
-def test_a_disk_without_the_space_is_refused_before_any_work(tmp_path: Path) -> None:
+def test_disk_without_space_is_refused_before_any_work(tmp_path: Path) -> None:
     needed = ForeseenSpace(output_bytes=0, result_bytes=2**60, scratch_bytes=0, num_people=3)
     with pytest.raises(InputError) as refused:
         require_space(needed, tmp_path / "not" / "there", None)

@@ -68,7 +68,7 @@ def test_dropped_frames_of_avi_keep_their_places(tmp_path: Path, codec: str, dro
     assert video.warnings
 
 
-def test_h264_with_two_places_a_frame_has_the_times_of_its_pictures(tmp_path: Path) -> None:
+def test_h264_with_two_places_frame_has_times_of_its_pictures(tmp_path: Path) -> None:
     """A copy from MP4 has every other place empty, and its header counts all of them."""
     path = write_avi(tmp_path / "a.avi", "libx264", range(60), places_a_frame=2)
     with av.open(str(path)) as container:
@@ -78,7 +78,7 @@ def test_h264_with_two_places_a_frame_has_the_times_of_its_pictures(tmp_path: Pa
     assert (video.frame_rate_hz, video.warnings) == (25.0, ())
 
 
-def test_h264_with_b_frames_in_avi_is_refused_with_the_remedy(tmp_path: Path) -> None:
+def test_h264_with_b_frames_in_avi_is_refused_with_remedy(tmp_path: Path) -> None:
     path = tmp_path / "a.avi"
     write_video(path, 40, options={"bf": "3", "x264-params": "b-adapt=0"})
     problem = probe(path)
@@ -87,7 +87,7 @@ def test_h264_with_b_frames_in_avi_is_refused_with_the_remedy(tmp_path: Path) ->
     assert "B-frames" in str(problem.hint)
 
 
-def test_places_that_the_header_counts_after_the_last_picture_are_no_fault(tmp_path: Path) -> None:
+def test_header_places_after_last_picture_are_no_fault(tmp_path: Path) -> None:
     path = write_avi(tmp_path / "a.avi", "mjpeg", range(40))
     content = bytearray(path.read_bytes())
     length = content.index(b"strh") + 8 + 32

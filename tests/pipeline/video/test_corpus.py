@@ -59,7 +59,7 @@ def straight(video: VideoInfo) -> list[tuple[float, np.ndarray]]:
     return [(time_s - found[0][0], np.rot90(image, video.rotation_deg // 90)) for time_s, image in found]
 
 
-def test_ranges_are_slices_of_the_whole_at_the_right_times(clip: DecodedClip) -> None:
+def test_ranges_are_slices_of_whole_at_right_times(clip: DecodedClip) -> None:
     about, video, whole = clip.about, clip.video, clip.whole
     assert [number for number, _ in whole] == list(range(len(about.pictures)))
 

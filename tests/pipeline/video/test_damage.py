@@ -95,7 +95,7 @@ def test_flipped_bytes_move_no_frame(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["h264.mp4", "mpeg4.avi", "ffv1.mkv", "av1.mkv"])
-def test_damage_that_the_decoder_notices_is_told(tmp_path: Path, name: str) -> None:
+def test_damage_that_decoder_notices_is_told(tmp_path: Path, name: str) -> None:
     good = write_video(tmp_path / name, NUM_FRAMES, SIZE_PX, **KINDS[name])
     none: list[int] = []
     assert len(list(decode(probed(good), 0, NUM_FRAMES, none.append))) == NUM_FRAMES
@@ -110,7 +110,7 @@ def test_damage_that_the_decoder_notices_is_told(tmp_path: Path, name: str) -> N
     assert told >= 3
 
 
-def test_damage_is_told_by_the_range_that_it_lies_in(tmp_path: Path) -> None:
+def test_damage_is_told_by_range_that_it_lies_in(tmp_path: Path) -> None:
     video = probed(flip(write_video(tmp_path / "a.mp4", NUM_FRAMES, SIZE_PX, options={"g": "12", "bf": "0"}), 3, 60))
     whole: list[int] = []
     list(decode(video, 0, NUM_FRAMES, whole.append))
@@ -134,7 +134,7 @@ def lose(*lost: int) -> Any:
     return change
 
 
-def test_frames_that_decode_to_nothing_leave_the_others_at_their_times(tmp_path: Path) -> None:
+def test_frames_without_picture_leave_others_at_their_times(tmp_path: Path) -> None:
     good = write_video(tmp_path / "a.mkv", NUM_FRAMES, codec="mjpeg", pix_fmt="yuvj420p")
     video = probed(rewrite_packets(good, tmp_path / "lost.mkv", lose(20, 21, 33)))
     expected, damaged = by_time(good), list[int]()
@@ -145,7 +145,7 @@ def test_frames_that_decode_to_nothing_leave_the_others_at_their_times(tmp_path:
     assert [number for number, _ in decode(video, 20, 22)] == []
 
 
-def test_a_keyframe_that_decodes_to_nothing_is_no_place_to_begin(tmp_path: Path) -> None:
+def test_keyframe_that_decodes_to_nothing_is_no_place_to_begin(tmp_path: Path) -> None:
     """Pictures after the damage are decoded from pictures before it, in all ranges."""
     good = write_video(tmp_path / "a.mkv", NUM_FRAMES, codec="mpeg4", options={"g": "12"})
     keyframe = int(np.searchsorted(probed(good).pts, probed(good).keyframe_pts[2]))
@@ -166,14 +166,14 @@ SIZED: dict[str, tuple[str, dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("name", SIZED)
-def test_a_size_that_changes_is_refused_before_the_job(tmp_path: Path, name: str) -> None:
+def test_size_that_changes_is_refused_before_job(tmp_path: Path, name: str) -> None:
     problem = refused(write_sizes(tmp_path / name, [(64, 48), (96, 64)], 24, *SIZED[name]))
     assert (problem.code, problem.file) == ("video_changes_size", name)
     assert "from 64 x 48 to 96 x 64 pixels" in problem.message
 
 
 @pytest.mark.parametrize("name", SIZED)
-def test_a_size_that_changes_for_a_while_is_refused_when_it_is_seen(tmp_path: Path, name: str) -> None:
+def test_size_that_changes_for_while_is_refused_when_it_is_seen(tmp_path: Path, name: str) -> None:
     video = probed(write_sizes(tmp_path / name, [(64, 48), (96, 64), (64, 48)], 24, *SIZED[name]))
     assert len(list(decode(video, 0, 20))) == 20
     for start in (0, 30):
@@ -182,7 +182,7 @@ def test_a_size_that_changes_for_a_while_is_refused_when_it_is_seen(tmp_path: Pa
         assert "96 x 64" in problem.message
 
 
-def test_pictures_beyond_the_limit_are_never_decoded(tmp_path: Path) -> None:
+def test_pictures_beyond_limit_are_never_decoded(tmp_path: Path) -> None:
     size_px = (8704, 4352)
     assert size_px[0] * size_px[1] > MAX_PIXELS
     path = write_sizes(tmp_path / "a.mkv", [(64, 48), size_px, (64, 48)], 2, "mjpeg", {"strict": "unofficial"})
@@ -206,7 +206,7 @@ def of_times(folder: Path, pts: Any, num_frames: int = NUM_FRAMES) -> Path:
     return rewrite_packets(good, folder / "times.mkv", at_times(pts))
 
 
-def test_frames_that_repeat_a_time_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_frames_that_repeat_time_are_left_out_and_counted(tmp_path: Path) -> None:
     video = probed(of_times(tmp_path, lambda k: 40 * (k - (k == 20) - (k == 30))))
     assert (video.num_frames, video.num_repeated) == (NUM_FRAMES - 2, 2)
     shown = {int(video.pts[number]) // 40: image_rgb.copy() for number, image_rgb in decode(video, 0, NUM_FRAMES)}
@@ -237,7 +237,7 @@ def test_times_that_go_back_later_are_refused_when_they_are_seen(tmp_path: Path,
     assert refused_later(video, start).code == "video_times"
 
 
-def test_frames_after_the_last_time_that_go_back_are_seen(tmp_path: Path) -> None:
+def test_frames_after_last_time_that_go_back_are_seen(tmp_path: Path) -> None:
     video = probed(of_times(tmp_path, lambda k: 40 * k if k < NUM_FRAMES - 1 else 40 * (NUM_FRAMES - 4) + 1))
     assert refused_later(video, NUM_FRAMES - 8).code == "video_times"
 

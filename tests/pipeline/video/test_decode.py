@@ -63,7 +63,7 @@ def test_any_cut_gives_every_frame_once_and_unchanged(video: VideoInfo, borders:
         np.testing.assert_array_equal(image_rgb, expected)
 
 
-def test_a_range_beyond_the_end_gives_what_there_is(video: VideoInfo) -> None:
+def test_range_beyond_end_gives_what_there_is(video: VideoInfo) -> None:
     assert [number for number, _ in decode(video, NUM_FRAMES - 2, NUM_FRAMES + 10)] == [NUM_FRAMES - 2, NUM_FRAMES - 1]
     assert list(decode(video, 5, 5)) == []
 
@@ -117,7 +117,7 @@ QUICK = ("h264.ts", "hevc.mp4", "mpeg2.mpg", "mpeg4.avi", "vp9.mp4", "av1.mkv")
 
 
 @pytest.mark.parametrize("name", slow_but(QUICK, CONTAINERS))
-def test_every_container_can_be_entered_in_the_middle(tmp_path: Path, name: str) -> None:
+def test_every_container_can_be_entered_in_middle(tmp_path: Path, name: str) -> None:
     found = probe(write_video(tmp_path / name, NUM_FRAMES, **CONTAINERS[name]))
     assert isinstance(found, VideoInfo)
     expected = straight(found.path)
@@ -136,7 +136,7 @@ def test_pictures_whose_rows_are_padded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(image_rgb, expected)
 
 
-def test_a_file_replaced_after_the_probe_is_named(tmp_path: Path) -> None:
+def test_file_replaced_after_probe_is_named(tmp_path: Path) -> None:
     info = probe(write_video(tmp_path / "clip.mp4", NUM_FRAMES))
     assert isinstance(info, VideoInfo)
     info.path.write_bytes(bytes(6000))

@@ -61,7 +61,7 @@ def problem_of(video: VideoInfo) -> Problem:
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE, signal.SIGBUS])
-def test_a_file_that_kills_its_decoder_is_a_bad_file(
+def test_file_that_kills_its_decoder_is_bad_file(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     in_children(tmp_path, monkeypatch, when_decoded(f"os.kill(os.getpid(), {int(number)})"))
@@ -79,7 +79,7 @@ def test_a_file_that_kills_its_decoder_is_a_bad_file(
         pytest.param("while True: pass", marks=pytest.mark.slow),
     ],
 )
-def test_a_file_beyond_the_limits_is_a_bad_file(
+def test_file_beyond_limits_is_bad_file(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
 ) -> None:
     monkeypatch.setattr(decode_module, "_TIMEOUT_S", 6.0)
@@ -89,9 +89,7 @@ def test_a_file_beyond_the_limits_is_a_bad_file(
     assert "of 30 could not be decoded within the limits on time and memory" in problem.message
 
 
-def test_the_limit_on_computing_is_the_file_s(
-    video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_limit_on_computing_is_file_s(video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel ends the child by SIGXCPU, although each frame arrives in time."""
     limit = "import resource\nset_limit = resource.setrlimit\n"
     short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
@@ -109,7 +107,7 @@ def test_the_limit_on_computing_is_the_file_s(
         (when_decoded("raise AttributeError('a mistake of ours')"), "a mistake of ours"),
     ],
 )
-def test_a_process_that_fails_by_itself_is_not_the_file_s_fault(
+def test_process_that_fails_by_itself_is_not_file_s_fault(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
 ) -> None:
     in_children(tmp_path, monkeypatch, text)
@@ -136,7 +134,7 @@ except OSError as error:
 """
 
 
-def test_a_decoder_writes_no_core_dump_and_a_short_log(
+def test_decoder_writes_no_core_dump_and_short_log(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FOUND", str(tmp_path / "found"))
@@ -147,7 +145,7 @@ def test_a_decoder_writes_no_core_dump_and_a_short_log(
     assert int(found[1]) < 64
 
 
-def test_a_limited_decoder_that_really_crashes_is_a_bad_file(
+def test_limited_decoder_that_really_crashes_is_bad_file(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A null pointer in native code, as in a decoder's error."""
@@ -158,7 +156,7 @@ def test_a_limited_decoder_that_really_crashes_is_a_bad_file(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_process_that_somebody_ends_is_not_the_file_s_fault(video: VideoInfo, number: signal.Signals) -> None:
+def test_process_that_somebody_ends_is_not_file_s_fault(video: VideoInfo, number: signal.Signals) -> None:
     frames = decode(video, 0, 30)
     next(frames)
     wait_for_child(DECODER).send_signal(number)
@@ -166,7 +164,7 @@ def test_a_process_that_somebody_ends_is_not_the_file_s_fault(video: VideoInfo, 
         list(frames)
 
 
-def test_an_iterator_that_is_closed_leaves_no_process(video: VideoInfo) -> None:
+def test_iterator_that_is_closed_leaves_no_process(video: VideoInfo) -> None:
     frames = decode(video, 0, 30)
     next(frames)
     assert len(children_of(DECODER)) == 1
@@ -174,7 +172,7 @@ def test_an_iterator_that_is_closed_leaves_no_process(video: VideoInfo) -> None:
     assert children_of(DECODER) == []
 
 
-def test_an_interruption_leaves_no_process(video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_leaves_no_process(video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
 
     def interrupt() -> None:
@@ -202,7 +200,7 @@ sys.stdin.read()
 
 
 @pytest.mark.parametrize("text", ["", when_decoded("time.sleep(600)", packet=16)])
-def test_the_process_ends_with_a_parent_that_was_killed(
+def test_process_ends_with_parent_that_was_killed(
     video: VideoInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
     in_children(tmp_path, monkeypatch, text)

@@ -34,14 +34,14 @@ def test_snapping_twice_is_snapping_once(rate: Fraction, precision_hz: Fraction)
 
 
 @given(rate=RATES, precision_hz=PRECISIONS)
-def test_snapping_moves_a_rate_by_no_more_than_the_precision(rate: Fraction, precision_hz: Fraction) -> None:
+def test_snapping_moves_rate_by_no_more_than_precision(rate: Fraction, precision_hz: Fraction) -> None:
     found = snapped(rate, precision_hz)
     assert abs(found - rate) <= precision_hz
     assert found in {rate, nearest_usual_rate(rate)}
 
 
 @given(rate=RATES, number=st.integers(1, 1000))
-def test_no_usual_rate_is_nearer_than_the_nearest(rate: Fraction, number: int) -> None:
+def test_no_usual_rate_is_nearer_than_nearest(rate: Fraction, number: int) -> None:
     distance = abs(nearest_usual_rate(rate) - rate)
     assert distance <= min(abs(number - rate), abs(number * Fraction(1000, 1001) - rate))
 
@@ -64,7 +64,7 @@ def test_another_rate_is_left_alone() -> None:
     start_s=st.floats(0.0, 86_400.0),
     num_frames=st.integers(2, 500),
 )
-def test_even_times_give_the_exact_rate(rate: Fraction, start_s: float, num_frames: int) -> None:
+def test_even_times_give_exact_rate(rate: Fraction, start_s: float, num_frames: int) -> None:
     time_s = start_s + np.arange(num_frames) / float(rate)
     assert measured_rate(time_s) == rate
     assert measured_rate_hz(time_s) == float(rate)
@@ -75,12 +75,12 @@ def test_even_times_give_the_exact_rate(rate: Fraction, start_s: float, num_fram
     tick_hz=st.sampled_from([1000, 10_240, 90_000, 10**6]),
     dropped=st.sets(st.integers(1, 498), max_size=3),
 )
-def test_rounded_times_with_gaps_give_the_exact_rate(rate: Fraction, tick_hz: int, dropped: set[int]) -> None:
+def test_rounded_times_with_gaps_give_exact_rate(rate: Fraction, tick_hz: int, dropped: set[int]) -> None:
     frames = np.delete(np.arange(4000), sorted(dropped))
     assert measured_rate(np.rint(frames / float(rate) * tick_hz) / tick_hz) == rate
 
 
-def test_24_frames_a_second_on_a_clock_of_60_hz() -> None:
+def test_24_frames_second_on_clock_of_60_hz() -> None:
     """Intervals of 2 and 3 ticks by turns; then with a gap of half a second, which does not count."""
     ticks = np.floor(np.arange(241) * 2.5)
     assert measured_rate_hz(ticks / 60.0) == 24.0
@@ -94,13 +94,13 @@ def test_times_that_jitter(rate_hz: float) -> None:
     assert measured_rate_hz((np.arange(1000) + jitter) / rate_hz) == pytest.approx(rate_hz, rel=1e-3)
 
 
-def test_many_gaps_and_jitter_do_not_make_any_rate_a_whole_one() -> None:
+def test_many_gaps_and_jitter_do_not_make_any_rate_whole_one() -> None:
     rng = np.random.default_rng(1)
     frames = np.flatnonzero(rng.random(100) > 0.3)
     assert measured_rate_hz((frames + rng.uniform(-0.2, 0.2, len(frames))) / 1.4) == pytest.approx(1.4, rel=0.05)
 
 
-def test_one_frame_and_frames_without_a_rate() -> None:
+def test_one_frame_and_frames_without_rate() -> None:
     assert measured_rate(np.zeros(1)) == 25
     assert measured_rate(np.zeros(3)) is None
     assert measured_rate_hz(np.zeros(3)) == np.inf
@@ -108,7 +108,7 @@ def test_one_frame_and_frames_without_a_rate() -> None:
 
 @pytest.mark.parametrize("ending", ["mp4", "mkv", "avi", "ts", "mov"])
 @pytest.mark.parametrize("rate", [24, 25, 30, 50, 60, 120, *(Fraction(1000 * n, 1001) for n in (24, 30, 60, 120))])
-def test_rate_of_a_video_file(tmp_path: Path, ending: str, rate: int | Fraction) -> None:
+def test_rate_of_video_file(tmp_path: Path, ending: str, rate: int | Fraction) -> None:
     codec, pix_fmt = ("mjpeg", "yuvj420p") if ending == "avi" else ("libx264", "yuv420p")
     # Matroska's times are whole milliseconds: 90 frames can't tell 120 Hz from 119.88 Hz.
     num_frames = 250 if ending == "mkv" else 60
@@ -121,7 +121,7 @@ def test_rate_of_a_video_file(tmp_path: Path, ending: str, rate: int | Fraction)
 REGULAR_S = np.arange(300) / 29.97
 
 
-def test_regular_and_rounded_times_are_not_worth_a_word() -> None:
+def test_regular_and_rounded_times_are_not_worth_word() -> None:
     assert uneven_times(REGULAR_S) == []
     assert uneven_times(np.round(REGULAR_S, 3)) == []
     assert uneven_times(np.floor(np.arange(200) * 60 / 24) / 60) == []  # 24 Hz on a clock of 60 Hz
@@ -145,7 +145,7 @@ def test_frames_at_almost_one_time_are_said() -> None:
     assert warning.message == "1 frame follows the one before at once, at 3.01 s."
 
 
-def test_a_rate_that_varies_is_said_once() -> None:
+def test_rate_that_varies_is_said_once() -> None:
     intervals_s = np.random.default_rng(0).exponential(0.04, 300)
     (warning,) = uneven_times(np.cumsum(intervals_s))
     assert warning.code == "frame_rate_varies"

@@ -44,7 +44,7 @@ def pictures(video: VideoInfo, start: int, stop: int, only: list[int] | None = N
     return [(number, image_rgb.tobytes()) for number, image_rgb in decode(video, start, stop, only=only)]
 
 
-def test_times_and_keyframes_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo) -> None:
+def test_times_and_keyframes_are_those_of_whole(whole: VideoInfo, joined: VideoInfo) -> None:
     np.testing.assert_array_equal(joined.time_s, whole.time_s)
     np.testing.assert_array_equal(
         np.isin(joined.pts, joined.keyframe_pts).nonzero()[0], np.isin(whole.pts, whole.keyframe_pts).nonzero()[0]
@@ -67,18 +67,18 @@ def expected(whole: VideoInfo) -> list[tuple[int, bytes]]:
         *(pytest.param(span, marks=pytest.mark.slow) for span in ((3, 15), (16, 32), (31, 40), (-5, 1))),
     ],
 )
-def test_pictures_are_those_of_the_whole(
+def test_pictures_are_those_of_whole(
     joined: VideoInfo, expected: list[tuple[int, bytes]], span: tuple[int, int]
 ) -> None:
     assert pictures(joined, *span) == expected[max(span[0], 0) : span[1]]
 
 
-def test_chosen_pictures_are_those_of_the_whole(joined: VideoInfo, expected: list[tuple[int, bytes]]) -> None:
+def test_chosen_pictures_are_those_of_whole(joined: VideoInfo, expected: list[tuple[int, bytes]]) -> None:
     for only in ([0, 8, 16, 24, 32], [1, 15, 16, 39], [20]):
         assert pictures(joined, 0, NUM_FRAMES, only=only) == [expected[number] for number in only]
 
 
-def test_proxies_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo, tmp_path: Path) -> None:
+def test_proxies_are_those_of_whole(whole: VideoInfo, joined: VideoInfo, tmp_path: Path) -> None:
     frames: list[str] = []
     for name, video in (("whole", whole), ("joined", joined)):
         make_proxy_in_child(video, video.time_s, tmp_path / f"{name}.mp4", partial(frames.append, name))
@@ -86,7 +86,7 @@ def test_proxies_are_those_of_the_whole(whole: VideoInfo, joined: VideoInfo, tmp
     assert (tmp_path / "joined.mp4").read_bytes() == (tmp_path / "whole.mp4").read_bytes()
 
 
-def test_a_damaged_frame_has_its_number_in_the_whole(joined: VideoInfo) -> None:
+def test_damaged_frame_has_its_number_in_whole(joined: VideoInfo) -> None:
     part = joined.parts[1]
     missing = replace(part, pts=np.append(part.pts, part.pts[-1] + 512), time_s=np.append(part.time_s, 1.0))
     damaged: list[int] = []
@@ -123,9 +123,7 @@ def test_gaps_are_found_by_timecode(joined: VideoInfo, between_s: float, is_gap:
 
 
 @pytest.mark.parametrize(("is_drop_frame", "day_s"), [(False, 86_486.4), (True, 86_399.9136)])
-def test_gap_across_midnight_is_found_by_the_frames_of_a_day(
-    joined: VideoInfo, is_drop_frame: bool, day_s: float
-) -> None:
+def test_gap_across_midnight_is_found_by_frames_of_day(joined: VideoInfo, is_drop_frame: bool, day_s: float) -> None:
     clock = Timecode(day_s - 0.1, 30_000 / 1001, is_drop_frame)
     first = replace(joined.parts[0], timecode=clock)
     for between_s, sentence in ((0.64, None), (1.64, "1.0 s are missing"), (60.0, "59.4 s are missing")):

@@ -81,7 +81,7 @@ def test_damaged_indexes_of_avi_and_mkv(tmp_path: Path, name: str, mark: bytes, 
     same_or_refused(path, good)
 
 
-def test_seeks_go_back_by_twice_the_distance_each() -> None:
+def test_seeks_go_back_by_twice_distance_each() -> None:
     keyframes = np.arange(0, 1000, 10)
     assert seek_points(keyframes, 5) == []
     assert seek_points(keyframes, 10) == [10]

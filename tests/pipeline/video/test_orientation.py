@@ -136,7 +136,7 @@ def test_pixels_are_turned_exactly(size: tuple[int, int], quarters: int, is_view
         np.testing.assert_array_equal(rotate(image, quarters), np.rot90(image, quarters))
 
 
-def test_memory_is_used_again_and_upright_pictures_are_not_copied() -> None:
+def test_memory_is_reused_and_upright_pictures_not_copied() -> None:
     rotate, image = Rotator(), np.zeros((20, 30, 3), np.uint8)
     assert rotate(image, 0) is image
     assert np.shares_memory(rotate(image, 1), rotate(image + 1, 3))

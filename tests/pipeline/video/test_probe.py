@@ -22,7 +22,7 @@ def refused(path: Path) -> str:
     return found.code
 
 
-def test_a_good_file(tmp_path: Path) -> None:
+def test_good_file(tmp_path: Path) -> None:
     found = probe(write_video(tmp_path / "a.mp4", 30, options={"g": "10", "bf": "2"}))
     assert isinstance(found, VideoInfo)
     assert (found.num_frames, found.size_px, found.codec, found.rotation_deg) == (30, (64, 48), "h264", 0)
@@ -44,7 +44,7 @@ def test_missing_empty_text_image_and_audio(tmp_path: Path) -> None:
     assert refused(tmp_path / "audio.mp4") == "no_video_stream"
 
 
-def test_a_playlist_is_not_followed(tmp_path: Path) -> None:
+def test_playlist_is_not_followed(tmp_path: Path) -> None:
     write_video(tmp_path / "secret.mp4")
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile secret.mp4\n")
     (tmp_path / "hls.mp4").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nsecret.mp4\n#EXT-X-ENDLIST\n")
@@ -60,7 +60,7 @@ def test_no_index(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
-def test_truncated_with_the_index_in_front(tmp_path: Path, share: float) -> None:
+def test_truncated_with_index_in_front(tmp_path: Path, share: float) -> None:
     path = tmp_path / "front.mp4"
     with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=25)

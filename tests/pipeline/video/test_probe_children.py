@@ -22,7 +22,7 @@ from tests.waiting import wait_for
 
 
 @pytest.mark.parametrize("module", ["probe", "decoder", "sound", "playback.proxy"])
-def test_a_child_imports_little(module: str) -> None:
+def test_child_imports_little(module: str) -> None:
     program = f"import sys, pipeline.video.{module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run(python_command("-c", program), capture_output=True, text=True, check=True)
     assert {"av", "pipeline"} <= set(done.stdout.split())
@@ -33,7 +33,7 @@ def test_a_child_imports_little(module: str) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGXCPU, signal.SIGFPE])
-def test_a_file_that_kills_its_decoder_is_a_bad_file(
+def test_file_that_kills_its_decoder_is_bad_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     in_children(tmp_path, monkeypatch, when_opened(f"os.kill(os.getpid(), {int(number)})"))
@@ -45,7 +45,7 @@ def test_a_file_that_kills_its_decoder_is_a_bad_file(
 @pytest.mark.parametrize(
     "act", ["raise MemoryError", "time.sleep(60)", pytest.param("\n    while True: pass", marks=pytest.mark.slow)]
 )
-def test_a_file_beyond_the_limits_is_a_bad_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str) -> None:
+def test_file_beyond_limits_is_bad_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str) -> None:
     monkeypatch.setattr(probing, "_TIMEOUT_S", 6.0)
     in_children(tmp_path, monkeypatch, when_opened(act))
     (found,) = probe_in_children([write_video(tmp_path / "a.mp4", 3)])
@@ -53,7 +53,7 @@ def test_a_file_beyond_the_limits_is_a_bad_file(tmp_path: Path, monkeypatch: pyt
     assert "limits" in found.message
 
 
-def test_the_limit_on_computing_is_the_file_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_on_computing_is_file_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel ends the child by SIGXCPU, not by SIGKILL, which could have other causes."""
     limit = "import resource\nset_limit = resource.setrlimit\n"
     short = "resource.setrlimit = lambda kind, to: set_limit(kind, (2, 4) if kind == resource.RLIMIT_CPU else to)\n"
@@ -72,7 +72,7 @@ def test_the_limit_on_computing_is_the_file_s(tmp_path: Path, monkeypatch: pytes
         (when_opened("raise AttributeError('a mistake of ours')"), "a mistake of ours"),
     ],
 )
-def test_a_child_that_fails_by_itself_is_not_the_file_s_fault(
+def test_child_that_fails_by_itself_is_not_file_s_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
 ) -> None:
     in_children(tmp_path, monkeypatch, text)
@@ -95,7 +95,7 @@ def probes() -> list[psutil.Process]:
     return [child for child in psutil.Process().children(recursive=True) if is_probe(child)]
 
 
-def test_an_interruption_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
     paths = [write_video(tmp_path / f"{k}.mp4", 3) for k in range(4)]
 
@@ -113,7 +113,7 @@ def test_an_interruption_leaves_no_child(tmp_path: Path, monkeypatch: pytest.Mon
     assert not probes()
 
 
-def test_an_interruption_while_children_start_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interruption_while_children_start_leaves_no_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_children(tmp_path, monkeypatch, when_opened("time.sleep(60)"))
 
     class Interrupted(subprocess.Popen[bytes]):
@@ -146,7 +146,7 @@ probe_in_children([Path({str(path)!r})] * 2)
     assert alive == []
 
 
-def test_a_failure_of_ours_ends_the_others_and_keeps_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_of_ours_ends_others_and_keeps_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     act = "os.kill(os.getpid(), signal.SIGKILL) if 'b.mp4' in a[0] else time.sleep(60)"
     in_children(tmp_path, monkeypatch, when_opened(act))
     started_s = time.monotonic()

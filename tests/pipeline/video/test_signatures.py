@@ -29,7 +29,7 @@ def test_containers_are_known_by_their_first_bytes(tmp_path: Path, name: str, co
     assert isinstance(probe(path), VideoInfo)
 
 
-def test_a_transport_stream_may_begin_in_the_middle_of_a_packet(tmp_path: Path) -> None:
+def test_transport_stream_may_begin_in_middle_of_packet(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.ts", 12)
     path.write_bytes(path.read_bytes()[50:])
     assert is_container(path)
@@ -44,7 +44,7 @@ def test_all_else_is_no_container(tmp_path: Path, content: bytes) -> None:
     assert not is_container(path)
 
 
-def test_noise_is_told_without_a_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_is_told_without_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError
 

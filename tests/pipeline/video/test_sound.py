@@ -73,7 +73,7 @@ def onsets_s(path: Path) -> list[float]:
 
 
 @pytest.mark.slow
-def test_claps_of_all_parts_are_at_their_times_in_the_whole(tmp_path: Path) -> None:
+def test_claps_of_all_parts_are_at_their_times_in_whole(tmp_path: Path) -> None:
     """The sound of the first part ends before its pictures, that of the second after them."""
     lengths_s = (3.8, 4.3, 4.0)
     parts = [
@@ -99,7 +99,7 @@ def test_claps_are_at_their_times(tmp_path: Path, name: str, codec: str) -> None
 @pytest.mark.parametrize(
     ("name", "first_s"), [("a.mkv", 0.25), ("a.mov", 0.012), ("a.mkv", 0.009), ("a.mov", 0.007), ("a.mov", 0.003)]
 )
-def test_sound_that_begins_after_the_first_frame_keeps_its_times(tmp_path: Path, name: str, first_s: float) -> None:
+def test_sound_that_begins_after_first_frame_keeps_its_times(tmp_path: Path, name: str, first_s: float) -> None:
     found = onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), "pcm_s16le", sound_first_s=first_s))
     assert found == pytest.approx([click_s + first_s for click_s in CLICKS_S], abs=0.001)
 
@@ -111,7 +111,7 @@ def test_sound_of_compressed_codecs_is_at_its_times(tmp_path: Path, name: str, c
     assert onsets_s(filmed(tmp_path / name, clicks(4.0, CLICKS_S), codec)) == pytest.approx(CLICKS_S, abs=0.002)
 
 
-def test_gaps_of_a_few_milliseconds_add_up(tmp_path: Path) -> None:
+def test_gaps_of_few_milliseconds_add_up(tmp_path: Path) -> None:
     """Pieces of half a second, each 6 ms after the end of the one before."""
     energy = _Energy()
     for number in range(4):
@@ -132,7 +132,7 @@ def test_gaps_of_a_few_milliseconds_add_up(tmp_path: Path) -> None:
         ("a.mp4", "frag_keyframe+empty_moov+delay_moov", []),
     ],
 )
-def test_aac_whose_delay_is_not_stated_is_a_finding(
+def test_aac_whose_delay_is_not_stated_is_finding(
     tmp_path: Path, name: str, movflags: str, codes: Sequence[str]
 ) -> None:
     video = examined(filmed(tmp_path / name, clicks(4.0, CLICKS_S), muxer={"movflags": movflags}))
@@ -151,7 +151,7 @@ def test_lag_of_two_files(tmp_path: Path, late_s: float) -> None:
     assert found.lag_s == pytest.approx(late_s, abs=0.002)
 
 
-def test_a_video_without_sound_says_so(tmp_path: Path) -> None:
+def test_video_without_sound_says_so(tmp_path: Path) -> None:
     assert listen_in_child(examined(write_video(tmp_path / "a.mp4"))) == "The video has no sound."
 
 
@@ -162,7 +162,7 @@ def damage(content: bytearray) -> None:
 
 
 @pytest.mark.parametrize("change", [damage, lambda content: content.__delitem__(slice(len(content) // 2, None))])
-def test_damaged_files_end_in_sound_or_a_reason(tmp_path: Path, change: Callable[[bytearray], object]) -> None:
+def test_damaged_files_end_in_sound_or_reason(tmp_path: Path, change: Callable[[bytearray], object]) -> None:
     video = examined(filmed(tmp_path / "a.mkv", clicks(4.0, CLICKS_S), "pcm_s16le"))
     content = bytearray(video.path.read_bytes())
     change(content)
@@ -171,7 +171,7 @@ def test_damaged_files_end_in_sound_or_a_reason(tmp_path: Path, change: Callable
     assert isinstance(found, str) or (np.isfinite(found).all() and len(found) < 3_600_000)
 
 
-def test_a_file_that_kills_its_decoder_has_no_sound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_that_kills_its_decoder_has_no_sound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     video = examined(filmed(tmp_path / "a.mp4", clicks(4.0, CLICKS_S)))
     faults = tmp_path / "faults"
     faults.mkdir()

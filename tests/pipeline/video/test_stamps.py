@@ -25,7 +25,5 @@ from pipeline.video.stamps import early_start
         ([], 0),
     ],
 )
-def test_early_start_is_the_part_of_a_frame_by_which_the_first_lasts_longer(
-    durations: Sequence[int], early: int
-) -> None:
+def test_early_start_lengthens_first_frame(durations: Sequence[int], early: int) -> None:
     assert early_start(list(durations)) == early

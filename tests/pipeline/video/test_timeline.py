@@ -29,7 +29,7 @@ def test_every_frame_is_in_exactly_one_chunk(rate_hz: float, num_frames: int, ch
         assert len(frames_in(times, *spans[0])) == chunk_frames
 
 
-def test_a_pause_of_hours_is_no_stretch() -> None:
+def test_pause_of_hours_is_no_stretch() -> None:
     times = [np.arange(50) / 25.0, 40_000.0 + np.arange(50) / 25.0]
     timebase = session_timebase({str(k): FrameTimes(time_s) for k, time_s in enumerate(times)})
     assert recorded_stretches(timebase, times) == (range(51), range(999_999, 1_000_050))
@@ -41,7 +41,7 @@ def test_a_pause_of_hours_is_no_stretch() -> None:
     chunk_frames=st.integers(1, 130),
     wanted=st.tuples(st.integers(0, 9000), st.integers(1, 9000)).map(lambda one: range(one[0], one[0] + one[1])),
 )
-def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chunk_frames: int, wanted: range) -> None:
+def test_every_frame_is_in_chunk_whatever_pauses(start_s: list[float], chunk_frames: int, wanted: range) -> None:
     """Frame times of cameras that record for two seconds at different times."""
     times = {str(k): FrameTimes(one_s + np.arange(20) / 10.0) for k, one_s in enumerate(start_s)}
     timebase = session_timebase(times)
@@ -62,7 +62,7 @@ def test_every_frame_is_in_a_chunk_whatever_the_pauses(start_s: list[float], chu
     assert {frame for one in cut.parts for frame in one} <= worked_on
 
 
-def test_timebase_takes_the_fastest_camera_and_the_longest_span() -> None:
+def test_timebase_takes_fastest_camera_and_longest_span() -> None:
     times = {
         "slow": FrameTimes(np.arange(50) / 25.0),
         "fast": FrameTimes(np.arange(59) / 30.0 + 0.1),

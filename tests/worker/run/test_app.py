@@ -11,7 +11,7 @@ from worker.run.app import release_inherited_sockets
 
 
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs Linux: epoll")
-def test_closed_connection_of_the_parent_is_reported_once() -> None:
+def test_closed_connection_of_parent_is_reported_once() -> None:
     ours, brokers = socket.socketpair()
     told, tell = os.pipe()
     wait, end = os.pipe()
@@ -37,7 +37,7 @@ def test_closed_connection_of_the_parent_is_reported_once() -> None:
                 os.close(pipe)
 
 
-def test_files_and_pipes_of_the_parent_stay() -> None:
+def test_files_and_pipes_of_parent_stay() -> None:
     read, write = os.pipe()
     child = os.fork()
     if child == 0:

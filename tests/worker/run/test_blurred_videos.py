@@ -29,7 +29,7 @@ def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
     return {result.name: result.revision for result in bench.store.results.downloads(job_id)}
 
 
-def test_job_that_blurs_has_a_blurred_video_of_each_camera(bench: RunnerBench) -> None:
+def test_job_that_blurs_has_blurred_video_of_each_camera(bench: RunnerBench) -> None:
     job = done(bench)
     assert {HEADS, BLUR} <= stage_names(job)
     assert bench.result(job.id, "blurred-0.mp4") == VIDEO

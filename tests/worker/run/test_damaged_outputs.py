@@ -127,7 +127,7 @@ def test_two_damaged_stages_are_computed_again_in_order(bench: RunnerBench) -> N
     assert [failure.stage for failure in attempt.failures] == [IDENTIFY, ASSOCIATE]
 
 
-def test_disk_that_damages_everything_ends_the_job(bench: RunnerBench) -> None:
+def test_disk_that_damages_everything_ends_job(bench: RunnerBench) -> None:
     runs = []
 
     def damaging(work: Work) -> Output:
@@ -151,7 +151,7 @@ def test_disk_that_damages_everything_ends_the_job(bench: RunnerBench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_workers_side_by_side_compute_a_damaged_output_again(bench: RunnerBench) -> None:
+def test_workers_side_by_side_compute_damaged_output_again(bench: RunnerBench) -> None:
     damaged = threading.Event()
 
     def damaging(work: Work) -> Output:

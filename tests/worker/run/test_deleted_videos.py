@@ -79,7 +79,7 @@ def test_videos_go_once_their_job_has_succeeded(filled: RunnerBench) -> None:
     assert [file.name for file in session.stored_files] == ["rig.toml"]
 
 
-def test_videos_stay_without_the_choice(filled: RunnerBench) -> None:
+def test_videos_stay_without_choice(filled: RunnerBench) -> None:
     done(filled, JobSpec())
     reaper(filled).reap()
     assert inputs(filled) == ["0-0.jpg", "left.mp4", "rig.toml"]
@@ -113,7 +113,7 @@ def test_reaper_that_was_killed_is_followed_by_another(filled: RunnerBench) -> N
     assert sum(event.act == "videos-deleted" for event in filled.store.audit.events()) == 1
 
 
-def test_nothing_goes_before_a_job_has_succeeded(filled: RunnerBench) -> None:
+def test_nothing_goes_before_job_has_succeeded(filled: RunnerBench) -> None:
     with pytest.raises(Conflict, match="No job of this session has succeeded"):
         filled.store.sessions.delete_videos(filled.session.id)
     filled.stages[DETECT] = fail_with(ValueError())

@@ -60,7 +60,7 @@ def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -
     assert bench.result(done.id) == expected(FIRST)
 
 
-def test_rename_stores_the_files_that_hold_the_name_alone(bench: RunnerBench) -> None:
+def test_rename_stores_files_that_hold_name_alone(bench: RunnerBench) -> None:
     export, run = bench.stages[EXPORT], []
 
     def export_with_name(work: Work) -> Output:
@@ -138,7 +138,7 @@ def test_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> No
 
 
 @pytest.mark.parametrize("stage", slow_but([EXPORT], [EDIT, REFIT, WRITE, EXPORT]))
-def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
+def test_work_for_older_list_is_given_up(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """A chunk that ends after a newer edit changes nothing, and a unit of work later it stops."""
     function, stopped = bench.stages[stage], []
 
@@ -171,7 +171,7 @@ def test_work_for_an_older_list_is_given_up(bench: RunnerBench, done: JobRecord,
 
 
 @pytest.mark.parametrize("end", slow_but(["canceled"], ["canceled", "failed"]))
-def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord, end: str) -> None:
+def test_files_stay_if_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord, end: str) -> None:
     def broken(_: Work) -> Output:
         raise PipelineError("It is broken.")
 
@@ -196,7 +196,7 @@ def test_files_stay_if_an_edit_comes_to_nothing(bench: RunnerBench, done: JobRec
 
 
 @pytest.mark.slow
-def test_edits_go_before_other_work_of_the_tenant(bench: RunnerBench, done: JobRecord) -> None:
+def test_edits_go_before_other_work_of_tenant(bench: RunnerBench, done: JobRecord) -> None:
     running, queued = bench.create_job(), bench.create_job()
     claim = bench.store.leases.claim("worker", 30.0)
     assert claim is not None
@@ -255,7 +255,7 @@ def test_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) ->
     assert bench.result(done.id) == RESULT
 
 
-def test_another_version_computes_the_differing_stages(bench: RunnerBench, done: JobRecord) -> None:
+def test_another_version_computes_differing_stages(bench: RunnerBench, done: JobRecord) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
     old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, edits=(FIRST,))}
     queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})

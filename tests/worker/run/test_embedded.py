@@ -44,7 +44,7 @@ def test_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
+def test_files_of_killed_process_are_removed(tmp_path: Path) -> None:
     with embedded.lock(tmp_path) as directory:
         (directory.temporary_dir / "left").mkdir()
     with embedded.lock(tmp_path) as directory:
@@ -52,7 +52,7 @@ def test_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
         assert directory.environment()["TMPDIR"] == str(directory.temporary_dir)
 
 
-def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
+def test_damaged_files_of_older_versions_broker_do_not_matter(tmp_path: Path) -> None:
     old = tmp_path / "broker" / "appendonlydir"
     old.mkdir(parents=True)
     (old / "appendonly.aof.1.incr.aof").write_bytes(b"*3\r\n$3\r\nSET" + bytes(4096))  # as after a power failure
@@ -63,20 +63,20 @@ def test_damaged_files_of_an_older_versions_broker_do_not_matter(tmp_path: Path)
     assert not old.exists()
 
 
-def test_socket_fits_whatever_the_folder_and_is_ours_alone(tmp_path: Path) -> None:
+def test_socket_fits_whatever_folder_and_is_ours_alone(tmp_path: Path) -> None:
     with embedded.lock(tmp_path / ("x" * 100)) as directory:
         assert len(str(directory.socket)) <= 100
         assert directory.socket.parent.stat().st_mode & 0o077 == 0
     assert not directory.socket.parent.exists()
 
 
-def test_broker_answers_in_a_folder_of_any_name(tmp_path: Path) -> None:
+def test_broker_answers_in_folder_of_any_name(tmp_path: Path) -> None:
     with embedded.lock(tmp_path / "ä b#c%41?") as directory, answering(directory) as queue:
         assert queue.publish()
         assert directory.socket.stat().st_mode & 0o077 == 0
 
 
-def test_second_service_does_not_take_the_reserve_of_the_first(tmp_path: Path) -> None:
+def test_second_service_does_not_take_reserve_of_first(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 16) as disk, embedded.lock(disk / "data"):
         DiskSpace(disk / "data").set_aside()
         fill(disk / "filler")

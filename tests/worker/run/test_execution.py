@@ -113,7 +113,7 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_complete", [True, False])
-def test_start_loads_kernels_of_the_default_joints_alone(is_complete: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_loads_kernels_of_default_joints_alone(is_complete: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[JointSet] = []
     monkeypatch.setattr(execution, "open_detection", lambda *_: None)
     monkeypatch.setattr(execution, "is_complete", lambda: is_complete)
@@ -166,12 +166,12 @@ def test_interrupted_chunk_is_no_damage(session: Session, artifacts: LocalArtifa
 
 
 @pytest.mark.slow
-def test_record_without_a_digest_is_read_as_before(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+def test_record_without_digest_is_read_as_before(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     old = Session(session.id, session.name, session.created_at, session.files, session.preflight)
     assert execution.run_chunk(work(old, artifacts, tmp_path)).content
 
 
-def test_proxy_is_a_result_file_of_its_camera(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
+def test_proxy_is_result_file_of_its_camera(session: Session, artifacts: LocalArtifacts, tmp_path: Path) -> None:
     frames: list[None] = []
     chunk = work(session, artifacts, tmp_path, lambda: frames.append(None))
     claim = replace(chunk.claim, stage="make_proxy", payload={**chunk.claim.payload, "camera": "right"})

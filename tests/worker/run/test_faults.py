@@ -172,7 +172,7 @@ def test_lost_message_is_made_good(service: SmallStageService) -> None:
     assert service.wait_for_end(job).state is JobState.SUCCEEDED
 
 
-def test_message_lost_with_the_broker_is_made_good(service: SmallStageService) -> None:
+def test_message_lost_with_broker_is_made_good(service: SmallStageService) -> None:
     worker = service.part("--worker")
     worker.suspend()  # so that it can't take the message
     job = service.start_job()
@@ -221,7 +221,7 @@ def test_paused_worker_loses_its_lease_and_changes_nothing_later(service: SmallS
     assert service.bench.result(job.id) == RESULT
 
 
-def test_worker_passes_on_a_message_for_work_that_needs_a_gpu(service: SmallStageService) -> None:
+def test_worker_passes_on_message_for_work_that_needs_gpu(service: SmallStageService) -> None:
     gpu = Provider("cuda", "1.31.1", "NVIDIA H200")
     codes = tuple(sorted(stage_codes(gpu.identity).values()))
     ready = WorkerStatus("gpu:1", WorkerState.READY, "A worker works", codes=codes, provider=gpu)
@@ -263,7 +263,7 @@ def test_cancel_ends_within_seconds(service: SmallStageService) -> None:
     assert service.wait_for_end(job).state is JobState.CANCELED
 
 
-def test_stop_gives_chunks_back_and_the_next_start_continues(data_dir: Path) -> None:
+def test_stop_gives_chunks_back_and_next_start_continues(data_dir: Path) -> None:
     bench = open_bench(data_dir)
     with start(data_dir) as process:
         running = SmallStageService(process, data_dir, bench)

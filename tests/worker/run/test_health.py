@@ -19,7 +19,7 @@ def url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"sqlite:///{tmp_path / 'multicap.db'}"
 
 
-def test_machine_with_a_worker_is_healthy(url: str) -> None:
+def test_machine_with_worker_is_healthy(url: str) -> None:
     store = JobStore(url)
     store.migrate()
     with pytest.raises(SystemExit, match="No worker process of this machine"):
@@ -34,7 +34,7 @@ def test_machine_with_a_worker_is_healthy(url: str) -> None:
     store.close()
 
 
-def test_database_without_the_schema_is_no_stack_trace(url: str) -> None:
+def test_database_without_schema_is_no_stack_trace(url: str) -> None:
     done = subprocess.run([sys.executable, "-m", "worker.run.health"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "error: The database does not respond (OperationalError).\n"

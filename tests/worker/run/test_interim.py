@@ -64,7 +64,7 @@ def left(bench: RunnerBench) -> list[Path]:
     return [path for path in bench.data_dir.rglob("*") if path.is_file() and b"colours of" in path.read_bytes()]
 
 
-def test_interim_outputs_reach_the_next_stage_until_the_end(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_reach_next_stage_until_end(bench: RunnerBench, stages: Stages) -> None:
     job = run(bench)
     assert bench.result(job.id) == RESULT
     assert (stages.detected, stages.measured, len(stages.passed)) == ([0, 1, 2, 3], [], 1)
@@ -131,7 +131,7 @@ def test_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: C
 
 
 @pytest.mark.slow
-def test_interim_outputs_of_a_failed_job_are_made_again(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_of_failed_job_are_made_again(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
         raise RuntimeError
 
@@ -170,7 +170,7 @@ def test_removal_that_is_late_takes_nothing_from_next_attempt(bench: RunnerBench
 
 
 @pytest.mark.slow
-def test_interim_outputs_of_a_canceled_job_are_removed(bench: RunnerBench, stages: Stages) -> None:
+def test_interim_outputs_of_canceled_job_are_removed(bench: RunnerBench, stages: Stages) -> None:
     def canceling(work: Work) -> Output:
         bench.store.jobs.cancel(work.claim.job_id)
         raise StoppedError

@@ -60,9 +60,7 @@ def tries_of(bench: RunnerBench, job: JobRecord) -> int:
 
 
 @pytest.mark.parametrize("mode", ["unavailable", "slow_down", "hang", "reset", "refuse"])
-def test_silent_store_makes_the_job_wait_and_costs_no_try(
-    on_s3: RunnerBench, proxy: UnreliableProxy, mode: Mode
-) -> None:
+def test_silent_store_makes_job_wait_and_costs_no_try(on_s3: RunnerBench, proxy: UnreliableProxy, mode: Mode) -> None:
     job = on_s3.create_job()
     began = threading.Event()
 
@@ -159,7 +157,7 @@ class CutOff:
         return begin
 
 
-def test_database_outage_does_not_stop_the_work(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_database_outage_does_not_stop_work(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
     others = JobStore(f"sqlite:///{bench.data_dir / 'multicap.db'}")
     outage = CutOff(bench.store, monkeypatch)
     runs: list[int] = []
@@ -208,7 +206,7 @@ def test_worker_that_was_cut_off_but_not_lost_uses_up_no_try(
     others.close()
 
 
-def test_reaper_after_an_outage_lets_workers_renew_leases(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reaper_after_outage_lets_workers_renew_leases(bench: RunnerBench, monkeypatch: pytest.MonkeyPatch) -> None:
     outage = CutOff(bench.store, monkeypatch)
     job = bench.create_job()
     assert bench.store.leases.claim("cut-off", 0.05) is not None
@@ -221,7 +219,7 @@ def test_reaper_after_an_outage_lets_workers_renew_leases(bench: RunnerBench, mo
     wait_for(lambda: reaper.reap() or tries_of(bench, job) == 1, timeout_s=120)  # type: ignore[func-returns-value]
 
 
-def test_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> None:
+def test_job_waits_for_broker_until_it_responds(bench: RunnerBench) -> None:
     job = bench.create_job()
     responds = False
     reaper = Reaper(bench.store, bench.artifacts, DiskSpace(bench.data_dir), lambda: responds, lease_s=20.0)
@@ -235,7 +233,7 @@ def test_job_waits_for_the_broker_until_it_responds(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).state not in FINISHED
 
 
-def test_every_change_of_a_wait_is_an_event(bench: RunnerBench) -> None:
+def test_every_change_of_wait_is_event(bench: RunnerBench) -> None:
     job = bench.create_job()
     before = bench.store.jobs.changes([job.id])[job.id]
     claim = bench.store.leases.claim("worker", 20.0)

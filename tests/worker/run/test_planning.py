@@ -83,7 +83,7 @@ def keys(
 
 
 @given(num_frames=st.integers(1, 2000), chunk_frames=st.integers(1, 300))
-def test_chunks_cover_each_frame_of_each_camera_once_on_the_grid(num_frames: int, chunk_frames: int) -> None:
+def test_chunks_cover_each_frame_of_each_camera_once_on_grid(num_frames: int, chunk_frames: int) -> None:
     chunks = list(plan_job(make_session(num_frames, chunk_frames=chunk_frames), JobSpec())[1].chunks)
     assert [chunk.index for chunk in chunks] == list(range(len(chunks)))
     for camera in ("0", "1"):
@@ -138,7 +138,7 @@ VIDEO_STAGES = (*(LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FI
 CLUSTERING = JobSpec(method="clustering", detector="openpose-mobilenet-thin")
 
 
-def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
+def test_clustering_finds_people_in_ranges_of_detection() -> None:
     _, detect, _, lengths, poses, *_ = stages = plan_job(make_session(60, chunk_frames=25), CLUSTERING)
     assert [stage.name for stage in stages] == [
         *(LOOK, DETECT, CHECK, LENGTHS, POSES, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT),
@@ -151,7 +151,7 @@ def test_clustering_finds_people_in_the_ranges_of_detection() -> None:
     assert of_ranges == [one for one in ranges for _ in range(2)]  # cameras
 
 
-def test_refinement_is_a_stage_before_association_and_is_reused() -> None:
+def test_refinement_is_stage_before_association_and_is_reused() -> None:
     session = make_session(60)
     refined = keys(session, JobSpec(refine_calibration="auto"))
     assert list(refined) == [*VIDEO_STAGES[:3], REFINE, *VIDEO_STAGES[3:]]
@@ -180,18 +180,18 @@ def test_cameras_to_be_calibrated_are_compared_without_poses() -> None:
 
 
 @given(chunk_frames=st.integers(1, 300))
-def test_keys_of_clusterings_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+def test_keys_of_clusterings_reduces_do_not_depend_on_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), CLUSTERING, chunk_frames), keys(make_session(), CLUSTERING)
     assert all(one[name] == other[name] for name in (LENGTHS, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
-def test_units_are_the_frames_of_each_camera_at_its_own_rate() -> None:
+def test_units_are_frames_of_each_camera_at_its_own_rate() -> None:
     chunks = plan_job(make_session(50, rates_hz=(50.0, 25.0, 30.0), chunk_frames=50), JobSpec())[1].chunks
     assert [chunk.unit_count for chunk in chunks] == [50, 25, 30]
 
 
 @given(chunk_frames=st.integers(1, 300))
-def test_keys_of_reduces_do_not_depend_on_the_cut(chunk_frames: int) -> None:
+def test_keys_of_reduces_do_not_depend_on_cut(chunk_frames: int) -> None:
     one, other = keys(make_session(), chunk_frames=chunk_frames), keys(make_session())
     assert {name: one[name] for name in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT)} == {
         name: other[name] for name in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT)
@@ -223,7 +223,7 @@ def test_another_input_changes_all_keys(changed: InputFile) -> None:
         ({"exports": ("glb",)}, {EXPORT}),
     ],
 )
-def test_choice_changes_the_keys_of_its_stage_and_later_ones(choice: dict[str, Any], changed: set[str]) -> None:
+def test_choice_changes_keys_of_its_stage_and_later_ones(choice: dict[str, Any], changed: set[str]) -> None:
     ours, other = keys(make_session()), keys(make_session(), JobSpec(**choice))
     assert {name for name in ours if ours[name] != other.get(name)} == changed
 
@@ -232,7 +232,7 @@ def test_choice_changes_the_keys_of_its_stage_and_later_ones(choice: dict[str, A
     ("stage", "changed"),
     [(LOOK, set(VIDEO_STAGES)), (DETECT, set(VIDEO_STAGES) - {LOOK}), (FIT, {FIT, HOLD, EXPORT}), (EXPORT, {EXPORT})],
 )
-def test_new_code_changes_the_keys_of_its_stage_and_later_ones(stage: str, changed: set[str]) -> None:
+def test_new_code_changes_keys_of_its_stage_and_later_ones(stage: str, changed: set[str]) -> None:
     before = keys(make_session())
     after = keys(make_session(), codes={**stage_codes(), stage: "other"})
     assert {name for name in before if before[name] != after[name]} == changed
@@ -249,7 +249,7 @@ def test_choice_that_no_stage_names_counts_for_all() -> None:
         assert next(iter(one.tasks)).key != next(iter(other.tasks)).key
 
 
-def test_every_choice_is_named_by_a_stage() -> None:
+def test_every_choice_is_named_by_stage() -> None:
     """A choice that counts for all stages makes detections anew when it changes."""
     named = {name for stage in STAGES for name in stage.choices}
     assert set(effective_choices(ReconstructionConfig())) == named
@@ -261,7 +261,7 @@ def test_keys_are_unique_and_safe_as_names() -> None:
     assert all(len(key) == 64 and key.isalnum() for key in found)
 
 
-def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
+def test_keypoints_need_no_detection_and_their_clock_is_input() -> None:
     files = tuple(replace(file, kind="keypoints") if file.kind == "video" else file for file in FILES)
     session, slower = make_session(files=files), make_session(files=files, rates_hz=(20.0, 20.0))
     assert list(keys(session)) == [CHECK, ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT]
@@ -269,7 +269,7 @@ def test_keypoints_need_no_detection_and_their_clock_is_an_input() -> None:
     assert all(keys(session)[stage] != keys(slower)[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
-def test_detectors_with_fields_are_in_the_registry() -> None:
+def test_detectors_with_fields_are_in_registry() -> None:
     for name in NETWORKS:
         entry = REGISTRY[name]
         spec = JobSpec.model_validate({"method": "clustering", "detector": name})
@@ -279,7 +279,7 @@ def test_detectors_with_fields_are_in_the_registry() -> None:
         assert not method_warnings(JobSpec.model_validate({"detector": name}).config, has_videos=False)
 
 
-def test_statements_about_videos_are_an_input() -> None:
+def test_statements_about_videos_are_input() -> None:
     def said(offset_s: float, std_s: float | None = None) -> Session:
         plain = make_session()
         recordings = (PreflightRecording("0", offset_s=offset_s, offset_std_s=std_s),)
@@ -303,9 +303,7 @@ def test_statements_about_videos_are_an_input() -> None:
 
 
 @given(num_frames=st.integers(1, 500), chunk_frames=st.integers(1, 60), data=st.data())
-def test_of_the_frames_that_are_wanted_each_is_there_once(
-    num_frames: int, chunk_frames: int, data: st.DataObject
-) -> None:
+def test_of_frames_that_are_wanted_each_is_there_once(num_frames: int, chunk_frames: int, data: st.DataObject) -> None:
     start = data.draw(st.integers(0, num_frames - 1))
     stop = data.draw(st.integers(start + 1, num_frames))
     session, spec = make_session(num_frames), JobSpec(method="clustering", frame_range=(start, stop))
@@ -319,14 +317,14 @@ def test_of_the_frames_that_are_wanted_each_is_there_once(
     assert [frame for one in ranges for frame in range(*one)] == list(range(start, stop))
 
 
-def test_part_of_a_session_reuses_outputs_of_the_whole() -> None:
+def test_part_of_session_reuses_outputs_of_whole() -> None:
     whole, part = keys(make_session(100)), keys(make_session(100), JobSpec(frame_range=(25, 90)))
     assert whole[DETECT][2:6] == part[DETECT][:4]  # 25-50 and 50-75 of both cameras
     assert not set(whole[DETECT]) & set(part[DETECT][4:])  # 75-90
     assert all(whole[stage] != part[stage] for stage in (ASSOCIATE, IDENTIFY, FIT, HOLD, EXPORT))
 
 
-def test_how_many_people_are_wanted_counts_from_global_pass_on() -> None:
+def test_number_of_people_counts_from_global_pass_on() -> None:
     everybody, two = keys(make_session()), keys(make_session(), JobSpec(people=2))
     assert {name for name in two if two[name] != everybody[name]} == FROM_PLACES
 
@@ -355,12 +353,12 @@ def test_stretches_within_one_range_share_its_chunk() -> None:
     assert ranges_of(detect) == [(0, 50), (50, 100), (100, 150)]
 
 
-def test_frames_of_a_pause_alone_have_a_chunk_all_the_same() -> None:
+def test_frames_of_pause_alone_have_chunk_all_same() -> None:
     _, detect, *_ = plan_job(paused(900_000, [[0, 60]]), JobSpec(frame_range=(5000, 9000)))
     assert ranges_of(detect) == [(5000, 5100)]
 
 
-def test_longest_session_has_a_bounded_number_of_chunks() -> None:
+def test_longest_session_has_bounded_number_of_chunks() -> None:
     session = make_session(MAX_OUTPUT_FRAMES, rates_hz=(25.0,) * 64)
     _, detect, *_ = plan_job(replace(session, chunk_frames=1), JobSpec())
     assert sum(1 for _ in detect.chunks) <= MAX_TASKS
@@ -435,7 +433,7 @@ def test_stages_with_networks_alone_depend_on_execution_provider() -> None:
     assert {stage.code_sha256 for stage in on_gpu} <= set(stage_codes("cuda 1.31.1").values())
 
 
-def test_jobs_of_a_session_are_cut_alike() -> None:
+def test_jobs_of_session_are_cut_alike() -> None:
     session = make_session(1000, chunk_frames=250)
     _, detect, *_ = plan_job(session, JobSpec())
     assert [chunk.payload["start_frame"] for chunk in detect.chunks] == [0, 0, 250, 250, 500, 500, 750, 750]

@@ -20,7 +20,7 @@ from worker.store.model.work import WorkerState, WorkerStatus
 STARTING = WorkerStatus(process_name(), WorkerState.STARTING, "A worker loads its libraries")
 
 
-def test_change_is_told_at_once_and_the_end_too(bench: RunnerBench) -> None:
+def test_change_is_told_at_once_and_end_too(bench: RunnerBench) -> None:
     now: list[WorkerStatus | None] = [STARTING]
     presence = Presence(bench.store.workers, lambda: now[0])
     presence.start()
@@ -36,7 +36,7 @@ def test_change_is_told_at_once_and_the_end_too(bench: RunnerBench) -> None:
     presence.stop()
 
 
-def test_stopping_takes_the_process_off_the_list(bench: RunnerBench) -> None:
+def test_stopping_takes_process_off_list(bench: RunnerBench) -> None:
     presence = Presence(bench.store.workers, lambda: STARTING)
     presence.start()
     wait_for(lambda: bench.store.workers.all() == [STARTING])
@@ -66,7 +66,7 @@ def test_database_that_is_away_is_told_as_soon_as_it_is_back(bench: RunnerBench)
     presence.stop()
 
 
-def test_killed_processes_of_this_machine_are_taken_off_the_list(bench: RunnerBench) -> None:
+def test_killed_processes_of_this_machine_are_taken_off_list(bench: RunnerBench) -> None:
     host = process_name().rpartition(":")[0]
     killed = replace(STARTING, id=f"{host}:4194304")  # beyond the largest process id
     elsewhere = replace(STARTING, id="another-machine:4194304")

@@ -63,7 +63,7 @@ def test_leases_of_silent_workers_are_freed(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_several_reapers_free_a_lease_once(bench: RunnerBench) -> None:
+def test_several_reapers_free_lease_once(bench: RunnerBench) -> None:
     job = bench.create_job()
     assert bench.store.leases.claim("gone", 0.05)
     time.sleep(0.1)
@@ -76,7 +76,7 @@ def test_several_reapers_free_a_lease_once(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_reaper_survives_an_unreachable_database(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
+def test_reaper_survives_unreachable_database(bench: RunnerBench, capfd: pytest.CaptureFixture[str]) -> None:
     store = JobStore("sqlite:////nonexistent/folder/multicap.db")
     Reaper(store, bench.artifacts, DiskSpace(bench.data_dir), Publisher(), LEASE_S).reap()
     store.close()
@@ -133,7 +133,7 @@ def test_failed_removals_are_repeated(
     assert not bench.artifacts.exists(result_key(job.id, "person-1.bvh"))
 
 
-def test_files_of_a_session_that_is_not_recorded_within_a_day_go(bench: RunnerBench) -> None:
+def test_files_of_session_that_is_not_recorded_within_day_go(bench: RunnerBench) -> None:
     arriving, recorded = bench.store.sessions.reserve_id(), bench.store.sessions.reserve_id()
     for session_id in (arriving, recorded):
         bench.artifacts.put_bytes(record_key(session_id), b"record")

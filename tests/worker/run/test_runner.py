@@ -93,7 +93,7 @@ def test_without_work_nothing_is_published(bench: RunnerBench) -> None:
     assert bench.published == 0
 
 
-def test_worker_that_finds_work_wakes_the_next(bench: RunnerBench) -> None:
+def test_worker_that_finds_work_wakes_next(bench: RunnerBench) -> None:
     published_before_the_first = []
 
     def first(work: Work) -> Output:
@@ -106,21 +106,21 @@ def test_worker_that_finds_work_wakes_the_next(bench: RunnerBench) -> None:
     assert published_before_the_first[0] == 1
 
 
-def test_after_its_time_a_worker_hands_over(bench: RunnerBench) -> None:
+def test_after_its_time_worker_hands_over(bench: RunnerBench) -> None:
     bench.create_job()
     bench.stages[LOOK] = slow_detect
     assert bench.runner().work(0.01) == 1
     assert bench.published >= 2
 
 
-def test_workers_side_by_side_leave_the_same(bench: RunnerBench) -> None:
+def test_workers_side_by_side_leave_same(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.stages[DETECT] = slow_detect
     run_side_by_side(bench, 3)
     assert bench.result(job.id) == RESULT
 
 
-def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -> None:
+def test_another_job_of_session_reuses_finished_stages(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     for name in (LOOK, DETECT, CHECK, ASSOCIATE, EXPECT, REDETECT, IDENTIFY, FIT, HOLD):
@@ -144,7 +144,7 @@ def test_another_job_of_the_session_reuses_finished_stages(bench: RunnerBench) -
     assert bench.result(again.id) == RESULT
 
 
-def test_cancel_stops_the_running_pass(bench: RunnerBench) -> None:
+def test_cancel_stops_running_pass(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench)
     bench.store.jobs.cancel(job.id)
     asked_s = time.monotonic()
@@ -178,7 +178,7 @@ def test_progress_is_reported_while_it_runs(bench: RunnerBench) -> None:
     assert bench.store.jobs.get(job.id).stages[1].total == NUM_FRAMES
 
 
-def test_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: RunnerBench) -> None:
+def test_lost_lease_stops_pass_and_new_holder_finishes(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench, lease_s=0.3, heartbeat_s=1.5)
     bench.stages[DETECT] = detect
     time.sleep(0.5)
@@ -190,7 +190,7 @@ def test_lost_lease_stops_the_pass_and_the_new_holder_finishes(bench: RunnerBenc
     assert bench.result(job.id) == RESULT
 
 
-def test_shutdown_gives_the_chunk_back(bench: RunnerBench) -> None:
+def test_shutdown_gives_chunk_back(bench: RunnerBench) -> None:
     job, thread = begin_endless_job(bench)
     bench.stopping = True
     thread.join(5)
@@ -273,13 +273,13 @@ def test_chunk_hanging_in_one_call_loses_its_try_first(bench: RunnerBench, monke
     assert [failure.problem.code for failure in attempt.failures] == ["time_limit"]
 
 
-def test_time_limit_grows_with_the_units_of_a_chunk() -> None:
+def test_time_limit_grows_with_units_of_chunk() -> None:
     assert chunk.time_limit_s(10_000, 10.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(9_000.0)
     assert chunk.time_limit_s(1_000, 20.0) - chunk.time_limit_s(1_000, 10.0) == pytest.approx(1_000.0)
     assert chunk.time_limit_s(1, 10.0) > 300.0
 
 
-def test_late_result_of_a_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:
+def test_late_result_of_lost_lease_is_not_recorded(bench: RunnerBench, tmp_path: Path) -> None:
     job = bench.create_job()
     claim = bench.store.leases.claim("a", 0.1)
     assert claim is not None

@@ -55,7 +55,7 @@ def test_all_problems_are_named_at_once_without_secrets(monkeypatch: pytest.Monk
     ]
 
 
-def test_refused_value_of_a_file_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_refused_value_of_file_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     write(monkeypatch, tmp_path / "url", "MULTICAP_ARTIFACTS_URL", "geheim://bucket")
     assert refusals() == [
         f"error: MULTICAP_ARTIFACTS_URL_FILE={tmp_path / 'url'}: the file must hold a text such as s3://bucket/prefix."
@@ -70,7 +70,7 @@ def test_serve_replaces_files_of_its_own_settings(monkeypatch: pytest.MonkeyPatc
     assert "MULTICAP_BROKER_URL_FILE" not in environment
 
 
-def test_keys_of_the_bucket_come_from_files(s3: S3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_keys_of_bucket_come_from_files(s3: S3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name, value in s3.environment.items():
         if name in {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}:
             monkeypatch.delenv(name, raising=False)

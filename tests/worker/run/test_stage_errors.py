@@ -51,7 +51,7 @@ def test_several_problems_are_all_told(bench: RunnerBench) -> None:
         ),
     ],
 )
-def test_error_of_the_service_gives_advice_and_allows_a_retry(bench: RunnerBench, error: Exception, code: str) -> None:
+def test_error_of_service_gives_advice_and_allows_retry(bench: RunnerBench, error: Exception, code: str) -> None:
     bench.stages[DETECT] = fail_with(error)
     job = bench.create_job()
     bench.runner().work(60.0)
@@ -99,7 +99,7 @@ def test_one_bad_moment_costs_nothing(bench: RunnerBench) -> None:
     assert bench.result(job.id) == RESULT
 
 
-def test_warnings_of_the_last_stage_are_in_job_and_webhook(bench: RunnerBench) -> None:
+def test_warnings_of_last_stage_are_in_job_and_webhook(bench: RunnerBench) -> None:
     warning = Finding(NOBODY_FOUND, "Nobody was found.")
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=(warning,))
     spec = JobSpec(callback_url="https://example.com/hook")

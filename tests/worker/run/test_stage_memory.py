@@ -95,7 +95,7 @@ def peak_bytes(folder: Path, stage: str) -> int:
 @pytest.mark.benchmark
 @pytest.mark.parametrize(("joints", "sizes"), [("body", (500_000, 2_500_000)), ("whole", (1_000_000, 4_000_000))])
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
-def test_every_stage_takes_the_memory_that_is_foreseen(tmp_path: Path, joints: Joints, sizes: tuple[int, int]) -> None:
+def test_every_stage_takes_memory_that_is_foreseen(tmp_path: Path, joints: Joints, sizes: tuple[int, int]) -> None:
     stages_in_order = ("check_session", "associate", "identify", "fit", "hold_feet", "export")
     foreseen, peaks = [], []
     for number, wanted in enumerate(sizes):

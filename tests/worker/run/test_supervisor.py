@@ -43,7 +43,7 @@ def run_until(condition: Callable[[], bool], supervisor: Supervisor, timeout_s: 
     assert held == [True], "nothing happened in time"
 
 
-def test_crashed_program_starts_later_each_time_with_a_warning(tmp_path: Path) -> None:
+def test_crashed_program_starts_later_each_time_with_warning(tmp_path: Path) -> None:
     starts = tmp_path / "starts"
     crashing = program("worker", f"open({str(starts)!r}, 'a').write('x'); import os; os.kill(os.getpid(), 9)")
     said: list[str] = []
@@ -55,7 +55,7 @@ def test_crashed_program_starts_later_each_time_with_a_warning(tmp_path: Path) -
     assert starts.read_text() == "xxx"
 
 
-def test_programs_stop_at_once_but_the_needed_ones(tmp_path: Path) -> None:
+def test_programs_stop_at_once_but_needed_ones(tmp_path: Path) -> None:
     code = """
         import pathlib, signal, sys, time
         folder = pathlib.Path({folder!r})
@@ -100,7 +100,7 @@ def test_program_that_does_not_stop_is_killed_with_its_children(tmp_path: Path) 
     wait_for(lambda: not any(is_alive(int(pid)) for pid in pids.read_text().split()))
 
 
-def test_output_goes_to_the_log(tmp_path: Path) -> None:
+def test_output_goes_to_log(tmp_path: Path) -> None:
     said: list[str] = []
     speaking = program("api", "import sys; print('hello', flush=True); print('trouble', file=sys.stderr); sys.exit(3)")
     run_until(lambda: bool(said), Supervisor([speaking], tmp_path, said.append))
@@ -110,7 +110,7 @@ def test_output_goes_to_the_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux: children can't be tied to their parent")
-def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
+def test_children_die_with_killed_supervisor(tmp_path: Path) -> None:
     code = f"""
         import os, pathlib, sys
         from worker.run.supervisor import Program, Supervisor
@@ -148,7 +148,7 @@ def write(log: LogFile, content: bytes) -> None:
     log.close()
 
 
-def test_line_that_is_no_json_becomes_the_event_of_one(tmp_path: Path) -> None:
+def test_line_that_is_no_json_becomes_event_of_one(tmp_path: Path) -> None:
     path = tmp_path / "logs" / "worker.log"
     write(LogFile(path), b'{"event": "chunk_done"}\n\nworker: Warm shutdown\n\xff{\n')
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -157,7 +157,7 @@ def test_line_that_is_no_json_becomes_the_event_of_one(tmp_path: Path) -> None:
     assert all(json.loads(line)["timestamp"].endswith("Z") for line in lines[1:])
 
 
-def test_parts_are_rotated_while_the_program_writes(tmp_path: Path) -> None:
+def test_parts_are_rotated_while_program_writes(tmp_path: Path) -> None:
     path = tmp_path / "api.log"
     lines = [json.dumps({"event": "request", "number": number, "path": "x" * 900}) for number in range(100)]
     write(LogFile(path, max_bytes=10_000), "\n".join(lines).encode())
@@ -169,7 +169,7 @@ def test_parts_are_rotated_while_the_program_writes(tmp_path: Path) -> None:
     assert len(kept) > 40
 
 
-def test_lines_are_lost_only_while_the_disk_is_full(tmp_path: Path) -> None:
+def test_lines_are_lost_only_while_disk_is_full(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", 1) as disk:
         filler = disk / "filler"
         filler.write_bytes(bytes(2**20 - 64 * 2**10))

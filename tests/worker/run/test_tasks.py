@@ -56,6 +56,6 @@ def test_least_limit_of_all_groups_holds(tmp_path: Path, limits: dict[str, str],
     assert machine_memory_bytes(groups, process_group) == int(0.9 * whole)
 
 
-def test_without_cgroups_the_machine_counts(tmp_path: Path) -> None:
+def test_without_cgroups_machine_counts(tmp_path: Path) -> None:
     missing = tmp_path / "missing"
     assert machine_memory_bytes(missing, missing) == int(0.9 * psutil.virtual_memory().total)

@@ -102,7 +102,7 @@ def test_edits_do_not_wait_for_visuals(bench: RunnerBench, done: JobRecord, run:
         make_visuals(bench, done.id)
 
 
-def test_visuals_of_undone_edits_equal_the_unedited_ones(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
+def test_visuals_of_undone_edits_equal_unedited_ones(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     edited(bench, done.id, FIRST)
     run.clear()
     edited(bench, done.id)
@@ -114,7 +114,7 @@ def test_visuals_of_undone_edits_equal_the_unedited_ones(bench: RunnerBench, don
 
 
 @pytest.mark.parametrize("stage", [OVERLAY, REPORT])
-def test_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
+def test_newer_edit_deletes_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """What it is about to write is not listed, and its files are removed."""
     edited(bench, done.id, FIRST)
     visuals, function = make_visuals(bench, done.id), bench.stages[stage]
@@ -142,7 +142,7 @@ def test_newer_edit_deletes_the_job(bench: RunnerBench, done: JobRecord, stage: 
     assert bench.result(done.id, VIDEO) == b"video of " + shown(SECOND)
 
 
-def test_recording_follows_edits_as_the_report_does(bench: RunnerBench, run: list[str]) -> None:
+def test_recording_follows_edits_as_report_does(bench: RunnerBench, run: list[str]) -> None:
     job = bench.create_job(spec=JobSpec(exports=("bvh", "rerun")))
     bench.runner().work(60.0)
     assert listed(bench, job.id) == {"person-1.bvh": 0, "take.rrd": 0}

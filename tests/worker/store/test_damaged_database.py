@@ -38,7 +38,7 @@ def store_of(database: Path) -> contextlib.closing[JobStore]:
 
 
 @EACH_DAMAGE
-def test_damaged_file_is_found_before_a_write(database: Path, damage: Callable[[Path], None]) -> None:
+def test_damaged_file_is_found_before_write(database: Path, damage: Callable[[Path], None]) -> None:
     damage(database)
     before = database.read_bytes()
     with store_of(database) as store:

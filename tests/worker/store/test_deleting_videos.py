@@ -45,7 +45,7 @@ def test_sessions_whose_videos_are_superfluous(jobs: StoreBench) -> None:
     assert store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_room_of_a_tenant_comes_back(jobs: StoreBench) -> None:
+def test_room_of_tenant_comes_back(jobs: StoreBench) -> None:
     succeed(jobs)
     before = jobs.store.tenant("default").usage().stored_bytes
     jobs.store.sessions.delete_videos(jobs.session_id)
@@ -78,7 +78,7 @@ def test_job_and_video_deletion_at_once(jobs: StoreBench, attempt: int) -> None:
         assert first.result() != second.result()
 
 
-def test_blurred_videos_of_a_session(jobs: StoreBench) -> None:
+def test_blurred_videos_of_session(jobs: StoreBench) -> None:
     blurring = JobSpec(blur_faces=True)
     job = jobs.store.jobs.add(jobs.session_id, blurring, stages())
     claim = jobs.claim()

@@ -93,7 +93,7 @@ def test_statement_with_lost_answer_is_outage(network: FarNetwork, postgres: Pos
     database.close()
 
 
-def test_parameters_of_the_url_replace_the_times(postgres: Postgres) -> None:
+def test_parameters_of_url_replace_times(postgres: Postgres) -> None:
     database = Database(f"{postgres.url}?tcp_user_timeout=7000")
     with database.reading() as connection:
         assert connection.connection.dbapi_connection is not None

@@ -28,7 +28,7 @@ def test_results_are_kept_for_as_long_as_was_said(jobs: StoreBench) -> None:
     assert jobs.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
-def test_without_a_time_they_stay(jobs: StoreBench) -> None:
+def test_without_time_they_stay(jobs: StoreBench) -> None:
     job = queue(jobs, None)
     jobs.finish_all()
     assert jobs.store.jobs.get(job.id).expires_at is None

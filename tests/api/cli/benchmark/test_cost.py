@@ -106,7 +106,7 @@ def test_minute_costs_its_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     }
 
 
-def test_stages_are_milliseconds_of_a_camera_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_are_milliseconds_of_camera_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """17 s for 800 camera frames are 21.25 ms; what takes next to nothing is left out."""
     stages = tables(measured(monkeypatch, tmp_path))["Stages"]
     milliseconds = {"open": "0.62", LOOK: "1.88", "detect": "21.25", "fit": "1.25"}

@@ -15,7 +15,7 @@ from pipeline.validation.simulation.scenes import SCENES, record
 MAX_RATIO = 1.6
 
 
-def test_long_session_repeats_the_clip_to_and_fro() -> None:
+def test_long_session_repeats_clip_to_and_fro() -> None:
     clip = record(replace(SCENES["room"], duration_s=0.4), 0, 2)
     num_clip = clip.timebase.num_frames
     session = long_session(clip, 3 * num_clip - 2)
@@ -30,14 +30,14 @@ def test_long_session_repeats_the_clip_to_and_fro() -> None:
         assert len(session.times[camera].time_s) == 3 * num_clip - 2
 
 
-def test_growth_is_the_ratio_of_costs_per_frame() -> None:
+def test_growth_is_ratio_of_costs_per_frame() -> None:
     short = {"frames": 100, "cpu_s": {"associate": 1.0, "fit": 2.0, "start": 0.0}}
     long = {"frames": 400, "cpu_s": {"associate": 4.0, "fit": 16.0}}
     assert growth([short, long]) == {"associate": 1.0, "fit": 2.0}
 
 
 @pytest.mark.benchmark
-def test_no_stage_grows_faster_than_the_take() -> None:
+def test_no_stage_grows_faster_than_take() -> None:
     """A stage that looks at the whole take for each step of a person is slow in takes of many minutes alone."""
     command = ["benchmark", "length", "--minutes", "3", "45", "--people", "1", "--json"]
     result = CliRunner().invoke(app, command)

@@ -26,7 +26,7 @@ def test_sizes_have_latencies_of_tracks_and_of_skeletons(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("slowness", [1.0, 3.0])
-def test_frames_wait_while_the_core_is_busy(monkeypatch: pytest.MonkeyPatch, slowness: float) -> None:
+def test_frames_wait_while_core_is_busy(monkeypatch: pytest.MonkeyPatch, slowness: float) -> None:
     """A core that needs 30 ms for each of three frames every 40 ms falls behind by 50 ms an instant."""
     ticks = iter(0.03 / slowness * np.repeat(np.arange(10_000), 2)[1:])
     monkeypatch.setattr(time, "thread_time", lambda: next(ticks))

@@ -26,7 +26,7 @@ def test_feet_that_are_not_held_slide_more(monkeypatch: pytest.MonkeyPatch) -> N
         assert row["slide_cm_s"] > 1.5 * held[row["joint"]]["slide_cm_s"]
 
 
-def test_slide_is_the_speed_of_a_standing_joint() -> None:
+def test_slide_is_speed_of_standing_joint() -> None:
     """People of the truth who slide to and fro by 3 cm/s."""
     simulation: Simulation = simulate("room", 1)
     ankles, rate_hz = simulation.joints.indices(("left_ankle", "right_ankle")), simulation.timebase.frame_rate_hz

@@ -7,7 +7,7 @@ from pipeline.core.data.animation import FootContact, SkeletonMotion
 from pipeline.motion.skeleton.model import SKELETON
 
 
-def test_contacts_of_a_long_motion_are_where_feet_stand() -> None:
+def test_contacts_of_long_motion_are_where_feet_stand() -> None:
     """Each contact has the poses that the one of the short motion has."""
     root_m = np.arange(10.0)[:, None] * [1.0, 0.0, 0.0]
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (10, len(SKELETON), 1))

@@ -45,7 +45,7 @@ def test_create_verify_and_restore_print_summaries(folder: Path, tmp_path: Path)
         assert len(data.store.jobs.page()) == 1
 
 
-def test_scripts_get_an_object_and_exit_codes(folder: Path, tmp_path: Path) -> None:
+def test_scripts_get_object_and_exit_codes(folder: Path, tmp_path: Path) -> None:
     archive = tmp_path / "b.tar"
     (video,) = folder.glob("artifacts/sessions/*/inputs/0-*")
     video.unlink()
@@ -77,7 +77,7 @@ def test_scripts_get_an_object_and_exit_codes(folder: Path, tmp_path: Path) -> N
     ("url", "sentence"),
     [("nonsense", "database failed"), ("mysql://x/y", "no driver"), ("sqlite:////none/x.db", "There is no database")],
 )
-def test_wrong_databases_are_refused_in_a_sentence(
+def test_wrong_databases_are_refused_in_sentence(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, sentence: str
 ) -> None:
     monkeypatch.setenv("MULTICAP_DATABASE_URL", url)
@@ -87,7 +87,7 @@ def test_wrong_databases_are_refused_in_a_sentence(
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
-def test_artifacts_in_a_bucket_stay_there_and_that_is_said(
+def test_artifacts_in_bucket_stay_there_and_that_is_said(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     archive = tmp_path / "b.tar"

@@ -50,7 +50,7 @@ def written_at(out: Path) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in out.rglob("metrics.json")}
 
 
-def test_takes_of_a_folder_in_natural_order_with_a_table(takes: Path, tmp_path: Path) -> None:
+def test_takes_of_folder_in_natural_order_with_table(takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, answer = run(takes, out, "--calibration", str(tmp_path / "rig.json"))
     assert code == 0, answer
@@ -65,7 +65,7 @@ def test_takes_of_a_folder_in_natural_order_with_a_table(takes: Path, tmp_path: 
 
 
 @pytest.mark.slow
-def test_results_are_kept_until_a_choice_or_file_changes(takes: Path, tmp_path: Path) -> None:
+def test_results_are_kept_until_choice_or_file_changes(takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, answer = run(takes, out, "--calibration", str(tmp_path / "rig.json"))
     assert code == 0, answer
@@ -80,7 +80,7 @@ def test_results_are_kept_until_a_choice_or_file_changes(takes: Path, tmp_path: 
     assert not written_at(out).items() & before.items()
 
 
-def test_batch_failure_does_not_stop_the_rest(takes: Path, tmp_path: Path) -> None:
+def test_batch_failure_does_not_stop_rest(takes: Path, tmp_path: Path) -> None:
     (takes / "take2" / "timestamps.csv").write_text("camera,frame\n")
     (takes / "take3").mkdir()
     (takes / "__MACOSX").mkdir()
@@ -107,7 +107,7 @@ def test_path_with_equals_sign_is_no_camera(takes: Path, tmp_path: Path) -> None
     assert video.fingerprint() != before
 
 
-def test_takes_of_a_list(takes: Path, tmp_path: Path) -> None:
+def test_takes_of_list(takes: Path, tmp_path: Path) -> None:
     entries = [
         {"name": "a b", "keypoints": "takes/take2/keypoints", "frame_rate_hz": 25.0, "calibration": "rig.json"},
         {"name": "none", "keypoints": "takes/take10/keypoints", "frame_rate_hz": 25.0},
@@ -147,7 +147,7 @@ def test_folders_without_takes_are_refused(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_run_killed_continues_to_the_same_bytes(tmp_path: Path) -> None:
+def test_run_killed_continues_to_same_bytes(tmp_path: Path) -> None:
     takes = write_takes(tmp_path / "takes", range(8))
     rig, whole, cut = tmp_path / "rig.json", tmp_path / "whole", tmp_path / "cut"
     assert run(takes, whole, "--calibration", str(rig))[0] == 0

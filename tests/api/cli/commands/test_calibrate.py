@@ -36,7 +36,7 @@ def table(path: Path, cameras: tuple[str, ...]) -> Path:
     return path
 
 
-def test_frames_have_the_times_of_the_file(session: CaptureSession, tmp_path: Path) -> None:
+def test_frames_have_times_of_file(session: CaptureSession, tmp_path: Path) -> None:
     found = timed(session, table(tmp_path / "times.csv", ("left", "right")))
     for camera, times_s in TIMES_S.items():
         np.testing.assert_allclose(found.times[camera].time_s, times_s)
@@ -79,7 +79,7 @@ def given(capture: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_keypoints_give_a_calibration_and_a_report(capture: Path, tmp_path: Path) -> None:
+def test_keypoints_give_calibration_and_report(capture: Path, tmp_path: Path) -> None:
     out = tmp_path / "room.toml"
     arguments = [
         "calibrate",

@@ -59,7 +59,7 @@ def test_convert(rig: Path, ending: str) -> None:
 
 
 @pytest.mark.parametrize("up", ["y", "-y", "-z", "x"])
-def test_convert_turns_the_world_upright(tmp_path: Path, up: str) -> None:
+def test_convert_turns_world_upright(tmp_path: Path, up: str) -> None:
     """Cameras above a floor whose axis is another one; the check names this axis."""
     rig = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))
     other_from_upright = turn_upright(AXES[up]).T
@@ -103,7 +103,7 @@ def test_convert_unsupported_is_refused(tmp_path: Path, rig: Path) -> None:
     assert problems("show", str(in_mm)) == ["calibration_units_unstated"]
 
 
-def test_convert_takes_sizes_that_the_file_does_not_contain(tmp_path: Path, rig: Path) -> None:
+def test_convert_takes_sizes_that_file_does_not_contain(tmp_path: Path, rig: Path) -> None:
     unsized, target = tmp_path / "unsized.yml", tmp_path / "sized.json"
     unsized.write_text("\n".join(line for line in rig.read_text().splitlines() if "image_" not in line))
 
@@ -146,7 +146,7 @@ def check(*words: str) -> tuple[int, dict[str, Any]]:
     return result.exit_code, json.loads(result.stdout)
 
 
-def test_check_of_a_good_calibration(rig: Path) -> None:
+def test_check_of_good_calibration(rig: Path) -> None:
     code, found = check(str(rig))
     assert (code, found["findings"]) == (0, [])
     assert [camera["name"] for camera in found["cameras"]] == ["left", "right"]
@@ -165,7 +165,7 @@ def test_check_names_unit_and_camera(tmp_path: Path) -> None:
     assert (result.exit_code, "error The cameras are up to" in result.stderr) == (2, True)
 
 
-def test_check_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_check_of_file_that_cannot_be_read(tmp_path: Path) -> None:
     code, found = check(str(tmp_path / "none.json"))
     assert (code, found["cameras"]) == (2, [])
     assert [(one["code"], one["severity"], one["camera"]) for one in found["findings"]] == [
@@ -184,7 +184,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_people_tell_a_turned_camera_and_a_wrong_floor(room: Path) -> None:
+def test_people_tell_turned_camera_and_wrong_floor(room: Path) -> None:
     """Calibrations that are good by themselves are compared with people."""
     cameras = read_contents(room / "calibration.json").cameras
     people = ("--keypoints", str(room / "keypoints"), "--timestamps", str(room / "timestamps.csv"))

@@ -47,7 +47,7 @@ def written(session: Path, folder: Path, change: Callable[[list[Any]], object]) 
     return path
 
 
-def test_nothing_is_wrong_with_a_good_session(session: Path) -> None:
+def test_nothing_is_wrong_with_good_session(session: Path) -> None:
     assert checked(session, session / "calibration.json") == (0, [])
 
 
@@ -92,7 +92,7 @@ def test_clocks_are_measured_if_asked(session: Path, tmp_path: Path) -> None:
     assert offsets_s[names[1]] - offsets_s[names[0]] == pytest.approx(-late / 25.0, abs=0.01)
 
 
-def test_clocks_that_are_not_certain_are_an_error(tmp_path: Path) -> None:
+def test_clocks_that_are_not_certain_are_error(tmp_path: Path) -> None:
     write_simulation(record(alone(Gesture.IDLE, 4.0), 4, 3), tmp_path)
     code, findings = checked(tmp_path, tmp_path / "calibration.json", sync="auto")
     assert code == 2

@@ -30,7 +30,7 @@ def command(take: Path, out: Path, *options: str) -> list[str]:
     return ["reconstruct", *paths, *times, "--no-cache", "--json", "--out", str(out), *options]
 
 
-def test_everybody_moves_the_character(take: Path, tmp_path: Path) -> None:
+def test_everybody_moves_character(take: Path, tmp_path: Path) -> None:
     table = tmp_path / "bones.json"
     table.write_text(json.dumps({"bones": {"LeftToeBase": None}}))
     options = ("--character", str(take / "robot.glb"), "--bones", str(table))
@@ -48,7 +48,7 @@ def test_everybody_moves_the_character(take: Path, tmp_path: Path) -> None:
     assert all(person["contacts_kept"] >= 0.98 and person["slide_cm"] <= 0.1 for person in described["people"])
 
 
-def test_character_problems_are_told_before_the_work(take: Path, tmp_path: Path) -> None:
+def test_character_problems_are_told_before_work(take: Path, tmp_path: Path) -> None:
     fbx = tmp_path / "robot.fbx"
     fbx.write_bytes(b"; FBX 7.4.0 project file")
     table = tmp_path / "bones.json"

@@ -26,7 +26,7 @@ RATE_HZ = 25.0
 
 
 @pytest.mark.parametrize("joints", ["body", "feet"])
-def test_kept_capture_is_a_session(tmp_path: Path, joints: Joints) -> None:
+def test_kept_capture_is_session(tmp_path: Path, joints: Joints) -> None:
     simulation = record(replace(SCENES["room"], duration_s=1.0), 0, 3, joints)
     kept = KeptKeypoints(tmp_path / "kept")
     kept.begin(simulation.cameras, simulation.joints, RATE_HZ)
@@ -49,7 +49,7 @@ def test_kept_capture_is_a_session(tmp_path: Path, joints: Joints) -> None:
         np.testing.assert_allclose(found.keypoints_px[:, places], given.keypoints_px, atol=1e-9)
 
 
-def test_output_line_is_an_instant() -> None:
+def test_output_line_is_instant() -> None:
     simulation, file = record(replace(SCENES["room"], duration_s=0.4), 0, 3), io.StringIO()
     lines = JsonLines(file)
     lines.begin(simulation.cameras, simulation.joints, RATE_HZ)
@@ -66,7 +66,7 @@ def test_output_line_is_an_instant() -> None:
     assert len(instants[-1]["people"]) == 3
 
 
-def test_disk_full_is_a_sentence(tmp_path: Path) -> None:
+def test_disk_full_is_sentence(tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="No space left"), opened_output(Path("/dev/full")) as full:
         JsonLines(full).tell("x")
     with pytest.raises(PipelineError, match="No such file"), opened_output(tmp_path / "none" / "file.jsonl"):
@@ -90,7 +90,7 @@ class PersonReceiver:
         return 1
 
 
-def test_receiver_keeps_its_person_and_gets_the_next_one() -> None:
+def test_receiver_keeps_its_person_and_gets_next_one() -> None:
     receivers = [PersonReceiver(), PersonReceiver()]
     vmc = VmcReceivers(receivers)  # type: ignore[arg-type]
     for time_s, numbers in [(0.0, (1, 2, 3)), (1.0, (2, 3)), (2.5, (2, 3)), (3.0, (1, 2, 3))]:
@@ -99,7 +99,7 @@ def test_receiver_keeps_its_person_and_gets_the_next_one() -> None:
     assert [receiver.got for receiver in receivers] == [[1, 3, 3], [2, 2, 2, 2]]
 
 
-def test_terminal_line_has_the_figures() -> None:
+def test_terminal_line_has_figures() -> None:
     totals = LiveTotals([CameraTotals("a", decoded=90, detected=60), CameraTotals("b", decoded=110, detected=90)])
     assert summary_line(totals, "nobody") == "0 s, 0.0 Hz, nobody, no instant yet, 25 % of frames dropped"
     totals.duration_s, totals.instants = 4.0, 100
@@ -110,7 +110,7 @@ def test_terminal_line_has_the_figures() -> None:
     )
 
 
-def test_capture_full_disk_leaves_a_session_and_continues(tmp_path: Path) -> None:
+def test_capture_full_disk_leaves_session_and_continues(tmp_path: Path) -> None:
     simulation, lines = record(replace(SCENES["room"], duration_s=8.0), 0, 3), io.StringIO()
     cameras = simulation.cameras
     with small_disk(tmp_path / "disk", 4) as disk:
@@ -132,7 +132,7 @@ def test_capture_full_disk_leaves_a_session_and_continues(tmp_path: Path) -> Non
     assert ended["type"] == "ended"
 
 
-def test_outputs_all_failed_end_the_capture(tmp_path: Path) -> None:
+def test_outputs_all_failed_end_capture(tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="No space left"), opened_output(Path("/dev/full")) as full:
         LiveOutputs([JsonLines(full)]).tell("x")
 
@@ -156,7 +156,7 @@ for turn in itertools.count():
 
 
 @pytest.mark.slow
-def test_capture_killed_leaves_a_session(tmp_path: Path) -> None:
+def test_capture_killed_leaves_session(tmp_path: Path) -> None:
     for attempt in range(3):
         folder = tmp_path / f"kept_{attempt}"
         command = python_command("-c", KEEPING, str(folder))

@@ -84,7 +84,7 @@ def test_preview_slow_browser_delays_no_other(room: Simulation, page: PreviewPag
             page.show(instants[-1], 0.0)
 
 
-def test_port_taken_is_a_problem(page: PreviewPage) -> None:
+def test_port_taken_is_problem(page: PreviewPage) -> None:
     port = int(page.url.rstrip("/").rpartition(":")[2])
     with pytest.raises(InputError, match="can't be used"):
         PreviewPage(port)

@@ -11,5 +11,5 @@ CASES = HERE.parents[2] / "pipeline" / "capture"
 
 
 @pytest.mark.parametrize("module", ["chosen_files", "folders", "matching", "parts"])
-def test_modules_of_the_view_send(module: str) -> None:
+def test_modules_of_view_send(module: str) -> None:
     run_by_node(HERE / f"{module}.test.mjs", CASES)

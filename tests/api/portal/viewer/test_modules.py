@@ -212,5 +212,5 @@ def test_bodies_follow_positions_as_they_follow_rotations(bodies: Path) -> None:
 
 
 @pytest.mark.parametrize("module", ["film", "lens", "motion", "pictures", "player"])
-def test_modules_of_the_viewer(module: str, fixtures: Path) -> None:
+def test_modules_of_viewer(module: str, fixtures: Path) -> None:
     run_by_node(HERE / f"{module}.test.mjs", fixtures)

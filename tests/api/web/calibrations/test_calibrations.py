@@ -97,7 +97,7 @@ def test_fisheye_stays_one(strict: Live) -> None:
         assert camera["position_m"] == pytest.approx(calibration["cameras"][0]["position_m"])
 
 
-def test_units_count_where_the_format_does_not_state_them(strict: Live) -> None:
+def test_units_count_where_format_does_not_state_them(strict: Live) -> None:
     short = {
         "name": "a",
         "width": 640,
@@ -129,7 +129,7 @@ def test_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
     assert [error["pointer"] for error in problem["errors"]] == ["/spec/up"]
 
 
-def test_all_problems_of_a_file_are_named(strict: Live) -> None:
+def test_all_problems_of_file_are_named(strict: Live) -> None:
     content = CALIBRATION.replace(b'"matrix": [[500.0', b'"matrix": [[-500.0')
     problem = problem_of(send(strict, content), 422, "invalid_request")
     assert [(one["camera"], one["field"], one["pointer"], one["file"]) for one in problem["errors"]] == [

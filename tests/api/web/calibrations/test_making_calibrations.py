@@ -139,7 +139,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_photographs_of_a_board_give_intrinsics(making: Live, photographs: list[Path]) -> None:
+def test_photographs_of_board_give_intrinsics(making: Live, photographs: list[Path]) -> None:
     parts = [("images", (path.name, path.read_bytes())) for path in photographs]
     spec = ("spec", (None, json.dumps({"method": "board", "board": SPEC}).encode()))
     answer = making.client.post("/v1/calibrations", files=[*parts, spec])
@@ -165,7 +165,7 @@ def test_photographs_of_a_board_give_intrinsics(making: Live, photographs: list[
 
 
 @pytest.mark.slow
-def test_known_points_make_the_world_of_a_board(making: Live, videos: list[Path]) -> None:
+def test_known_points_make_world_of_board(making: Live, videos: list[Path]) -> None:
     cameras = build_cameras(RIG, np.random.default_rng(0))
     xyz_m = np.array([[0.2, 0.4, 0.0], [-0.4, 0.1, 0.1], [0.2, -0.3, 0.8]])
     points: list[dict[str, Any]] = [
@@ -269,7 +269,7 @@ def keypoint_session(live: Live, simulation: Simulation) -> Any:
 
 
 @pytest.mark.slow
-def test_people_of_a_session_calibrate_its_cameras(making: Live, walk: Simulation) -> None:
+def test_people_of_session_calibrate_its_cameras(making: Live, walk: Simulation) -> None:
     session = keypoint_session(making, walk)
     answer = send(making, [], method="people", session_id=session["id"], stature_m=[1.7, 1.65])
     assert answer.status_code == 202, answer.text

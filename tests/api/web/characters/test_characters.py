@@ -104,7 +104,7 @@ def test_shape_counts_where_names_tell_nothing(strict: Live) -> None:
     assert bones(made)["LeftArm"].startswith("Knochen ")  # type: ignore[union-attr]
 
 
-def test_bones_are_stated_with_the_file(strict: Live) -> None:
+def test_bones_are_stated_with_file(strict: Live) -> None:
     made = send(strict, spec={"name": "Robot", "bones": {"LeftShoulder": None, "Hips": "mixamorig:Spine"}}).json()
     assert (made["name"], made["method"]) == ("Robot", "table")
     assert bones(made)["LeftShoulder"] is None
@@ -164,7 +164,7 @@ def test_file_is_downloaded_as_it_was_sent(strict: Live) -> None:
     assert (part.status_code, part.content) == (206, b"glTF")
 
 
-def test_deletion_takes_the_file_along(strict: Live) -> None:
+def test_deletion_takes_file_along(strict: Live) -> None:
     made = send(strict).json()
     stored = strict.settings.data_dir / "artifacts" / "characters" / made["id"] / "file"
     assert stored.read_bytes() == MIXAMO

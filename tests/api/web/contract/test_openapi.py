@@ -26,11 +26,11 @@ def schema(live: Live) -> dict[str, Any]:
     return found
 
 
-def test_committed_contract_is_what_the_code_says() -> None:
+def test_committed_contract_is_what_code_says() -> None:
     assert COMMITTED.read_text(encoding="utf-8") == document()
 
 
-def test_operations_have_examples_that_keep_the_contract(schema: dict[str, Any]) -> None:
+def test_operations_have_examples_that_keep_contract(schema: dict[str, Any]) -> None:
     """Every body in JSON, of a request and of an answer, has an example of its schema."""
     for operation in operations(schema):
         bodies = [operation.get("requestBody", {}), *operation["responses"].values()]
@@ -85,7 +85,7 @@ def test_operations_are_named_and_explained(schema: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("path", ["/v1/calibrations", "/v1/characters", "/v1/jobs", "/v1/sessions"])
-def test_routes_with_two_bodies_have_an_operation_for_each(schema: dict[str, Any], path: str) -> None:
+def test_routes_with_two_bodies_have_operation_for_each(schema: dict[str, Any], path: str) -> None:
     """Generators of clients keep one body of an operation, or mix both."""
     content = schema["paths"][path]["post"]["requestBody"]["content"]
     assert len(content) == 2
@@ -168,7 +168,7 @@ def test_operations_with_callbacks_declare_what_is_sent(schema: dict[str, Any]) 
     assert schema["webhooks"]["job-ended"]["post"]["requestBody"]["content"]["application/json"]["schema"] == message
 
 
-def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
+def test_every_answer_has_example(schema: dict[str, Any]) -> None:
     for operation in operations(schema):
         for status, response in operation["responses"].items():
             if status in {"204", "304", "307"}:
@@ -181,7 +181,7 @@ def test_every_answer_has_an_example(schema: dict[str, Any]) -> None:
                 assert "example" in content or content["examples"], (operation["operationId"], status)
 
 
-def test_every_body_has_an_example(schema: dict[str, Any]) -> None:
+def test_every_body_has_example(schema: dict[str, Any]) -> None:
     for operation in operations(schema):
         for content in operation.get("requestBody", {"content": {}})["content"].values():
             assert "example" in content or content["examples"]

@@ -36,7 +36,7 @@ def test_entries_are_sentences_and_places(code: Code, places: tuple[int | Place,
     assert all(place in PLACES or (isinstance(place, int) and 400 <= place < 600) for place in places)
 
 
-def test_every_code_has_a_use() -> None:
+def test_every_code_has_use() -> None:
     """A code is dead that no module imports and names; examples of the contract raise nothing."""
     dead = set()
     for module in pkgutil.iter_modules(pipeline.core.problems.__path__, "pipeline.core.problems."):
@@ -56,11 +56,11 @@ def test_every_code_has_a_use() -> None:
     assert not dead
 
 
-def test_errors_of_the_framework_have_their_statuses() -> None:
+def test_errors_of_framework_have_their_statuses() -> None:
     assert {usual_status(code): code for code in _CODES.values()} == dict(_CODES)
 
 
-def test_page_is_what_the_code_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_is_what_code_says(capsys: pytest.CaptureFixture[str]) -> None:
     assert PAGE.read_text(encoding="utf-8") == document()
     assert main(["--check"]) == 0
     assert capsys.readouterr().err == ""

@@ -127,7 +127,7 @@ def test_job_that_is_deleted_meanwhile_is_gone(live: Live) -> None:
 
 
 @pytest.mark.slow
-def test_many_listeners_cost_one_look_a_time(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_listeners_cost_one_look_time(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     store = live.services.store
     looks: list[int] = []
@@ -182,7 +182,7 @@ def test_streams_whose_response_has_not_begun_count(live: Live) -> None:
     changes.open("studio", "job")
 
 
-def test_closed_streams_end_the_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_streams_end_polling(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     job_id = live.job_id()
     url = f"http://{live.address[0]}:{live.address[1]}/v1/jobs/{job_id}/events"
     with httpx2.Client(timeout=PATIENCE_S, trust_env=False) as client, client.stream("GET", url) as answer:

@@ -37,7 +37,7 @@ def test_not_ready_says_all_that_is_missing(live: Live) -> None:
     assert "retry-after" in answer.headers
 
 
-def test_ready_with_a_worker_that_could_start(with_broker: Live) -> None:
+def test_ready_with_worker_that_could_start(with_broker: Live) -> None:
     with_broker.services.store.workers.report(COMPILING)
     with_broker.services.store.workers.report(READY)
     answer = with_broker.client.get("/readyz")
@@ -59,7 +59,7 @@ def test_ready_workers_are_counted_by_execution_provider(with_broker: Live) -> N
     ]
 
 
-def test_jobs_are_planned_for_the_workers_provider_and_say_it(with_broker: Live) -> None:
+def test_jobs_are_planned_for_workers_provider_and_say_it(with_broker: Live) -> None:
     """Also a job whose edits or retry come when another worker is there."""
     address = f"/v1/sessions/{with_broker.session_id()}/jobs"
     store = with_broker.services.store
@@ -116,7 +116,7 @@ def test_detector_that_no_worker_has_is_refused(with_broker: Live, detector: str
     assert live.client.post("/v1/jobs", files=[*keypoint_form(), part]).status_code == 202
 
 
-def test_without_a_worker_nobody_knows_and_a_job_waits(with_broker: Live) -> None:
+def test_without_worker_nobody_knows_and_job_waits(with_broker: Live) -> None:
     live = with_broker
     address = f"/v1/sessions/{live.session_id()}/jobs"
     spec = {"detector": "openpose-mobilenet-thin"}

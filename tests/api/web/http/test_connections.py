@@ -68,7 +68,7 @@ def test_idle_connections_outlast_their_clients(few: Live) -> None:
         assert ask(connection) == b"HTTP/1.1 200 OK"
 
 
-def test_requests_beyond_the_connections_are_refused(few: Live) -> None:
+def test_requests_beyond_connections_are_refused(few: Live) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(3):
             stack.enter_context(contextlib.closing(connect(few.address)))

@@ -32,7 +32,7 @@ def addresses(live: Live) -> list[str]:
     ]  # fmt: skip
 
 
-def test_head_has_the_headers_of_get_and_no_body(live: Live, addresses: list[str]) -> None:
+def test_head_has_headers_of_get_and_no_body(live: Live, addresses: list[str]) -> None:
     for address in addresses:
         got, headed = live.client.get(address), live.client.head(address)
         assert (headed.status_code, headed.content) == (got.status_code, b""), address
@@ -70,7 +70,7 @@ def test_head_begins_no_stream(live: Live, addresses: list[str], monkeypatch: py
     assert begun == ["content", "events"]
 
 
-def test_head_of_a_range_and_of_a_file_that_is_known(live: Live, addresses: list[str]) -> None:
+def test_head_of_range_and_of_file_that_is_known(live: Live, addresses: list[str]) -> None:
     path = f"{addresses[10]}/results/person-1.bvh"
     headed = live.client.head(path, headers={"Range": "bytes=0-9"})
     assert (headed.status_code, headed.headers["content-length"]) == (206, "10")
@@ -112,7 +112,7 @@ def test_cache_control_of_each_kind_of_address(live: Live, addresses: list[str])
     assert live.client.post("/v1/jobs").headers["cache-control"] == "no-store"
 
 
-def test_tag_changes_with_the_body(live: Live) -> None:
+def test_tag_changes_with_body(live: Live) -> None:
     job_id = live.job_id()
     path = f"/v1/jobs/{job_id}"
     tags = [live.client.get(path).headers["etag"]]
@@ -176,7 +176,7 @@ def test_answers_say_how_many_requests_are_left(make_settings: Callable[..., Set
         assert "ratelimit-limit" not in live.client.get("/healthz").headers
 
 
-def test_without_a_limit_nothing_is_left_of_it(live: Live) -> None:
+def test_without_limit_nothing_is_left_of_it(live: Live) -> None:
     assert not [name for name in live.client.get("/v1/jobs").headers if name.startswith("ratelimit")]
 
 

@@ -101,7 +101,7 @@ def test_requests_that_wait_are_limited(live: Live, monkeypatch: pytest.MonkeyPa
         assert answer.headers["retry-after"]
 
 
-def test_every_route_with_a_thread_takes_a_turn(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_route_with_thread_takes_turn(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[str] = []
     turn = live.services.turns.turn
     monkeypatch.setattr(live.services.turns, "turn", lambda owner: taken.append(owner) or turn(owner))  # type: ignore[func-returns-value]

@@ -126,7 +126,7 @@ def test_calls_that_are_given_up_leave_their_turns_to_others() -> None:
     asyncio.run(scenario())
 
 
-def test_turn_comes_at_the_moment_of_giving_up() -> None:
+def test_turn_comes_at_moment_of_giving_up() -> None:
     async def scenario() -> None:
         threads, work = threads_of_checks(1, WAIT_S), HeldCalls()
         work.end()

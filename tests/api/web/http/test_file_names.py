@@ -59,7 +59,7 @@ def test_names_of_people_are_safe_too(session: str, person: str) -> None:
     assert not _FORBIDDEN & set(name)
 
 
-def test_people_have_their_number_and_the_name_that_was_given() -> None:
+def test_people_have_their_number_and_name_that_was_given() -> None:
     assert result_name("Walk 2", "person-1.bvh", 3, "Anna K.") == "walk-2_revision-3_person-1-anna-k.bvh"
     assert result_name("Walk 2", "person-1.bvh", 0, "person-1") == "walk-2_person-1.bvh"
     assert result_name("Walk 2", "person-1.bvh", 3, "...") == "walk-2_revision-3_person-1.bvh"
@@ -68,7 +68,7 @@ def test_people_have_their_number_and_the_name_that_was_given() -> None:
     )
 
 
-def test_archives_have_a_folder_for_each_person() -> None:
+def test_archives_have_folder_for_each_person() -> None:
     assert archived_name("Walk 2", "person-1.bvh", "person-1") == "person-1/walk-2_person-1.bvh"
     assert archived_name("Walk 2", "person-1.bvh", "person-1", 3) == "person-1/walk-2_revision-3_person-1.bvh"
     assert archived_name("Walk 2", "metrics.json", None) == "walk-2_metrics.json"

@@ -73,9 +73,7 @@ def upload(live: Live) -> str:
 @pytest.mark.parametrize("body", [b"", b"x" * 500, HEALTH])
 @pytest.mark.parametrize("method", ["HEAD", "PATCH", "DELETE", "GET", "OPTIONS", "PUT"])
 @pytest.mark.parametrize("path", ["an upload", "/v1/uploads/unknown", "/v1/uploads", "/v1/uploadsandmore"])
-def test_methods_by_another_name_leave_nothing_on_the_connection(
-    small: Live, path: str, method: str, body: bytes
-) -> None:
+def test_methods_by_another_name_leave_nothing_on_connection(small: Live, path: str, method: str, body: bytes) -> None:
     address = upload(small) if path == "an upload" else path
     with Connection(small) as connection:
         connection.send(request("POST", address, body, X_HTTP_Method_Override=method) + HEALTH)
@@ -103,7 +101,7 @@ def test_offset_can_be_asked_for_by_post(small: Live) -> None:
         b"POST /nowhere HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
     ],
 )
-def test_unread_rest_of_a_body_is_not_a_request(small: Live, first: bytes) -> None:
+def test_unread_rest_of_body_is_not_request(small: Live, first: bytes) -> None:
     with Connection(small) as connection:
         connection.send(first)
         connection.answer(has_body=not first.startswith(b"HEAD"))

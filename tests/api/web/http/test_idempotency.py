@@ -46,7 +46,7 @@ def post(live: Live, address: str, headers: dict[str, str]) -> httpx2.Response:
     return live.client.post(address, headers=headers)
 
 
-def test_every_post_takes_a_key() -> None:
+def test_every_post_takes_key() -> None:
     contract = json.loads(COMMITTED.read_text(encoding="utf-8"))
     taking = {
         path
@@ -60,7 +60,7 @@ def test_every_post_takes_a_key() -> None:
 
 
 @pytest.mark.parametrize("path", slow_but(["/v1/jobs"], ["/v1/sessions", "/v1/jobs"]))
-def test_form_that_is_cut_otherwise_is_the_same(live: Live, path: str) -> None:
+def test_form_that_is_cut_otherwise_is_same(live: Live, path: str) -> None:
     spec = [] if path == "/v1/sessions" else [("spec", (None, '{"smoothing": "none"}'))]
     again(lambda: live.client.post(path, files=[*form(), *spec], headers=KEY))  # boundaries are random
     assert len(live.client.get("/v1/sessions").json()["sessions"]) == 1
@@ -72,7 +72,7 @@ def test_form_that_is_cut_otherwise_is_the_same(live: Live, path: str) -> None:
     "other",
     [form(1), form(3), form(2, b"other"), form(2, calibration=b"[cam_1]"), [*form(), ("manifest", (None, "{}"))]],
 )
-def test_another_form_under_the_key_is_refused(live: Live, other: list[tuple[str, Any]]) -> None:
+def test_another_form_under_key_is_refused(live: Live, other: list[tuple[str, Any]]) -> None:
     assert live.client.post("/v1/sessions", files=form(), headers=KEY).status_code == 201
     problem = problem_of(live.client.post("/v1/sessions", files=other, headers=KEY), 422, "idempotency_key_reused")
     assert "new Idempotency-Key" in problem["hint"]
@@ -124,7 +124,7 @@ def test_refused_request_may_be_repeated_with_its_key(live: Live) -> None:
     problem_of(live.client.post(missing, headers={"Idempotency-Key": "x"}), 404, "not_found")
 
 
-def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_while_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     session_id, entered, go_on = live.session_id(), threading.Event(), threading.Event()
     read = Sessions.get
 
@@ -150,7 +150,7 @@ def test_while_the_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch
     assert len(live.client.get("/v1/jobs").json()["jobs"]) == 1
 
 
-def test_repeated_request_is_answered_at_the_quota(make_settings: Callable[..., Settings]) -> None:
+def test_repeated_request_is_answered_at_quota(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_tenant_sessions=1)) as live:
         again(lambda: live.client.post("/v1/sessions", files=form(), headers=KEY))
         answer = live.client.post("/v1/sessions", files=form(), headers={"Idempotency-Key": "another"})

@@ -90,7 +90,7 @@ def revoke(live: Live, key: Key) -> None:
     subprocess.run(command, check=True, timeout=PATIENCE_S, capture_output=True)
 
 
-def test_event_streams_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str]) -> None:
+def test_event_streams_end_when_key_is_revoked(live: Live, key: tuple[Key, str]) -> None:
     path = f"/v1/jobs/{live.job_id()}/events"
     with asking(live, path, key[1]) as stream, asking(live, path, key[1]) as second:
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
@@ -103,7 +103,7 @@ def test_event_streams_end_when_the_key_is_revoked(live: Live, key: tuple[Key, s
 
 
 @pytest.mark.parametrize("download", DOWNLOADS)
-def test_downloads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str], download: str) -> None:
+def test_downloads_end_when_key_is_revoked(live: Live, key: tuple[Key, str], download: str) -> None:
     job_id = live.job_id()
     live.finish(job_id, CONTENT)
     with asking(live, f"/v1/jobs/{job_id}/{download}", key[1]) as sent:
@@ -113,7 +113,7 @@ def test_downloads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str],
         assert read_to_end(sent) < len(CONTENT) / 2
 
 
-def test_uploads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str]) -> None:
+def test_uploads_end_when_key_is_revoked(live: Live, key: tuple[Key, str]) -> None:
     uploads = {"Upload-Length": "90000", "Upload-Metadata": "filename Y2FtXzAubXA0", "Tus-Resumable": "1.0.0"}
     address = live.client.post("/v1/uploads", headers=uploads).headers["location"]
     piece = PIECE | {"Upload-Offset": "0", "Content-Length": "90000"}
@@ -131,7 +131,7 @@ def test_uploads_end_when_the_key_is_revoked(live: Live, key: tuple[Key, str]) -
     assert int(live.client.head(address, headers={"Tus-Resumable": "1.0.0"}).headers["upload-offset"]) < 90000
 
 
-def test_event_streams_end_when_the_key_expires(live: Live) -> None:
+def test_event_streams_end_when_key_expires(live: Live) -> None:
     path = f"/v1/jobs/{live.job_id()}/events"
     _, secret = live.services.store.keys.add("studio", "guest", USUAL, lifetime_s=2.0)
     with asking(live, path, secret) as stream:
@@ -148,7 +148,7 @@ def test_event_streams_of_browsers_end_with_their_key(live: Live, key: tuple[Key
         read_to_end(stream)
 
 
-def test_event_streams_without_a_key_end_when_there_are_keys(make_settings: Callable[..., Settings]) -> None:
+def test_event_streams_without_key_end_when_there_are_keys(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings()) as live, asking(live, f"/v1/jobs/{live.job_id()}/events", None) as stream:
         assert stream.recv(65536).startswith(b"HTTP/1.1 200 ")
         live.services.store.keys.add("studio", "first", USUAL)

@@ -9,7 +9,7 @@ from api.web.http.rates import Rates
 from api.web.live.places import LivePlaces
 
 
-def test_step_of_the_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_step_of_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_s, now_s = time.time(), time.monotonic()
     rates, places = Rates(2), LivePlaces(8, 8, 1)
     for _ in range(2):
@@ -26,7 +26,7 @@ def test_step_of_the_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) ->
         pass
 
 
-def test_limit_moves_with_the_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_moves_with_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     clock_s = [0.0]
     monkeypatch.setattr("api.web.http.rates.time.monotonic", lambda: clock_s[0])
     rates = Rates(2)

@@ -92,7 +92,7 @@ def test_client_that_receives_nothing_is_disconnected(strict: Live) -> None:
     assert len(strict.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").content) == len(content)
 
 
-def test_client_of_an_event_stream_is_not_slow(strict: Live) -> None:
+def test_client_of_event_stream_is_not_slow(strict: Live) -> None:
     job_id = strict.job_id()
     with strict.client.stream("GET", f"/v1/jobs/{job_id}/events") as events:
         lines = events.iter_lines()

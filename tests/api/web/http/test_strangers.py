@@ -54,7 +54,7 @@ def test_odd_requests_are_answered_or_closed(live: Live, request_: bytes) -> Non
     assert live.client.get("/healthz").status_code == 200
 
 
-def test_connection_after_an_upgrade_is_usable_or_closed(live: Live) -> None:
+def test_connection_after_upgrade_is_usable_or_closed(live: Live) -> None:
     upgrade = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
     with socket.create_connection(live.address[:2], timeout=180) as connection:
         connection.sendall(upgrade)

@@ -55,13 +55,13 @@ def test_too_many_wrong_keys_are_refused(guarded: tuple[Live, dict[str, str]]) -
         problem_of(other.get("/v1/jobs", headers=WRONG), 401, "key_required")
 
 
-def test_wrong_keys_are_counted_at_the_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_wrong_keys_are_counted_at_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     answers = [live.client.post("/v1/browser-session", json={"key": "mc_guessed"}) for _ in range(LIMIT + 1)]
     assert [answer.status_code for answer in answers] == [401] * LIMIT + [429]
 
 
-def test_old_cookie_leads_to_the_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_old_cookie_leads_to_entrance(guarded: tuple[Live, dict[str, str]]) -> None:
     # Also beside somebody who has used up the wrong keys of the same address.
     live, _ = guarded
     use_up(live.client)
@@ -72,12 +72,12 @@ def test_old_cookie_leads_to_the_entrance(guarded: tuple[Live, dict[str, str]]) 
         assert "Max-Age=0" in answer.headers["set-cookie"]
 
 
-def test_requests_without_a_key_are_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_requests_without_key_are_not_counted(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     assert {live.client.get("/v1/jobs").status_code for _ in range(3 * LIMIT)} == {401}
 
 
-def test_trusted_proxy_names_the_client(guarded: tuple[Live, dict[str, str]]) -> None:
+def test_trusted_proxy_names_client(guarded: tuple[Live, dict[str, str]]) -> None:
     live, _ = guarded
     with from_address(live, "127.0.0.9") as proxy:
         use_up(proxy, **{"X-Forwarded-For": "198.51.100.1"})
@@ -98,7 +98,7 @@ def test_others_cannot_name_clients(guarded: tuple[Live, dict[str, str]]) -> Non
     assert [answer.status_code for answer in answers] == [401] * LIMIT + [429]
 
 
-def test_wrong_keys_count_for_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_keys_count_for_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(0.0, 25.0)
     monkeypatch.setattr("api.web.http.rates.time.monotonic", lambda: next(clock))
     wrong_keys = WrongKeys(5)
@@ -106,7 +106,7 @@ def test_wrong_keys_count_for_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     assert left == ["4", "3", "2", "2", "2"]
 
 
-def test_networks_are_forgotten_before_they_fill_the_memory() -> None:
+def test_networks_are_forgotten_before_they_fill_memory() -> None:
     wrong_keys = WrongKeys(2, max_networks=100)
     for k in range(1000):
         wrong_keys.count(f"192.0.2.{k}")

@@ -62,7 +62,7 @@ def test_addresses_that_are_refused(live: Live, url: str, code: str) -> None:
     assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [(code, "/callback_url")]
 
 
-def test_without_a_secret_nobody_can_be_told(make_settings: Callable[..., Settings]) -> None:
+def test_without_secret_nobody_can_be_told(make_settings: Callable[..., Settings]) -> None:
     spec = ("spec", (None, '{"callback_url": "http://portal.example/"}'))
     with running(make_settings()) as live:
         problem = problem_of(live.client.post("/v1/jobs", files=[*form(), spec]), 422, "invalid_request")
@@ -72,7 +72,7 @@ def test_without_a_secret_nobody_can_be_told(make_settings: Callable[..., Settin
         assert live.kept() == []
 
 
-def test_private_addresses_where_the_operator_allows_them(make_settings: Callable[..., Settings]) -> None:
+def test_private_addresses_where_operator_allows_them(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(webhook_private=True)) as live:
         live.services.store.webhook_secrets.rotate(DEFAULT_TENANT, 0.0)
         body = {"callback_url": "http://127.0.0.1:9/"}

@@ -85,7 +85,7 @@ def test_lost_file_makes_no_job(moving: Live) -> None:
     assert {path for path in moving.kept() if "jobs" in path.parts} == before
 
 
-def test_copies_count_for_the_quota(make_settings: Callable[..., Settings]) -> None:
+def test_copies_count_for_quota(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_character_bytes=200_000, max_tenant_bytes=100_000)) as live:
         made = add(live)
         session = live.session_id()

@@ -50,7 +50,7 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
     assert [stage["fraction"] for stage in done["stages"]] == [1] * 12
 
 
-def test_job_without_a_body_is_as_by_default(live: Live) -> None:
+def test_job_without_body_is_as_by_default(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
     assert answer.json()["spec"] == {
         "method": "tracking",
@@ -131,7 +131,7 @@ def test_session_and_job_in_one_call(live: Live) -> None:
     assert session["name"] == "Take 3"
 
 
-def test_sync_of_a_job_defaults_to_that_of_its_session(live: Live) -> None:
+def test_sync_of_job_defaults_to_that_of_its_session(live: Live) -> None:
     manifest = ("manifest", (None, json.dumps({"sync": "auto"}).encode()))
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["sync"] == "auto"
@@ -150,7 +150,7 @@ def test_sync_of_a_job_defaults_to_that_of_its_session(live: Live) -> None:
     assert live.client.post(usual["links"]["jobs"]).json()["spec"]["sync"] == "declared"
 
 
-def test_timeline_of_a_job_defaults_to_its_session(live: Live) -> None:
+def test_timeline_of_job_defaults_to_its_session(live: Live) -> None:
     manifest = ("manifest", (None, b'{"timeline": "person"}'))
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["timeline"] == "person"
@@ -301,7 +301,7 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
     assert (second["attempt"], second["state"], second["error"], second["failures"]) == (2, "queued", None, [])
 
 
-def test_delete_waits_for_the_end(live: Live) -> None:
+def test_delete_waits_for_end(live: Live) -> None:
     job_id = live.job_id()
     problem_of(live.client.delete(f"/v1/jobs/{job_id}"), 409, "conflict")
     live.finish(job_id)
@@ -311,7 +311,7 @@ def test_delete_waits_for_the_end(live: Live) -> None:
     problem_of(live.client.get(f"/v1/jobs/{job_id}"), 404, "not_found")
 
 
-def test_progress_of_a_running_stage(live: Live) -> None:
+def test_progress_of_running_stage(live: Live) -> None:
     job_id = live.job_id()
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
@@ -381,7 +381,7 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
     assert offered(hopeless) == (False, True)
 
 
-def test_warnings_of_a_result_are_wherever_the_job_is(live: Live) -> None:
+def test_warnings_of_result_are_wherever_job_is(live: Live) -> None:
     job_id = live.job_id()
     before = live.client.get(f"/v1/jobs/{job_id}").json()
     assert (before["warnings"], before["result_warnings"]) == (["The cameras are close together."], [])

@@ -132,7 +132,7 @@ CHOSEN = st.fixed_dictionaries(
 
 @settings(max_examples=30, deadline=None)
 @given(chosen=CHOSEN, num_frames=st.integers(1, 10**6), rate_hz=st.sampled_from([5.0, 25.0, 29.97, 120.0]))
-def test_choices_that_do_not_suit_a_session(
+def test_choices_that_do_not_suit_session(
     chosen: dict[str, Any], num_frames: int, rate_hz: float, session: KeypointSession, tmp_path_factory: Any
 ) -> None:
     assume(list(config_problems(ReconstructionConfig(**chosen), num_frames, rate_hz)))

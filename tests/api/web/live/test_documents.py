@@ -23,7 +23,7 @@ def test_examples_are_messages(model: type[BaseModel]) -> None:
     assert message.model_dump(mode="json", exclude_unset=True) == MESSAGES[model.__name__]
 
 
-def test_references_of_the_contract_lead_somewhere() -> None:
+def test_references_of_contract_lead_somewhere() -> None:
     document = describe_live()
     references = set(re.findall(r"'\$ref': '#/([^']+)'", str(document)))
     assert len(references) > 20
@@ -43,12 +43,12 @@ def test_page_names_every_choice_and_layout() -> None:
     assert [name for name in POINTS if f"`{name}`" not in PAGE] == []
 
 
-def test_start_has_the_settings_of_the_library() -> None:
+def test_start_has_settings_of_library() -> None:
     start = LiveStart(type="start", layout="coco-17", frame_rate_hz=30.0)
     assert LiveSettings(**start.settings()) == LiveSettings(30.0)
 
 
-def test_heads_have_the_lengths_of_the_page() -> None:
+def test_heads_have_lengths_of_page() -> None:
     assert len(KeypointsHead(0, 0, 17, 1.0).encode()) == 20
     assert len(InstantHead(0, 17, 21, 1.0, 0.1, 0).encode()) == 36
     assert InstantHead(2, 17, 21, 1.0, 0.1, 0).num_bytes == 36 + 2 * (8 + 4 * (17 * 3 + 3 + 21 * 8))

@@ -99,7 +99,7 @@ def num_captures(service: Served) -> int:
     return sum(round(float(line.rpartition(" ")[2])) for line in lines if line.startswith(names))
 
 
-def test_capture_is_fast_beside_a_hundred_hostile_clients(service: Served) -> None:
+def test_capture_is_fast_beside_hundred_hostile_clients(service: Served) -> None:
     room = record(replace(find_scene("room"), duration_s=DURATION_S), seed=4, num_views=3)
     calibration = json.loads(dict(simulation_files(room))["calibration.json"])
     address = str(service.client.base_url).replace("http", "ws").rstrip("/") + "/v1/live"

@@ -180,7 +180,7 @@ def test_oldest_instants_are_dropped_and_counted(live_service: Live) -> None:
         assert sequences[-1] == 199
 
 
-def test_examples_of_the_client_run(live_service: Live) -> None:
+def test_examples_of_client_run(live_service: Live) -> None:
     names = {"address": f"http://127.0.0.1:{live_service.address[1]}", "calibration": CALIBRATION}
     client = doctest.testmod(multicap.live, extraglobs=names)
     messages = doctest.testmod(multicap.live_messages)

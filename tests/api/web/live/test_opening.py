@@ -93,7 +93,7 @@ def test_revoked_keys_end_captures(own: Live) -> None:
         assert client.problem()["code"] == "live_key_ended"
 
 
-def test_browsers_come_with_their_cookie_from_the_own_page_only(own: Live) -> None:
+def test_browsers_come_with_their_cookie_from_own_page_only(own: Live) -> None:
     _, secret = own.services.store.keys.add("studio-a", "person", frozenset({Scope.READ, Scope.WRITE}))
     signed_in = own.client.post("/v1/browser-session", json={"key": secret})
     assert signed_in.is_success, signed_in.text
@@ -110,7 +110,7 @@ def test_pages_of_other_origins_open_nothing_without_keys_either(own: Live) -> N
     assert refusal(own, additional_headers={"Host": "evil.example"})[0] in {400, 403}
 
 
-def test_captures_of_a_tenant_and_of_all_are_limited(own: Live) -> None:
+def test_captures_of_tenant_and_of_all_are_limited(own: Live) -> None:
     scopes = frozenset({Scope.READ, Scope.WRITE})
     first, second = (own.services.store.keys.add(name, name, scopes)[1] for name in ("studio-a", "studio-b"))
     with opened(own, **bearer(first)) as one, opened(own, **bearer(first)):
@@ -120,7 +120,7 @@ def test_captures_of_a_tenant_and_of_all_are_limited(own: Live) -> None:
             assert refusal(own, **bearer(second)) == (503, "captures_busy")
 
 
-def test_silence_ends_a_capture(impatient: Live) -> None:
+def test_silence_ends_capture(impatient: Live) -> None:
     with opened(impatient) as connection:
         assert LiveSocket(connection).problem()["code"] == "live_idle"
     with opened(impatient) as connection:
@@ -129,7 +129,7 @@ def test_silence_ends_a_capture(impatient: Live) -> None:
         assert client.problem()["code"] == "live_idle"
 
 
-def test_floods_end_a_capture(own: Live) -> None:
+def test_floods_end_capture(own: Live) -> None:
     with opened(own) as connection:
         client = LiveSocket(connection)
         client.send(start_message())

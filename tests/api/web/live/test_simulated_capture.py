@@ -143,7 +143,7 @@ def test_client_gets_instants_and_session_is_kept(
     assert job.status_code == 202, job.text
 
 
-def test_asynchronous_client_with_json_and_a_stored_calibration(
+def test_asynchronous_client_with_json_and_stored_calibration(
     computing: Live, room: Simulation, calibration: dict[str, Any]
 ) -> None:
     parts: list[tuple[str, Any]] = [
@@ -215,7 +215,7 @@ def test_calibrations_of_any_format_are_sent(computing: Live, room: Simulation, 
             pass
 
 
-def test_example_of_the_page(
+def test_example_of_page(
     computing: Live,
     room: Simulation,
     tmp_path: Path,

@@ -122,7 +122,7 @@ def impatient(make_settings: Callable[..., Settings]) -> Iterator[Live]:
         yield live
 
 
-def test_floods_end_the_connection_of_the_flooder_alone(strict: Live) -> None:
+def test_floods_end_connection_of_flooder_alone(strict: Live) -> None:
     recording = opened_recording(strict)
     ping = json.dumps({"type": "ping", "t0_s": 0.0})
     with recording.host() as host, recording.phone("Left") as flooder, recording.phone("Right") as other:

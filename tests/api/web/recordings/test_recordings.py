@@ -57,7 +57,7 @@ def test_wrong_choices_are_named(rooms_service: Live) -> None:
         assert [item["pointer"] for item in problem["errors"]] == [pointer]
 
 
-def test_phones_record_a_take_together(recording: OpenedRecording) -> None:
+def test_phones_record_take_together(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone("Left") as left, recording.phone("Left") as right:
         assert (left.welcome["name"], right.welcome["name"]) == ("Left", "Left 2")
         host.state(lambda state: len(state["live"]) == 2)
@@ -152,7 +152,7 @@ def test_host_that_comes_back_sees_everything(recording: OpenedRecording) -> Non
             assert state["live"][0]["is_connected"]
 
 
-def test_only_one_take_at_a_time_and_only_so_many(recording: OpenedRecording) -> None:
+def test_only_one_take_at_time_and_only_so_many(recording: OpenedRecording) -> None:
     with recording.host() as host:
         host.send("stop")
         assert host.next("problem")["detail"] == "No take is being recorded."
@@ -207,7 +207,7 @@ def test_end_of_recording_ends_its_connections(rooms_service: Live) -> None:
         assert host.ended() == "recording"
 
 
-def test_another_link_ends_the_one_before(recording: OpenedRecording) -> None:
+def test_another_link_ends_one_before(recording: OpenedRecording) -> None:
     with recording.phone("Left", phone_id="a-phone-with-the-old-link") as phone:
         renewed = recording.live.client.post(f"/v1/recordings/{recording.id}/join")
         assert renewed.status_code == 201
@@ -228,7 +228,7 @@ def test_same_phone_has_one_connection(recording: OpenedRecording) -> None:
         assert second.next("pong")
 
 
-def test_files_come_from_uploads_of_the_phone_alone(recording: OpenedRecording) -> None:
+def test_files_come_from_uploads_of_phone_alone(recording: OpenedRecording) -> None:
     with recording.host() as host, recording.phone() as left, recording.phone() as right:
         take = taken(host)
         upload_id = left.upload(b"video")

@@ -24,7 +24,7 @@ class SilentRelay(RecordingRelay):
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0), (0, 1, 0, 1)])
-def test_of_two_connections_of_a_phone_the_later_one_stays(order: Sequence[int]) -> None:
+def test_of_two_connections_of_phone_later_one_stays(order: Sequence[int]) -> None:
     recording = RecordingSession("r", "Rehearsal", NOW, NOW, 1)
     rooms = [Room(recording, SilentRelay()) for _ in range(2)]
     with rooms[0].phone_connected(1, 8.0, {}) as earlier, rooms[1].phone_connected(1, 8.5, {}) as later:
@@ -57,7 +57,7 @@ def test_database_that_was_restored_is_followed(tmp_path: Path) -> None:
     store.close()
 
 
-def test_processes_of_an_earlier_version_end_no_connection() -> None:
+def test_processes_of_earlier_version_end_no_connection() -> None:
     room = Room(RecordingSession("r", "Rehearsal", NOW, NOW, 1), SilentRelay())
     with room.phone_connected(1, 8.0, {}) as side:
         room.received(RelayKind.PHONE, b'{"phone": 1, "connected": true, "status": null, "hello": null}')

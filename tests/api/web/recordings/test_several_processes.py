@@ -110,7 +110,7 @@ def test_phone_that_moves_to_another_process_has_one_connection(both: Both) -> N
         assert again.welcome["name"] == "Left"
 
 
-def test_without_a_broker_takes_start_in_time_all_the_same(make_settings: Callable[..., Settings]) -> None:
+def test_without_broker_takes_start_in_time_all_same(make_settings: Callable[..., Settings]) -> None:
     with contextlib.ExitStack() as stack:
         left, right, _ = stack.enter_context(side_by_side(make_settings(), NO_BROKER))
         first, second = recording_at(left, right)
@@ -126,7 +126,7 @@ def test_without_a_broker_takes_start_in_time_all_the_same(make_settings: Callab
         host.state(lambda state: any(take["clips"] for take in state["recording"]["takes"]))
 
 
-def test_killed_process_loses_nothing_of_a_take(both: Both) -> None:
+def test_killed_process_loses_nothing_of_take(both: Both) -> None:
     identity = "a-phone-whose-process-is-killed"
     *clients, process = both
     first, second = recording_at(*clients)

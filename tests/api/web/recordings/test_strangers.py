@@ -64,7 +64,7 @@ def test_wrong_secrets_are_counted_as_wrong_keys_are(make_settings: Callable[...
         assert codes == ["link_unknown"] * 3 + ["too_many_wrong_keys"] * 2
 
 
-def test_hosts_need_a_key_of_the_tenant_that_writes(guarded: GuardedRoom) -> None:
+def test_hosts_need_key_of_tenant_that_writes(guarded: GuardedRoom) -> None:
     for headers, status, code in (
         ({}, 401, "key_required"),
         (guarded.theirs, 404, "not_found"),
@@ -82,7 +82,7 @@ def test_hosts_need_a_key_of_the_tenant_that_writes(guarded: GuardedRoom) -> Non
         assert host.state(lambda state: True)["recording"]["id"] == guarded.recording.id
 
 
-def test_another_tenant_reaches_nothing_of_a_recording(guarded: GuardedRoom) -> None:
+def test_another_tenant_reaches_nothing_of_recording(guarded: GuardedRoom) -> None:
     client, theirs, recording = guarded.live.client, guarded.theirs, guarded.recording
     address = f"/v1/recordings/{recording.id}"
     problem_of(client.get(address, headers=theirs), 404, "not_found")

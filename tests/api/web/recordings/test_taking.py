@@ -117,7 +117,7 @@ def test_session_comes_with_its_job_and_once_for_idempotency_key(
     assert recording.read()["takes"][0]["job_id"] == job["id"]
 
 
-def test_phones_are_told_to_forget_what_is_in_a_session(studio: Live) -> None:
+def test_phones_are_told_to_forget_what_is_in_session(studio: Live) -> None:
     recording = opened_recording(studio)
     with recording.host() as host, recording.phone("Left") as left, recording.phone("Right"):
         take = taken(host)

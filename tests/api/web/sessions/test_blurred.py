@@ -44,7 +44,7 @@ def cameras(live: Live, address: str, **query: str) -> list[dict[str, object]]:
     return list(session["preflight"]["cameras"])
 
 
-def test_before_the_job_has_succeeded_nothing_is_shown(live: Live) -> None:
+def test_before_job_has_succeeded_nothing_is_shown(live: Live) -> None:
     address = send(live)
     assert live.client.get(f"{address}/videos/cam_0").content == SENT
     job = start(live, address, **BLUR)
@@ -63,7 +63,7 @@ def test_before_the_job_has_succeeded_nothing_is_shown(live: Live) -> None:
     assert live.client.get(address).json()["shows_blurred"] is False
 
 
-def test_blurred_videos_take_the_place_of_all_others(live: Live) -> None:
+def test_blurred_videos_take_place_of_all_others(live: Live) -> None:
     address = send(live)
     job = start(live, address, **BLUR)
     assert live.client.get(address).json()["proxies_job"] is None

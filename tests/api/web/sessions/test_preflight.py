@@ -24,7 +24,7 @@ from tests.hostile.keypoints import keypoint_files, simulate
 from worker.store.model.rights import Scope
 
 
-def test_check_that_crashes_is_the_services_fault(live: Live) -> None:
+def test_check_that_crashes_is_services_fault(live: Live) -> None:
     answer = live.client.post("/v1/sessions", files=form(1, b"CRASH"))
     problem_of(answer, 500, "preflight_failed")
     assert "secret" not in answer.text
@@ -110,7 +110,7 @@ def test_check_that_makes_no_sense(tmp_path: Path, script: str, status: int) -> 
 
 
 @pytest.mark.slow
-def test_checks_beyond_the_limit_wait_without_holding_others_up(make_settings: Callable[..., Settings]) -> None:
+def test_checks_beyond_limit_wait_without_holding_others_up(make_settings: Callable[..., Settings]) -> None:
     with (
         running(make_settings(max_parallel_preflights=1, preflight_timeout_s=1.0)) as live,
         concurrent.futures.ThreadPoolExecutor(3) as pool,
@@ -172,7 +172,7 @@ def test_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_hanging_checks_of_a_tenant_delay_no_other_tenant(make_settings: Callable[..., Settings]) -> None:
+def test_hanging_checks_of_tenant_delay_no_other_tenant(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(preflight_timeout_s=6.0)) as live, concurrent.futures.ThreadPoolExecutor(4) as pool:
         keys = [live.services.store.keys.add(name, name, frozenset(Scope))[1] for name in ("bad", "good")]
         bad, good = ({"Authorization": f"Bearer {key}"} for key in keys)

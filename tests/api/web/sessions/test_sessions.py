@@ -63,13 +63,13 @@ def test_session_of_keypoints(live: Live) -> None:
     }
 
 
-def test_problems_of_an_archive_point_to_it(live: Live) -> None:
+def test_problems_of_archive_point_to_it(live: Live) -> None:
     parts = [("keypoints", ("cam_0.zip", b"archive")), ("keypoints", ("cam_1.zip", b"WRONG")), form(0)[0]]
     problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
     assert [(item["pointer"], item["file"]) for item in problem["errors"]] == [("/keypoints/1", "cam_1.zip")]
 
 
-def test_files_are_kept_byte_for_byte_and_the_spool_is_empty(live: Live) -> None:
+def test_files_are_kept_byte_for_byte_and_spool_is_empty(live: Live) -> None:
     content = os.urandom(99_999)
     answer = live.client.post("/v1/sessions", files=form(1, content))
     (video, _) = live.services.store.sessions.get(answer.json()["id"]).files
@@ -319,7 +319,7 @@ def test_delete_takes_files_and_jobs_along(live: Live) -> None:
     problem_of(live.client.get(f"/v1/jobs/{job_id}"), 404, "not_found")
 
 
-def test_start_clears_what_a_killed_process_was_receiving(make_settings: Callable[..., Settings]) -> None:
+def test_start_clears_what_killed_process_was_receiving(make_settings: Callable[..., Settings]) -> None:
     settings = make_settings()
     (settings.spool_dir / "half").mkdir(parents=True)
     (settings.spool_dir / "half" / "cam_0.mp4").write_bytes(b"vid")
@@ -336,7 +336,7 @@ def test_database_that_fails_keeps_no_files(live: Live, monkeypatch: pytest.Monk
     assert live.kept() == []
 
 
-def test_manifest_may_be_a_file(live: Live) -> None:
+def test_manifest_may_be_file(live: Live) -> None:
     manifest = ("manifest", ("manifest.json", json.dumps({"name": "Take 4"}), "application/json"))
     assert live.client.post("/v1/sessions", files=[*form(), manifest]).json()["name"] == "Take 4"
 
@@ -363,7 +363,7 @@ class TestManifest:
         assert [item["pointer"] for item in problem["errors"]] == ["/manifest/metadata"]
         assert live.kept() == []
 
-    def test_cameras_of_the_manifest_reach_the_preflight(self, live: Live) -> None:
+    def test_cameras_of_manifest_reach_preflight(self, live: Live) -> None:
         cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
         session = self.send(live, {"cameras": cameras}).raise_for_status().json()
         assert live.services.store.sessions.get(session["id"]).preflight.recordings == (
@@ -418,7 +418,7 @@ def test_duration_and_pixels_at_their_limits_and_beyond(
         assert live.kept() == []
 
 
-def test_problems_of_the_manifest_point_to_its_entries(live: Live) -> None:
+def test_problems_of_manifest_point_to_its_entries(live: Live) -> None:
     videos = [("videos", (f"cam_{index}.mp4", content)) for index, content in enumerate((b"APART", b"TWICE", b"APART"))]
     cameras = [{"name": name} for name in ("cam_1", "cam_0", "cam_1")]
     manifest = ("manifest", (None, json.dumps({"cameras": cameras})))

@@ -15,7 +15,7 @@ def thumbnails(live: Live) -> tuple[str, list[list[dict[str, object]]]]:
     return answer.json()["links"]["self"], [camera["thumbnails"] for camera in cameras]
 
 
-def test_pictures_of_a_session_are_read(live: Live) -> None:
+def test_pictures_of_session_are_read(live: Live) -> None:
     address, (_, (second,)) = thumbnails(live)
     assert second == {"time_s": 1.2, "link": f"{address}/thumbnails/cam_1/0"}
     answer = live.client.get(str(second["link"]))

@@ -95,7 +95,7 @@ def test_video_that_browsers_do_not_play_gets_proxy(live: Live) -> None:
     assert live.kept() == []
 
 
-def test_videos_in_a_bucket_come_through_the_service(
+def test_videos_in_bucket_come_through_service(
     make_settings: Callable[..., Settings], s3: S3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in s3.environment.items():

@@ -81,7 +81,7 @@ def tus(live: Live) -> Uploader:
     return Uploader(live.client)
 
 
-def test_pieces_become_a_file(live: Live, tus: Uploader) -> None:
+def test_pieces_become_file(live: Live, tus: Uploader) -> None:
     address = tus.begin(len(CONTENT))
     for start, stop in ((0, 1), (1, 3000), (3000, 3000), (3000, 5000)):
         answer = tus.send(address, start, CONTENT[start:stop])
@@ -127,7 +127,7 @@ def test_other_versions_are_refused(live: Live, tus: Uploader, version: str | No
     assert tus.offset(address) == 0
 
 
-def test_size_at_the_limit_one_over_and_nonsense(live: Live, tus: Uploader) -> None:
+def test_size_at_limit_one_over_and_nonsense(live: Live, tus: Uploader) -> None:
     most = live.settings.max_file_bytes
     assert tus.create(most).status_code == 201
     answer = tus.create(most + 1)
@@ -161,7 +161,7 @@ def test_offsets_that_are_none(tus: Uploader, offset: str) -> None:
     problem_of(tus.send(tus.begin(10), offset, b"x"), 400, "header_invalid")
 
 
-def test_pieces_have_a_type(live: Live, tus: Uploader) -> None:
+def test_pieces_have_type(live: Live, tus: Uploader) -> None:
     address = tus.begin(10)
     for content_type in ("application/octet-stream", "text/plain", ""):
         answer = live.client.patch(
@@ -229,7 +229,7 @@ def test_deleted_upload_is_gone(live: Live, tus: Uploader) -> None:
     assert live.client.head(address, headers=TUS).status_code == 404
 
 
-def test_time_runs_from_the_last_piece_and_then_it_goes(live: Live, tus: Uploader) -> None:
+def test_time_runs_from_last_piece_and_then_it_goes(live: Live, tus: Uploader) -> None:
     answer = tus.create(10)
     address, other = answer.headers["location"], tus.begin(10)
     assert parsedate_to_datetime(answer.headers["upload-expires"]).timestamp() == pytest.approx(
@@ -264,7 +264,7 @@ def piece_request(live: Live, address: str, length: int, content: bytes, **heade
 
 
 @pytest.mark.parametrize(("compared", "kept"), [(None, 1234), (Checksum("sha1", b""), 0)])
-def test_bytes_before_a_broken_connection_are_kept(tmp_path: Path, compared: Checksum | None, kept: int) -> None:
+def test_bytes_before_broken_connection_are_kept(tmp_path: Path, compared: Checksum | None, kept: int) -> None:
     spool = FolderUploads(tmp_path, DiskSpace(tmp_path))
     upload = Upload(spool.create(5000), "cam_0.mp4", 5000, "", datetime.now(UTC), spool.name)
 
@@ -421,14 +421,14 @@ class TestSessions:
         body["videos"] = body["videos"][:1]
         assert live.client.post("/v1/sessions", json=body).status_code == 201
 
-    def test_problems_of_the_preflight_point_to_the_upload(self, live: Live, tus: Uploader) -> None:
+    def test_problems_of_preflight_point_to_upload(self, live: Live, tus: Uploader) -> None:
         body = self.body(tus)
         body["videos"][1] = tus.upload(b"WRONG", "broken.mp4")
         problem = problem_of(live.client.post("/v1/jobs", json=body), 422, "invalid_request")
         assert [(item["code"], item["pointer"]) for item in problem["errors"]] == [("video_unreadable", "/videos/1")]
         assert len(list(live.settings.uploads_dir.iterdir())) == 4
 
-    def test_files_have_the_limits_of_their_parts(self, live: Live, tus: Uploader) -> None:
+    def test_files_have_limits_of_their_parts(self, live: Live, tus: Uploader) -> None:
         body = self.body(tus)
         body["calibration"] = tus.upload(b"x" * (live.settings.max_calibration_bytes + 1), "large.toml")
         problem_of(live.client.post("/v1/sessions", json=body), 413, "content_too_large")
@@ -469,7 +469,7 @@ class TestSessions:
         assert live.client.post("/v1/sessions", json=body).status_code == 201
 
 
-def test_blocks_are_written_on_the_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_are_written_on_way(live: Live, tus: Uploader, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bytes of a slow client are written within about a second."""
     monkeypatch.setattr("api.web.uploads.spool._BLOCK_S", 0.0)
     address = tus.begin(5000)

@@ -137,7 +137,7 @@ def test_bytes_before_cut_are_kept_unless_they_have_checksum(uploads: SharedUplo
     assert uploads.file(upload).read_bytes() == CONTENT
 
 
-def test_two_that_send_the_same_at_once_disturb_nothing(uploads: SharedUploads) -> None:
+def test_two_that_send_same_at_once_disturb_nothing(uploads: SharedUploads) -> None:
     upload, chance = upload_of(uploads), random.Random(7)  # noqa: S311 - no secret
     offset = 0
     while offset < len(CONTENT):
@@ -244,6 +244,6 @@ def test_unknown_upload_has_no_bytes_and_no_file(uploads: SharedUploads) -> None
     assert uploads.file(empty).read_bytes() == b""
 
 
-def test_shared_uploads_need_a_bucket(make_settings: Callable[..., Settings]) -> None:
+def test_shared_uploads_need_bucket(make_settings: Callable[..., Settings]) -> None:
     with pytest.raises(ValidationError, match="MULTICAP_ARTIFACTS_URL"):
         make_settings(shared_uploads=True)

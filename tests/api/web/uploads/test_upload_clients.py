@@ -82,9 +82,7 @@ def session_of(client: httpx2.Client, addresses: Sequence[str], calibration: str
 
 
 @pytest.mark.parametrize("send", [upload_with_tuspy, upload_with_tus_js])
-def test_lines_break_and_the_service_is_killed(
-    make_settings: Callable[..., Settings], tmp_path: Path, send: Send
-) -> None:
+def test_lines_break_and_service_is_killed(make_settings: Callable[..., Settings], tmp_path: Path, send: Send) -> None:
     settings, port = make_settings(), free_port()
     paths = make_files(tmp_path / "take", 3, 12 * MIB)
     (tmp_path / "calibration.toml").write_text("[cam_0]")

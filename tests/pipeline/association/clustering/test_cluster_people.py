@@ -141,7 +141,7 @@ def test_bone_lengths_tell_whose_joint_it_is(ring: tuple[Camera, ...]) -> None:
 
 
 @pytest.mark.parametrize("joints", [COCO_17, COCO_18, BODY_25])
-def test_tracks_have_the_detectors_joints(ring: tuple[Camera, ...], joints: JointSet) -> None:
+def test_tracks_have_detectors_joints(ring: tuple[Camera, ...], joints: JointSet) -> None:
     skeleton = clustering_skeleton(joints)
     people_m = two_people(0.5)
     named_m = dict(zip(SKELETON.names, people_m.swapaxes(0, 1), strict=True))
@@ -180,7 +180,7 @@ def test_tracks_have_the_detectors_joints(ring: tuple[Camera, ...], joints: Join
 
 
 @pytest.mark.slow
-def test_who_enters_later_is_not_suppressed() -> None:
+def test_late_person_is_not_suppressed() -> None:
     simulation = record(replace(SCENES["comings-and-goings"], duration_s=8.0), seed=6)
     tracks = reconstruct(simulation)
     late = [track for track in tracks if track.start_frame > 25]
@@ -196,7 +196,7 @@ def test_nobody_anywhere(ring: tuple[Camera, ...]) -> None:
     assert reconstruct_by_clustering(ring, times, detections, timebase, COCO_17, derive_parameters(ring)) == ((), ())
 
 
-def test_a_detector_without_knees_is_refused() -> None:
+def test_detector_without_knees_is_refused() -> None:
     names = tuple(name for name in COCO_17.names if "knee" not in name)
     with pytest.raises(ValueError, match="left_knee, right_knee"):
         clustering_skeleton(JointSet(names, ()))

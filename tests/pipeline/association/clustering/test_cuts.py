@@ -43,7 +43,7 @@ def clustered(simulation: Simulation, chunk_frames: int) -> People:
 
 
 @pytest.mark.parametrize("chunk_frames", [7, pytest.param(25, marks=pytest.mark.slow)])
-def test_no_cut_changes_a_byte(simulation: Simulation, chunk_frames: int) -> None:
+def test_no_cut_changes_byte(simulation: Simulation, chunk_frames: int) -> None:
     whole, cut = clustered(simulation, simulation.timebase.num_frames), clustered(simulation, chunk_frames)
     assert len(whole[0]) == len(cut[0]) >= 3
     for track, same in zip(whole[0], cut[0], strict=True):

@@ -36,7 +36,7 @@ def test_track_without_poses_waits_and_then_ends() -> None:
     assert len(tracks[0].members) == 11
 
 
-def test_who_is_too_far_away_is_somebody_else() -> None:
+def test_person_too_far_away_is_new() -> None:
     tracks = link([np.array([torso(0.0)]), np.array([torso(2.0)])], np.array([0.0, 0.04]), PARAMETERS)
     assert len(tracks) == 2
 

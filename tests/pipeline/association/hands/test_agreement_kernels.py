@@ -41,24 +41,24 @@ def test_views_that_agree_keep_their_hands(rays: np.ndarray, weights: np.ndarray
     assert chosen_hands(rays, weights) == [[0, 1]] * 4
 
 
-def test_an_exchanged_view_is_exchanged_back(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_exchanged_view_is_exchanged_back(rays: np.ndarray, weights: np.ndarray) -> None:
     rays[0, 2] = rays[0, 2, ::-1].copy()
     assert chosen_hands(rays, weights) == [[0, 1], [0, 1], [1, 0], [0, 1]]
 
 
-def test_hand_without_its_detection_is_found_by_the_other(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_hand_without_its_detection_is_found_by_other(rays: np.ndarray, weights: np.ndarray) -> None:
     """A camera reports the left hand as the right one, and no left hand."""
     rays[0, 1, 1], rays[0, 1, 0] = rays[0, 1, 0], np.nan
     weights[0, 1, 0] = 0.0
     assert chosen_hands(rays, weights)[1] == [1, -1]
 
 
-def test_a_hand_elsewhere_is_dropped(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_hand_elsewhere_is_dropped(rays: np.ndarray, weights: np.ndarray) -> None:
     rays[0, 0, 0] = rays_to(WRISTS_M[:, None] + PALM_M + [0.0, 0.0, 0.3])[0, 0, 0]
     assert chosen_hands(rays, weights) == [[-1, 1], [0, 1], [0, 1], [0, 1]]
 
 
-def test_a_hand_of_one_view_is_dropped(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_hand_of_one_view_is_dropped(rays: np.ndarray, weights: np.ndarray) -> None:
     weights[0, 1:, 0] = 0.0
     assert chosen_hands(rays, weights) == [[-1, 1]] * 4
 
@@ -70,19 +70,19 @@ def test_two_views_that_disagree_give_nothing(rays: np.ndarray, weights: np.ndar
 
 
 @pytest.mark.slow
-def test_views_from_opposite_sides_do_not_tell_the_depth(weights: np.ndarray) -> None:
+def test_views_from_opposite_sides_do_not_tell_depth(weights: np.ndarray) -> None:
     in_line_m = np.array([[[0.0, y, 1.5] for y in (0.0, 0.01, 0.02, 0.03, 0.04)]] * 2)
     weights[0, [1, 3]] = 0.0
     assert chosen_hands(rays_to(in_line_m), weights, in_line_m[:, 0]) == [[-1, -1]] * 4
 
 
-def test_without_a_wrist_there_is_no_hand(rays: np.ndarray, weights: np.ndarray) -> None:
+def test_without_wrist_there_is_no_hand(rays: np.ndarray, weights: np.ndarray) -> None:
     wrists_m = WRISTS_M.copy()
     wrists_m[1] = np.nan
     assert chosen_hands(rays, weights, wrists_m) == [[0, -1]] * 4
 
 
-def test_a_hand_is_of_one_side(weights: np.ndarray) -> None:
+def test_hand_is_of_one_side(weights: np.ndarray) -> None:
     """Folded hands: both sides could have either hand."""
     wrists_m = np.array([[0.02, 0.0, 1.0], [-0.02, 0.0, 1.0]])
     chosen = chosen_hands(rays_to(wrists_m[:, None] + PALM_M), weights, wrists_m)

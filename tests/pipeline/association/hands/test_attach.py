@@ -92,7 +92,7 @@ def test_fingers_are_located_and_bodies_stay_as_they_are(room: WholeBodies) -> N
 
 
 @pytest.mark.parametrize("num_wrong", [1, 2])
-def test_hands_that_a_camera_exchanges_are_exchanged_back(room: WholeBodies, num_wrong: int) -> None:
+def test_hands_that_camera_exchanges_are_exchanged_back(room: WholeBodies, num_wrong: int) -> None:
     names = [camera.name for camera in room.simulation.cameras[:num_wrong]]
     _, whole = attached(room.simulation, exchanged(room.detections, names, slice(None)))
     found_m = errors_m(room, whole.tracks)
@@ -103,7 +103,7 @@ def test_hands_that_a_camera_exchanges_are_exchanged_back(room: WholeBodies, num
     assert views.mean() > 0.97 * np.concatenate([track.views[:, 17:] for track in right.tracks]).mean()
 
 
-def test_the_hand_of_somebody_else_is_dropped(room: WholeBodies) -> None:
+def test_hand_of_somebody_else_is_dropped(room: WholeBodies) -> None:
     """One camera gives each person the hands of the other person."""
     name = room.simulation.cameras[0].name
     seen, person = room.detections[name], room.simulation.identities[name]
@@ -121,7 +121,7 @@ def test_the_hand_of_somebody_else_is_dropped(room: WholeBodies) -> None:
     assert np.nanpercentile(found_m, 99) < 0.02
 
 
-def test_a_hand_that_one_camera_sees_is_not_located(room: WholeBodies) -> None:
+def test_hand_that_one_camera_sees_is_not_located(room: WholeBodies) -> None:
     seen = {
         name: replace(
             one, score=np.where((np.arange(57) < 17) | (name == room.simulation.cameras[0].name), one.score, 0)

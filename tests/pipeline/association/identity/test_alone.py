@@ -43,7 +43,7 @@ def middle(ring: tuple[Camera, ...]) -> Person:
     return part(person(WALK_M, ring), 20, 60)
 
 
-def test_one_camera_continues_a_track_at_both_ends(middle: Person, ring: tuple[Camera, ...]) -> None:
+def test_one_camera_continues_track_at_both_ends(middle: Person, ring: tuple[Camera, ...]) -> None:
     left = joined(bodies_of(WALK_M, range(8, 20), 2, ring), bodies_of(WALK_M, range(60, 72), 1, ring))
 
     track, seen = followed(middle, left, ring)
@@ -57,7 +57,7 @@ def test_one_camera_continues_a_track_at_both_ends(middle: Person, ring: tuple[C
     assert np.linalg.norm(track.xyz_m - WALK_M[8:72], axis=-1).max() < 0.15
 
 
-def test_the_fit_keeps_the_distance_from_the_one_camera(middle: Person, ring: tuple[Camera, ...]) -> None:
+def test_fit_keeps_distance_from_one_camera(middle: Person, ring: tuple[Camera, ...]) -> None:
     longer = followed(middle, bodies_of(WALK_M, range(60, 80), 1, ring), ring)
     (fitted,) = animate([longer[0]], [longer[1]], ring, TIMEBASE, COCO_17, ReconstructionConfig()).tracks
     assert fitted.num_frames == 60
@@ -67,12 +67,12 @@ def test_the_fit_keeps_the_distance_from_the_one_camera(middle: Person, ring: tu
     assert np.nanmean(fitted.uncertainty_m[-5:, BODY]) > 2 * np.nanmean(fitted.uncertainty_m[20, BODY])
 
 
-def test_a_second_is_the_longest(ring: tuple[Camera, ...]) -> None:
+def test_second_is_longest(ring: tuple[Camera, ...]) -> None:
     track, _ = followed(part(person(WALK_M, ring), 0, 30), bodies_of(WALK_M, range(30, 80), 0, ring), ring)
     assert track.num_frames == 30 + RATE_HZ
 
 
-def test_a_pause_ends_the_track(middle: Person, ring: tuple[Camera, ...]) -> None:
+def test_pause_ends_track(middle: Person, ring: tuple[Camera, ...]) -> None:
     left = joined(bodies_of(WALK_M, range(60, 64), 1, ring), bodies_of(WALK_M, range(72, 80), 1, ring))
     assert followed(middle, left, ring)[0].num_frames == 44
 
@@ -82,7 +82,7 @@ def test_bodies_elsewhere_are_nobody(middle: Person, ring: tuple[Camera, ...]) -
     assert followed(middle, bodies_of(aside_m, range(60, 70), 1, ring), ring) is middle
 
 
-def test_a_second_detection_of_a_neighbour_is_the_neighbours(middle: Person, ring: tuple[Camera, ...]) -> None:
+def test_second_detection_of_neighbour_is_neighbours(middle: Person, ring: tuple[Camera, ...]) -> None:
     near_m = WALK_M + np.array([0.0, 0.05, 0.0])
     left = bodies_of(near_m, range(60, 70), 1, ring)
     neighbour = part(person(near_m, ring), 58, 80)

@@ -55,7 +55,7 @@ def log_likelihood_ratio(first: Clothes, second: Clothes, contrast: Contrast) ->
     return float(log_likelihood_ratios([first, second], contrast)[0, 1])
 
 
-def test_the_mean_counts_only_detections_with_the_part() -> None:
+def test_mean_counts_only_detections_with_part() -> None:
     colour = np.zeros((4, 2, NUM_BINS), np.uint8)
     colour[0, 0, 3], colour[1, 0, 5], colour[2, 1, 7] = 255, 255, 200
     clothes = mean_clothes(colour, np.array([0, 0, 2, 2]), NUM_CAMERAS)
@@ -72,14 +72,14 @@ def test_clothes_speak_for_equal_and_against_other_persons() -> None:
     assert log_likelihood_ratio(one, other, CONTRAST) == -MAX_LOG_RATIO
 
 
-def test_a_ratio_is_that_of_two_normal_distributions() -> None:
+def test_ratio_is_that_of_two_normal_distributions() -> None:
     distances = ColourDistances(0.2, 0.6, 0.3)
     at = np.array([0.1, 0.25, 0.4, 0.55])
     log_density = [-0.5 * ((at - mean) / 0.3) ** 2 for mean in (0.2, 0.6)]
     np.testing.assert_allclose(distances.log_ratio(at), log_density[0] - log_density[1], atol=1e-12)
 
 
-def test_pieces_are_compared_in_the_cameras_that_saw_both() -> None:
+def test_pieces_are_compared_in_cameras_that_saw_both() -> None:
     rng = np.random.default_rng(3)
     silent = Contrast(ColourDistances(0.3, 0.3, 0.2), CONTRAST.across_cameras)
     assert log_likelihood_ratio(seen(0, rng), seen(16, rng, [0]), silent) == 0.0
@@ -90,7 +90,7 @@ def test_pieces_are_compared_in_the_cameras_that_saw_both() -> None:
 
 
 @pytest.mark.parametrize("cameras", [[], [0]])
-def test_what_is_unknown_says_nothing(cameras: list[int]) -> None:
+def test_unknown_values_have_no_weight(cameras: list[int]) -> None:
     rng = np.random.default_rng(4)
     nobody = seen(0, rng, cameras, num_each=4)  # too few detections
     assert log_likelihood_ratio(nobody, seen(0, rng), CONTRAST) == 0.0
@@ -111,7 +111,7 @@ def test_all_pairs_are_as_each_pair() -> None:
             assert ratios[j, k] == pytest.approx(log_likelihood_ratio(pieces[j], one, CONTRAST), rel=1e-12)
 
 
-def test_a_piece_against_others_is_a_row_of_all_pairs() -> None:
+def test_piece_against_others_is_row_of_all_pairs() -> None:
     rng = np.random.default_rng(5)
     pieces = [seen(0, rng, [0]), seen(9, rng), seen(9, rng, [1, 2]), seen(0, rng), seen(0, rng, [])]
     row = clothes_likelihood_ratios(pieces[0], pieces[1:], CONTRAST)

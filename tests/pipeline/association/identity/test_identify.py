@@ -20,12 +20,12 @@ def assert_one_build(track: Track3D, middle: int) -> None:
     assert height_m(track, slice(0, middle)) == pytest.approx(height_m(track, slice(middle, None)), abs=0.01)
 
 
-def test_the_two_builds_differ() -> None:
+def test_two_builds_differ() -> None:
     heights_m = [walker((0, 0), (0, 0), 2, build)[0, :5, 2].mean() for build in (SHORT, TALL)]
     assert abs(heights_m[0] - heights_m[1]) > 0.05
 
 
-def test_a_whole_track_is_left_as_it_is(ring: tuple[Camera, ...]) -> None:
+def test_whole_track_is_left_as_it_is(ring: tuple[Camera, ...]) -> None:
     track, seen = person(walker((-1, 0), (1, 0), 60, SHORT), ring)
     found = told_apart([(track, seen)], ring, 60)
     assert found.tracks[0].xyz_m is track.xyz_m
@@ -39,7 +39,7 @@ def test_nobody_stays_nobody(ring: tuple[Camera, ...]) -> None:
 
 
 @pytest.mark.parametrize("gap", [1, 10, 40])
-def test_a_person_who_was_lost_is_one_person(ring: tuple[Camera, ...], gap: int) -> None:
+def test_person_who_was_lost_is_one_person(ring: tuple[Camera, ...], gap: int) -> None:
     whole = person(walker((-1, 0), (1, 0), 150, SHORT), ring)
     found = told_apart([part(whole, 0, 60), part(whole, 60 + gap, 150)], ring, 150)
     (track,) = found.tracks
@@ -79,14 +79,14 @@ def test_people_who_were_exchanged_where_they_met_are_set_right(ring: tuple[Came
         assert_one_build(track, 100)
 
 
-def test_a_track_that_goes_over_to_a_newcomer_is_cut(ring: tuple[Camera, ...]) -> None:
+def test_track_that_goes_over_to_newcomer_is_cut(ring: tuple[Camera, ...]) -> None:
     leaving = person(walker((0, 0), (1.5, 0), 100, SHORT), ring)
     entering = person(walker((1.5, 0), (0, 0), 100, TALL), ring, 100)
     found = told_apart([spliced(leaving, entering)], ring, 200)
     assert [(track.start_frame, track.num_frames) for track in found.tracks] == [(0, 100), (100, 100)]
 
 
-def test_twins_who_meet_are_a_doubt(ring: tuple[Camera, ...]) -> None:
+def test_twins_who_meet_are_doubt(ring: tuple[Camera, ...]) -> None:
     # Both turn back where they meet; or do they pass each other?
     ways = [((-2, 0.1), (0, 0.1), (-2, 0.1)), ((2, -0.1), (0, -0.1), (2, -0.1))]
     tracks = [
@@ -119,7 +119,7 @@ def test_chance_has_no_occasion_in_pauses(ring: tuple[Camera, ...]) -> None:
     assert len(told_apart([seen], ring, day, num_recorded=250).tracks) == 1
 
 
-def test_bodies_of_nobody_fill_a_gap(ring: tuple[Camera, ...]) -> None:
+def test_bodies_of_nobody_fill_gap(ring: tuple[Camera, ...]) -> None:
     walk_m = walker((-1, 0), (1, 0), 150, SHORT)
     whole = person(walk_m, ring)
     frames, cameras = (grid.ravel() for grid in np.meshgrid(np.arange(60, 90), [1, 2], indexing="ij"))
@@ -134,7 +134,7 @@ def test_bodies_of_nobody_fill_a_gap(ring: tuple[Camera, ...]) -> None:
     assert np.isnan(track.xyz_m[62:88]).all()
 
 
-def test_those_with_the_most_observations_stay(ring: tuple[Camera, ...]) -> None:
+def test_those_with_most_observations_stay(ring: tuple[Camera, ...]) -> None:
     brief = person(walker((-1, 1), (1, 1), 60, TALL), ring)
     long = person(walker((-1, -1), (1, -1), 100, SHORT), ring, 20)
     found = told_apart([brief, long], ring, 120, most=1)

@@ -87,7 +87,7 @@ def test_doubts_are_about_other_chains(seed: int) -> None:
             assert -1 <= doubt.other < len(chains)
 
 
-def test_a_hostile_number_of_tracklets_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_number_of_tracklets_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     session = session_of(3, 40)
     monkeypatch.setattr(joining, "_MOST_ENDS", 10)
     monkeypatch.setattr(joining, "_MOST_CHAINS", 5)

@@ -74,7 +74,7 @@ def likenesses(tracks: Sequence[Track3D], blind: np.ndarray | None = None) -> Li
 
 @pytest.mark.parametrize(("normal", "offset_m"), [(ALONG_X, 2.2), ((0.6, 0.8, 0.0), 1.9), ((0.0, -1.0, 0.0), 1.6)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_an_image_is_found_with_its_plane(normal: tuple[float, ...], offset_m: float, seed: int) -> None:
+def test_image_is_found_with_its_plane(normal: tuple[float, ...], offset_m: float, seed: int) -> None:
     person, image = track(moving(seed), seed), track(mirrored(moving(seed), normal, offset_m), seed + 9, 0.03)
     found = likenesses([person, image], behind(normal, offset_m))
     assert not found.still
@@ -88,7 +88,7 @@ def test_an_image_is_found_with_its_plane(normal: tuple[float, ...], offset_m: f
     assert found.others(2) == [0]
 
 
-def test_an_image_is_found_of_a_person_whose_feet_nobody_saw() -> None:
+def test_image_is_found_of_person_whose_feet_nobody_saw() -> None:
     """Joints that were never located neither count nor warn."""
     person_m = moving(3)
     person_m[:, COCO_17.indices(("left_ankle", "right_ankle"))] = np.nan
@@ -96,14 +96,14 @@ def test_an_image_is_found_of_a_person_whose_feet_nobody_saw() -> None:
     assert [found.number for found in likenesses([person, image], behind(ALONG_X, 2.2)).images] == [1]
 
 
-def test_the_image_may_come_first() -> None:
+def test_image_may_come_first() -> None:
     person, image = track(moving(3)), track(mirrored(moving(3), ALONG_X, 2.2), 1)
     sees = [np.tile(~behind(ALONG_X, 2.2), (240, 1)), np.ones((240, 6), bool)]
     found = find_likenesses([image, person], lambda number: sees[number], RING, COCO_17, RATE_HZ)
     assert [(image.number, image.original) for image in found.images] == [(0, 1)]
 
 
-def test_somebody_whom_cameras_behind_the_plane_see_is_real() -> None:
+def test_somebody_whom_cameras_behind_plane_see_is_real() -> None:
     """Dancers who mirror each other exactly."""
     assert behind(ALONG_X, 1.6).any()
     pair = track(moving(2)), track(mirrored(moving(2), ALONG_X, 1.6), 1)
@@ -111,7 +111,7 @@ def test_somebody_whom_cameras_behind_the_plane_see_is_real() -> None:
     assert likenesses(pair).images == []
 
 
-def test_dancers_who_mirror_each_other_for_a_while_are_real() -> None:
+def test_dancers_who_mirror_each_other_for_while_are_real() -> None:
     other_m = mirrored(moving(2), ALONG_X, 2.2)
     other_m[160:] += np.linspace(0.0, 0.6, 80)[:, None, None] * [0.3, 1.0, 0.0]
     assert likenesses([track(moving(2)), track(other_m, 1)], behind(ALONG_X, 2.2)).images == []
@@ -125,12 +125,12 @@ def test_dancers_are_late(late: int) -> None:
     assert likenesses(pair, behind(ALONG_X, 2.2)).images == []
 
 
-def test_dancers_who_do_the_same_side_by_side_are_no_images() -> None:
+def test_dancers_who_do_same_side_by_side_are_no_images() -> None:
     same_m = moving(2) + np.array([0.0, 2.5, 0.0])
     assert likenesses([track(moving(2)), track(same_m, 1)], behind((0.0, 1.0, 0.0), 1.25)).images == []
 
 
-def test_left_and_right_are_exchanged_in_a_mirror() -> None:
+def test_left_and_right_are_exchanged_in_mirror() -> None:
     unnamed_m = mirrored(moving(1), ALONG_X, 2.2)[:, OTHERS]
     assert find_mirror(track(moving(1)), track(unnamed_m, 1), COCO_17, RATE_HZ) is None
 
@@ -140,18 +140,18 @@ def test_people_who_stand_opposite_each_other_tell_nothing() -> None:
     assert find_mirror(track(still_m), track(mirrored(still_m, ALONG_X, 2.2), 1), COCO_17, RATE_HZ) is None
 
 
-def test_a_second_in_common_tells_nothing() -> None:
+def test_second_in_common_tells_nothing() -> None:
     image = track(mirrored(moving(1)[190:], ALONG_X, 2.2), 1, start_frame=190)
     assert find_mirror(track(moving(1)), image, COCO_17, RATE_HZ) is None
 
 
 @pytest.mark.parametrize(("num_frames", "num_images"), [(100, 0), (180, 1)])
-def test_an_image_is_one_for_most_of_its_time(num_frames: int, num_images: int) -> None:
+def test_image_is_one_for_most_of_its_time(num_frames: int, num_images: int) -> None:
     person, image = track(moving(1)[:num_frames]), track(mirrored(moving(1), ALONG_X, 2.2), 1)
     assert len(likenesses([person, image], behind(ALONG_X, 2.2)).images) == num_images
 
 
-def test_likenesses_leave_the_other_people() -> None:
+def test_likenesses_leave_other_people() -> None:
     image = track(mirrored(moving(1), ALONG_X, 2.2), 4)
     tracks = [track(poster(1)), track(moving(1), 2), track(moving(5), 3), image]
     found = likenesses(tracks, behind(ALONG_X, 2.2))
@@ -167,14 +167,14 @@ def still(person: Track3D) -> StillPerson | None:
 
 
 @pytest.mark.parametrize("noise_m", [0.001, 0.01, 0.02])
-def test_a_picture_never_moves(noise_m: float) -> None:
+def test_picture_never_moves(noise_m: float) -> None:
     found = still(track(poster(3), 1, noise_m))
     assert found is not None
     assert found.num_frames == 240
     assert found.moved_m < 1.5 * noise_m
 
 
-def test_a_picture_that_somebody_hides_in_passing_never_moves() -> None:
+def test_picture_that_somebody_hides_in_passing_never_moves() -> None:
     xyz_m = poster(4)
     xyz_m[60:75] = np.nan
     xyz_m[80:90, 5:11] = moving(0)[80:90, 5:11]
@@ -209,7 +209,7 @@ def test_somebody_who_stands_and_then_goes_moves() -> None:
     assert still(track(xyz_m)) is None
 
 
-def test_a_hand_that_waves_fast_moves() -> None:
+def test_hand_that_waves_fast_moves() -> None:
     xyz_m = poster(5)
     xyz_m[:, [7, 9]] += 0.2 * np.sin(2 * np.pi * 2.0 * np.arange(240) / RATE_HZ)[:, None, None]
     assert still(track(xyz_m)) is None

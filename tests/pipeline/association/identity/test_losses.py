@@ -32,24 +32,24 @@ def seen_in(ring: tuple[Camera, ...], *frames: range) -> Track3D:
     return track
 
 
-def test_loss_in_the_middle_has_frames_and_place(ring: tuple[Camera, ...]) -> None:
+def test_loss_in_middle_has_frames_and_place(ring: tuple[Camera, ...]) -> None:
     (loss,) = losses_of(ring, seen_in(ring, range(10, 60)))
     assert (loss.kind, loss.track_id, loss.start_frame, loss.stop_frame) == ("vanished", 1, 60, NUM_FRAMES)
     np.testing.assert_allclose(loss.place_m, WALK_M[59].mean(0), atol=0.02)
 
 
-def test_a_long_gap_is_a_loss_and_a_short_one_is_filled(ring: tuple[Camera, ...]) -> None:
+def test_long_gap_is_loss_and_short_one_is_filled(ring: tuple[Camera, ...]) -> None:
     second = round(RATE_HZ)
     (loss,) = losses_of(ring, seen_in(ring, range(0, 30), range(30 + second + 2, NUM_FRAMES)))
     assert (loss.start_frame, loss.stop_frame) == (30, 30 + second + 2)
     assert losses_of(ring, seen_in(ring, range(0, 30), range(30 + second - 2, NUM_FRAMES))) == []
 
 
-def test_the_last_moments_of_the_take_are_no_loss(ring: tuple[Camera, ...]) -> None:
+def test_last_moments_of_take_are_no_loss(ring: tuple[Camera, ...]) -> None:
     assert losses_of(ring, seen_in(ring, range(0, NUM_FRAMES - 10))) == []
 
 
-def test_who_walks_out_of_the_pictures_is_not_lost(ring: tuple[Camera, ...]) -> None:
+def test_person_walking_out_is_not_lost(ring: tuple[Camera, ...]) -> None:
     far_m = walker((0.0, 0.0), (14.0, 0.0), NUM_FRAMES, 1)
     in_pictures = [
         [bool(((px >= 0) & (px < camera.size_px)).all()) for px in project(camera, far_m)] for camera in ring
@@ -61,7 +61,7 @@ def test_who_walks_out_of_the_pictures_is_not_lost(ring: tuple[Camera, ...]) -> 
     assert [loss.start_frame for loss in losses_of(ring, part((track, person(far_m, ring)[1]), 0, 10)[0])] == [10]
 
 
-def test_who_goes_through_a_door_beyond_the_cameras_is_not_lost(ring: tuple[Camera, ...]) -> None:
+def test_person_leaving_by_door_is_not_lost(ring: tuple[Camera, ...]) -> None:
     """The cameras of the ring see each other's places, and so the doors behind them."""
     wide = tuple(replace(camera, matrix=np.array([[350.0, 0, 639.5], [0, 350.0, 479.5], [0, 0, 1]])) for camera in ring)
     out_m = walker((0.0, 0.0), (3.2, 3.2), NUM_FRAMES, 1)
@@ -75,7 +75,7 @@ def test_who_goes_through_a_door_beyond_the_cameras_is_not_lost(ring: tuple[Came
     assert [loss.start_frame for loss in losses_of(wide, stands)] == [75]
 
 
-def test_who_goes_on_under_another_number_is_not_lost(ring: tuple[Camera, ...]) -> None:
+def test_renumbered_person_is_not_lost(ring: tuple[Camera, ...]) -> None:
     first, second = seen_in(ring, range(0, 60)), seen_in(ring, range(64, NUM_FRAMES))
     assert losses_of(ring, first, second) == []
     elsewhere, _ = person(WALK_M + np.array([0.0, 0.8, 0.0]), ring)

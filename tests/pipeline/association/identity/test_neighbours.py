@@ -62,7 +62,7 @@ def error_mm(simulation: Simulation, persons: Sequence[Person]) -> float:
     return float(score_simulated([track_ for track_, _ in persons], simulation, COCO_17)["mpjpe_mm"])
 
 
-def test_limbs_go_to_the_people_whom_they_show() -> None:
+def test_limbs_go_to_people_whom_they_show() -> None:
     simulation, persons = crowded()
 
     mended = returned(simulation, persons)
@@ -76,7 +76,7 @@ def test_limbs_go_to_the_people_whom_they_show() -> None:
     assert [track_.track_id for track_, _ in mended] == [track_.track_id for track_, _ in persons]
 
 
-def test_a_neighbour_whom_a_view_lacks_gets_the_limb() -> None:
+def test_neighbour_whom_view_lacks_gets_limb() -> None:
     simulation, persons = crowded()
 
     def count(some: Sequence[Person]) -> int:
@@ -88,7 +88,7 @@ def test_a_neighbour_whom_a_view_lacks_gets_the_limb() -> None:
 
 
 @pytest.mark.slow
-def test_the_result_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_result_does_not_depend_on_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, persons = crowded()
     whole = returned(simulation, persons)
     monkeypatch.setattr(neighbours, "_BLOCK", 46)
@@ -97,7 +97,7 @@ def test_the_result_does_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(seen.points_px, in_blocks.points_px)
 
 
-def test_blocks_are_shorter_the_more_pairs_of_people_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_are_shorter_more_pairs_of_people_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
     _, persons = crowded()
     whole = range(max(track.start_frame + track.num_frames for track, _ in persons))
     assert list(neighbours._blocks(persons, whole, 5)) == [(whole, whole)]
@@ -113,7 +113,7 @@ def test_somebody_alone_is_returned_as_is() -> None:
     assert returned(simulation, persons[:1]) == [persons[0]]
 
 
-def test_joints_without_a_trunk_are_returned_as_they_are() -> None:
+def test_joints_without_trunk_are_returned_as_they_are() -> None:
     simulation, persons = crowded()
     head = JointSet(tuple(name.replace("hip", "pelvis") for name in COCO_17.names), ())
     assert returned(simulation, persons, head) == list(persons)

@@ -30,7 +30,7 @@ def hardly_seen(xyz_m: np.ndarray, frames: slice, ring: tuple[Camera, ...]) -> P
 
 
 @pytest.mark.parametrize("sides", ["same", "exchanged"])
-def test_a_track_that_goes_on_with_a_neighbour_s_arms_ends(ring: tuple[Camera, ...], sides: str) -> None:
+def test_track_that_goes_on_with_neighbour_s_arms_ends(ring: tuple[Camera, ...], sides: str) -> None:
     limbs_m = WALK_M.copy()
     arms = ARMS
     if sides == "exchanged":
@@ -60,7 +60,7 @@ def test_somebody_whose_own_arms_alone_are_seen_is_no_phantom(ring: tuple[Camera
     ]
 
 
-def test_person_with_a_neighbour_s_arms_is_no_phantom(ring: tuple[Camera, ...]) -> None:
+def test_person_with_neighbour_s_arms_is_no_phantom(ring: tuple[Camera, ...]) -> None:
     """All other joints are the person's own: a hug."""
     limbs_m = WALK_M.copy()
     limbs_m[55:, ARMS] = NEIGHBOUR_M[55:, ARMS]
@@ -68,7 +68,7 @@ def test_person_with_a_neighbour_s_arms_is_no_phantom(ring: tuple[Camera, ...]) 
     assert all(not losses for _, losses in _ended(persons, ring))
 
 
-def test_the_neighbour_of_a_phantom_stays_however_badly_seen(ring: tuple[Camera, ...]) -> None:
+def test_neighbour_of_phantom_stays_however_badly_seen(ring: tuple[Camera, ...]) -> None:
     """Both have the same limbs; the one with more observations is the person."""
     neighbour = hardly_seen(NEIGHBOUR_M, slice(0, NUM_FRAMES), ring)
     fewer = hardly_seen(NEIGHBOUR_M, slice(0, NUM_FRAMES), ring)
@@ -80,7 +80,7 @@ def test_the_neighbour_of_a_phantom_stays_however_badly_seen(ring: tuple[Camera,
     assert [(loss.start_frame, loss.stop_frame) for loss in phantoms] == [(0, NUM_FRAMES)]
 
 
-def test_people_after_a_phantom_keep_their_numbers_in_order(ring: tuple[Camera, ...]) -> None:
+def test_people_after_phantom_keep_their_numbers_in_order(ring: tuple[Camera, ...]) -> None:
     """The global pass drops the phantom, and says of which person it was."""
     walk_m = walker((0.1, 0.5), (0.1, -0.5), NUM_FRAMES, 2)
     limbs_m = walk_m.copy()

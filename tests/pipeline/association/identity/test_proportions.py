@@ -27,7 +27,7 @@ def lengths_of(build: int, num_frames: int) -> np.ndarray:
     return limb_lengths_m(track, COCO_17)
 
 
-def test_both_sides_of_a_limb_are_measured() -> None:
+def test_both_sides_of_limb_are_measured() -> None:
     lengths_m = lengths_of(1, 50)
     assert lengths_m.shape == (50, NUM_LIMBS, 2)
     lengths_m[:, 0, 0] = np.nan
@@ -36,13 +36,13 @@ def test_both_sides_of_a_limb_are_measured() -> None:
     np.testing.assert_allclose(measured.duration_s, [1.0, *[2.0] * (NUM_LIMBS - 1)])
 
 
-def test_a_moment_is_no_measurement() -> None:
+def test_moment_is_no_measurement() -> None:
     measured = measure(lengths_of(1, 3), RATE_HZ)
     assert np.isnan(measured.median_m).all()
     assert (measured.duration_s == 0).all()
 
 
-def test_a_joint_that_the_detector_lacks_is_no_measurement() -> None:
+def test_joint_that_detector_lacks_is_no_measurement() -> None:
     track, _ = person(walker((0, 0), (1, 0), 50, 1), CAMERAS)
     from_elbows = limb_lengths_m(track, type(COCO_17)(tuple(f"other_{name}" for name in COCO_17.names), ()))
     assert np.isnan(from_elbows).all()
@@ -74,14 +74,14 @@ def test_likelihood_of_one_person_is_joint_normal(seed: int, count: int) -> None
     np.testing.assert_allclose(together - alone, one - many, rtol=1e-6, atol=1e-6)
 
 
-def test_change_of_the_body_is_found_at_its_frame() -> None:
+def test_change_of_body_is_found_at_its_frame() -> None:
     one, other = lengths_of(1, 110), lengths_of(4, 90)
     spread_m = spread_of_a_second_m([one, other], RATE_HZ)
     assert changes(np.concatenate([one, other]), spread_m, RATE_HZ) == [110]
     assert changes(np.concatenate([one, one]), spread_m, RATE_HZ) == []
 
 
-def test_the_spread_follows_the_noise() -> None:
+def test_spread_follows_noise() -> None:
     rng = np.random.default_rng(0)
     lengths_m = 0.4 + rng.normal(0, 0.05, (2000, NUM_LIMBS, 2))
     found_m = spread_of_a_second_m([lengths_m], RATE_HZ)

@@ -57,7 +57,7 @@ def wrong(of: Person, truth: Person) -> float:
     return float(1 - same.mean())
 
 
-def test_nothing_changes_without_a_doubt(acrobat: Person, ring: tuple[Camera, ...]) -> None:
+def test_nothing_changes_without_doubt(acrobat: Person, ring: tuple[Camera, ...]) -> None:
     assert decided(acrobat, ring) is acrobat
 
 
@@ -84,7 +84,7 @@ def test_all_views_may_call_left_right_at_once(acrobat: Person, ring: tuple[Came
     assert wrong(decided(mixed, ring), acrobat) == 0
 
 
-def test_a_view_that_is_alone_for_a_moment_follows_the_limbs(acrobat: Person, ring: tuple[Camera, ...]) -> None:
+def test_view_that_is_alone_for_moment_follows_limbs(acrobat: Person, ring: tuple[Camera, ...]) -> None:
     track, seen = acrobat
     points_px, score = seen.points_px.copy(), seen.score.copy()
     points_px[40:44, 1:], score[40:44, 1:] = np.nan, 0.0
@@ -96,6 +96,6 @@ def test_a_view_that_is_alone_for_a_moment_follows_the_limbs(acrobat: Person, ri
     assert wrong(decided(mixed, ring), alone) < 0.005
 
 
-def test_a_set_without_a_trunk_stays_as_it_is(acrobat: Person, ring: tuple[Camera, ...]) -> None:
+def test_set_without_trunk_stays_as_it_is(acrobat: Person, ring: tuple[Camera, ...]) -> None:
     nameless = replace(COCO_17, names=tuple(f"point_{number}" for number in range(17)))
     assert decide_sides(acrobat, ring, TIMEBASE, nameless, 0.15) is acrobat

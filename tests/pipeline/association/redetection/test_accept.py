@@ -46,7 +46,7 @@ def accepted(persons: list[Person], found: dict[str, Detections], ring: tuple[Ca
     return accept(People(tracks, observations), found, ring, times, TIMEBASE, COCO_17, 0.15, 10.0)
 
 
-def test_a_body_where_it_is_expected_is_the_persons(ring: tuple[Camera, ...]) -> None:
+def test_body_where_it_is_expected_is_persons(ring: tuple[Camera, ...]) -> None:
     xyz_m = walker((-0.5, 0.0), (0.5, 0.0), NUM_FRAMES, 1)
     whole = person(xyz_m, ring)
     people = accepted([unseen(whole, 2)], found_in(ring, 2, xyz_m), ring)
@@ -59,21 +59,21 @@ def test_a_body_where_it_is_expected_is_the_persons(ring: tuple[Camera, ...]) ->
     assert seen.detection.shape == (NUM_FRAMES, len(ring))
 
 
-def test_the_sides_of_a_body_do_not_matter(ring: tuple[Camera, ...]) -> None:
+def test_sides_of_body_do_not_matter(ring: tuple[Camera, ...]) -> None:
     xyz_m = walker((-0.5, 0.0), (0.5, 0.0), NUM_FRAMES, 1)
     exchanged = COCO_17.indices(tuple(map(other_side, COCO_17.names)))
     people = accepted([unseen(person(xyz_m, ring), 2)], found_in(ring, 2, xyz_m[:, exchanged]), ring)
     assert (people.observations[0].score[GONE, 2] > 0).all()
 
 
-def test_a_body_far_from_its_place_is_nobodys(ring: tuple[Camera, ...]) -> None:
+def test_body_far_from_its_place_is_nobodys(ring: tuple[Camera, ...]) -> None:
     xyz_m = walker((-0.5, 0.0), (0.5, 0.0), NUM_FRAMES, 1)
     lost = unseen(person(xyz_m, ring), 2)
     people = accepted([lost], found_in(ring, 2, xyz_m + np.array([0.0, 0.0, 0.6])), ring)
     assert (people.observations[0].score[GONE, 2] == 0).all()
 
 
-def test_the_person_in_front_is_not_the_hidden_one(ring: tuple[Camera, ...]) -> None:
+def test_person_in_front_is_not_hidden_one(ring: tuple[Camera, ...]) -> None:
     hidden_m = walker((-0.5, 0.0), (0.5, 0.0), NUM_FRAMES, 1)
     front_m = hidden_m + np.array([0.0, 0.25, 0.0])
     hidden, front = unseen(person(hidden_m, ring), 1), unseen(person(front_m, ring), 1)

@@ -64,12 +64,12 @@ def test_bodies_are_read_where_they_are_expected(session: CaptureSession) -> Non
     assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
-def test_a_crop_without_a_body_gives_none(session: CaptureSession) -> None:
+def test_crop_without_body_gives_none(session: CaptureSession) -> None:
     found = detect_expected(session, expected([2]), partial(CropReader, presence=0.2), COCO_17, True)
     assert len(found.frame) == 0
 
 
-def test_a_body_too_small_to_read_is_left_out(session: CaptureSession) -> None:
+def test_body_too_small_to_read_is_left_out(session: CaptureSession) -> None:
     reader = CropReader()
     assert len(detect_expected(session, expected([3], 0.05), lambda: reader, COCO_17, True).frame) == 0
     assert reader.num_crops == 0

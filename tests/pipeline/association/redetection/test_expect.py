@@ -46,12 +46,12 @@ def expected(
     return list(expect_leaning(people, ring, times, TIMEBASE, COCO_17, turns))
 
 
-def test_who_stands_is_not_expected(ring: tuple[Camera, ...]) -> None:
+def test_standing_person_is_not_expected(ring: tuple[Camera, ...]) -> None:
     track, _ = person(walker((-1.0, 0.0), (1.0, 0.0), NUM_FRAMES, 1), ring)
     assert [len(bodies.frame) for bodies in expected(track, ring)] == [0] * len(ring)
 
 
-def test_who_lies_is_expected_in_place(ring: tuple[Camera, ...]) -> None:
+def test_lying_person_is_expected_in_place(ring: tuple[Camera, ...]) -> None:
     xyz_m = lying_m()
     track, _ = person(xyz_m, ring)
     found = expected(track, ring)
@@ -64,7 +64,7 @@ def test_who_lies_is_expected_in_place(ring: tuple[Camera, ...]) -> None:
         assert (bodies.score == 1).all()
 
 
-def test_where_the_detection_agrees_nobody_is_expected(ring: tuple[Camera, ...]) -> None:
+def test_agreeing_detection_expects_no_body(ring: tuple[Camera, ...]) -> None:
     track, seen = person(lying_m(), ring)
     assert [len(bodies.frame) for bodies in expected(track, ring, seen=seen)] == [0] * len(ring)
     # In frames 3 to 6 of the first camera three joints are at other places, in frames 7 to 10 two.
@@ -76,14 +76,14 @@ def test_where_the_detection_agrees_nobody_is_expected(ring: tuple[Camera, ...])
     assert [bodies.frame.tolist() for bodies in found] == [[3, 4, 5, 6], *([] for _ in ring[1:])]
 
 
-def test_where_left_is_called_right_the_body_is_expected(ring: tuple[Camera, ...]) -> None:
+def test_swapped_sides_expect_body(ring: tuple[Camera, ...]) -> None:
     track, seen = person(lying_m(), ring)
     sides = COCO_17.indices(tuple(map(other_side, COCO_17.names)))
     found = expected(track, ring, seen=replace(seen, points_px=seen.points_px[:, :, sides]))
     assert sum(len(bodies.frame) for bodies in found) > NUM_FRAMES
 
 
-def test_a_picture_that_is_turned_upright_shows_another_lean(ring: tuple[Camera, ...]) -> None:
+def test_picture_that_is_turned_upright_shows_another_lean(ring: tuple[Camera, ...]) -> None:
     track, _ = person(lying_m(), ring)
     upright = next(camera for camera, bodies in zip(ring, expected(track, ring), strict=True) if not len(bodies.frame))
     turned = dict(
@@ -92,7 +92,7 @@ def test_a_picture_that_is_turned_upright_shows_another_lean(ring: tuple[Camera,
     assert len(turned[upright.name].frame) == NUM_FRAMES
 
 
-def test_pictures_between_the_output_frames_have_places_between(ring: tuple[Camera, ...]) -> None:
+def test_pictures_between_output_frames_have_places_between(ring: tuple[Camera, ...]) -> None:
     xyz_m = lying_m() + np.linspace(0.0, 0.5, NUM_FRAMES)[:, None, None] * (0.0, 1.0, 0.0)
     track, _ = person(xyz_m, ring)
     for camera, bodies in zip(ring, expected(track, ring, 2 * RATE_HZ), strict=True):
@@ -103,7 +103,7 @@ def test_pictures_between_the_output_frames_have_places_between(ring: tuple[Came
 
 
 @pytest.mark.parametrize(("gap", "is_expected"), [(20, True), (34, False)])
-def test_a_joint_is_expected_between_its_neighbours_in_time(
+def test_joint_is_expected_between_its_neighbours_in_time(
     ring: tuple[Camera, ...], gap: int, is_expected: bool
 ) -> None:
     track, _ = person(lying_m(), ring)
@@ -114,7 +114,7 @@ def test_a_joint_is_expected_between_its_neighbours_in_time(
     assert np.isfinite(body_m[[7, 8 + gap]]).all()
 
 
-def test_feet_are_no_part_of_the_expected_body(ring: tuple[Camera, ...]) -> None:
+def test_feet_are_no_part_of_expected_body(ring: tuple[Camera, ...]) -> None:
     xyz_m = lying_m()
     track, _ = person(np.concatenate([xyz_m, xyz_m[:, -4:] + 9.0], axis=1), ring)
     assert expected_body_m(track, BODY_FEET, RATE_HZ).shape == (NUM_FRAMES, 17, 3)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pipeline.association.tracking.assignment import assign, partition
 
 
-def test_assign_maximises_the_total_and_refuses_negative_pairs() -> None:
+def test_assign_maximises_total_and_refuses_negative_pairs() -> None:
     affinities = np.array([[0.9, 0.8], [0.85, 0.1], [-0.5, -0.2]])
     assert sorted(assign(affinities)) == [(0, 1), (1, 0)]
 
@@ -17,7 +17,7 @@ def test_assign_without_detections() -> None:
     assert assign(np.empty((2, 0))) == []
 
 
-def test_partition_of_a_bad_triangle_drops_its_weakest_edge() -> None:
+def test_partition_of_bad_triangle_drops_its_weakest_edge() -> None:
     # 0 and 1 are one person in two cameras; 2 fits both a little, but a camera can't show a person twice.
     affinities = np.array(
         [
@@ -90,7 +90,7 @@ def test_partition_of_two_cameras_is_exact_whatever_its_size() -> None:
     assert sorted((one, other - num_people) for one, other in parts) == sorted(assign(gain))
 
 
-def test_a_large_ambiguous_partition_is_approximate_and_bounded() -> None:
+def test_large_ambiguous_partition_is_approximate_and_bounded() -> None:
     rng = np.random.default_rng(0)
     cameras = np.arange(512) % 4
     half = np.triu(rng.uniform(0.1, 1, (512, 512)), 1)

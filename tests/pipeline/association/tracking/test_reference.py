@@ -43,7 +43,7 @@ def test_correspondence_3d_is_equation_4(ring: tuple[Camera, ...], parameters: T
     np.testing.assert_allclose(terms[0, 0, 0], 0.6 * (1 - 0.05 / 0.15) * np.exp(-0.5), rtol=1e-6)
 
 
-def test_a_point_behind_the_camera_fits_no_ray(ring: tuple[Camera, ...], parameters: TrackingParameters) -> None:
+def test_point_behind_camera_fits_no_ray(ring: tuple[Camera, ...], parameters: TrackingParameters) -> None:
     camera = ring[0]
     center = center_in_world(camera)
     in_front = np.array([0.0, 0.0, 1.0])
@@ -53,19 +53,19 @@ def test_a_point_behind_the_camera_fits_no_ray(ring: tuple[Camera, ...], paramet
     np.testing.assert_allclose(terms, -0.6)
 
 
-def test_affinity_is_the_mean_over_shared_joints_and_needs_three() -> None:
+def test_affinity_is_mean_over_shared_joints_and_needs_three() -> None:
     terms_3d = np.array([[[0.3, 0.6, 0.0, np.nan]], [[0.5, 0.5, np.nan, np.nan]]])
     terms_2d = np.array([[[0.3, np.nan, np.nan, 0.4]], [[0.4, 0.4, 0.4, 0.4]]])
     np.testing.assert_allclose(affinity(terms_2d, terms_3d), [[0.4], [-np.inf]])
 
 
-def test_prediction_stands_still_after_a_while() -> None:
+def test_prediction_stands_still_after_while() -> None:
     start, velocity = np.zeros((1, 2, 3)), np.ones((1, 2, 3))
     moved = predict(start, velocity, np.array([[0.1, 3.0]]), max_extrapolation_s=0.25)
     np.testing.assert_allclose(moved[0, :, 0], [0.1, 0.25])
 
 
-def test_defaults_follow_the_session(ring: tuple[Camera, ...]) -> None:
+def test_defaults_follow_session(ring: tuple[Camera, ...]) -> None:
     np.testing.assert_allclose(viewed_point_m(ring), [0.0, 0.0, 1.0], atol=2e-3)
     slow, fast = derive_parameters(ring, 25.0), derive_parameters(ring, 50.0)
     np.testing.assert_allclose(slow.alpha_2d_px_s, 3.0 * 800.0 / np.hypot(4.0, 1.0), rtol=1e-3)
@@ -75,7 +75,7 @@ def test_defaults_follow_the_session(ring: tuple[Camera, ...]) -> None:
     np.testing.assert_allclose(derive_parameters(doubled, 25.0).alpha_2d_px_s, 2 * slow.alpha_2d_px_s)
 
 
-def test_every_parameter_can_be_set_and_a_wrong_one_is_said(parameters: TrackingParameters) -> None:
+def test_every_parameter_can_be_set_and_wrong_one_is_said(parameters: TrackingParameters) -> None:
     changed = change_parameters(parameters, {"alpha_3d_m": 0.3, "weight_2d": 0.0, "confirm_instants": 5.0})
     assert (changed.alpha_3d_m, changed.weight_2d, changed.confirm_instants) == (0.3, 0.0, 5)
     assert changed.lambda_a_hz == parameters.lambda_a_hz

@@ -66,7 +66,7 @@ def test_two_people_pass_each_other_before_fisheyes(ring: tuple[Camera, ...]) ->
     assert_same_people(run(fisheyes, {c.name: detections_of(c, people_m) for c in fisheyes}), people_m, 1e-6)
 
 
-def test_joints_beyond_the_angle_of_a_fisheye_count_as_not_seen(ring: tuple[Camera, ...]) -> None:
+def test_joints_beyond_angle_of_fisheye_count_as_not_seen(ring: tuple[Camera, ...]) -> None:
     fisheyes = tuple(replace(c, distortion=FISHEYE, lens="fisheye") for c in ring)
     detections = {c.name: detections_of(c, two_walkers()) for c in fisheyes}
     outside = detections[ring[0].name]
@@ -89,7 +89,7 @@ def test_two_people_pass_each_other(ring: tuple[Camera, ...]) -> None:
     assert all((track.source == Source.MEASURED).all() and (track.views == 4).all() for track in tracks)
 
 
-def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera, ...]) -> None:
+def test_unsynchronised_cameras_agree_on_output_instants(ring: tuple[Camera, ...]) -> None:
     """Interpolation is nearly exact for straight motion at constant speed with cameras of different phases."""
     times, detections = {}, {}
     base_m, speed_m_s = body() + np.array([-0.8, 0.0, 0.0]), np.array([0.8, 0.3, 0.0])
@@ -104,7 +104,7 @@ def test_unsynchronised_cameras_agree_on_the_output_instants(ring: tuple[Camera,
     np.testing.assert_allclose(track.xyz_m[inner], truth_m[inner], atol=2e-3)
 
 
-def test_two_cameras_in_opposite_phase_and_at_half_the_rate_meet(ring: tuple[Camera, ...]) -> None:
+def test_two_cameras_in_opposite_phase_and_at_half_rate_meet(ring: tuple[Camera, ...]) -> None:
     """Cameras of 25 Hz and 12.5 Hz without common frame times."""
     pair, base_m, speed_m_s = ring[:2], body() + np.array([-0.5, 0.0, 0.0]), np.array([0.5, 0.2, 0.0])
     times = {
@@ -122,7 +122,7 @@ def test_two_cameras_in_opposite_phase_and_at_half_the_rate_meet(ring: tuple[Cam
     np.testing.assert_allclose(track.xyz_m[1:-1], truth_m[1:-1], atol=5e-3)
 
 
-def test_a_wrong_wrist_in_one_view_does_not_pull_the_joint(ring: tuple[Camera, ...]) -> None:
+def test_wrong_wrist_in_one_view_does_not_pull_joint(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {camera.name: detections_of(camera, people_m) for camera in ring}
     spoiled = detections["cam1"].keypoints_px.copy()
@@ -133,7 +133,7 @@ def test_a_wrong_wrist_in_one_view_does_not_pull_the_joint(ring: tuple[Camera, .
     assert np.linalg.norm(track.xyz_m[:, 5] - people_m[0][:, 5], axis=-1).max() < 0.02
 
 
-def test_identity_survives_an_occlusion_in_all_views(ring: tuple[Camera, ...]) -> None:
+def test_identity_survives_occlusion_in_all_views(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()
     detections = {}
     for camera in ring:
@@ -162,7 +162,7 @@ def hidden_while_walking(ring: tuple[Camera, ...], person_m: np.ndarray) -> dict
     return detections
 
 
-def test_identity_survives_a_turn_behind_an_occlusion(ring: tuple[Camera, ...]) -> None:
+def test_identity_survives_turn_behind_occlusion(ring: tuple[Camera, ...]) -> None:
     person_m = two_walkers()[0]
     speed_m = person_m[1] - person_m[0]
     sideways_m = speed_m[:, [1, 0, 2]]
@@ -171,14 +171,14 @@ def test_identity_survives_a_turn_behind_an_occlusion(ring: tuple[Camera, ...]) 
     assert (track.start_frame, track.num_frames) == (0, NUM_FRAMES)
 
 
-def test_who_appears_out_of_walking_reach_is_somebody_else(ring: tuple[Camera, ...]) -> None:
+def test_person_out_of_walking_reach_is_new(ring: tuple[Camera, ...]) -> None:
     person_m = two_walkers()[0].copy()
     person_m[30:, :, 1] -= 2.5
     tracks = run(ring, hidden_while_walking(ring, person_m))
     assert [(track.start_frame, track.num_frames) for track in tracks] == [(0, 20), (38, 12)]
 
 
-def test_short_gaps_of_a_joint_are_interpolated_and_marked(ring: tuple[Camera, ...]) -> None:
+def test_short_gaps_of_joint_are_interpolated_and_marked(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {}
     for camera in ring:
@@ -194,7 +194,7 @@ def test_short_gaps_of_a_joint_are_interpolated_and_marked(ring: tuple[Camera, .
     assert np.isnan(track.xyz_m[30:45, 4]).all()
 
 
-def test_a_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) -> None:
+def test_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     rng = np.random.default_rng(3)
     detections = {}
@@ -207,7 +207,7 @@ def test_a_doubled_detection_makes_no_second_person(ring: tuple[Camera, ...]) ->
     assert track.num_frames == NUM_FRAMES
 
 
-def test_false_positives_without_a_second_view_make_nobody(ring: tuple[Camera, ...]) -> None:
+def test_false_positives_without_second_view_make_nobody(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {camera.name: detections_of(camera, people_m) for camera in ring}
     lamp_px = project(ring[0], body() + np.array([1.5, 1.5, 0.0]))
@@ -230,7 +230,7 @@ def test_nobody_anywhere(ring: tuple[Camera, ...]) -> None:
     assert run(ring, empty) == ()
 
 
-def test_observations_name_the_detections_and_so_their_colours() -> None:
+def test_observations_name_detections_and_so_their_colours() -> None:
     """Everybody wears a colour of their own, in cameras that are not synchronised."""
     scene = record(replace(find_scene("unsynchronised"), duration_s=3.0), seed=4)
     detections = {}

@@ -73,7 +73,7 @@ def solve(seed: int, noise_px: float, free: Free, outliers: int = 0, loss: Loss 
 
 
 @pytest.mark.parametrize("loss", list(Loss))
-def test_a_disturbed_rig_comes_back_exactly(loss: Loss) -> None:
+def test_disturbed_rig_comes_back_exactly(loss: Loss) -> None:
     found = solve(2, 0.0, gauge_fixed(FOCAL, PRINCIPAL), loss=loss)
     np.testing.assert_allclose(offsets(CAMERAS, found.cameras), 0.0, atol=1e-5)
     assert np.abs(found.residuals_px).max() < 1e-3
@@ -120,13 +120,13 @@ def test_covariances_of_blocks_are_those_of_repeats() -> None:
     assert 4.5 < np.mean(squares) < 7.5
 
 
-def test_directions_that_nothing_determines_have_infinite_deviations() -> None:
+def test_undetermined_directions_have_infinite_deviations() -> None:
     free = none_free(4)
     free[:, EXTRINSICS] = True
     assert np.isinf(solve(4, SIGMA_PX, free).sigma[free]).all()
 
 
-def test_a_prior_holds_what_the_observations_leave_open() -> None:
+def test_prior_holds_what_observations_leave_open() -> None:
     free = none_free(4)
     free[:, EXTRINSICS] = True
     prior = no_prior(4)

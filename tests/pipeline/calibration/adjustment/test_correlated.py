@@ -70,20 +70,20 @@ def test_errors_are_within_two_standard_deviations(lasting_px: float) -> None:
         assert np.mean(naive) < 0.85
 
 
-def test_lasting_errors_count_more_the_longer_they_last() -> None:
+def test_lasting_errors_count_more_longer_they_last() -> None:
     _, brief, _, _ = adjusted(0, 0.0)
     _, lasting, _, _ = adjusted(0, 3.0)
     assert (lasting[:, POSITION] > 4 * brief[:, POSITION]).all()
 
 
-def test_what_was_given_has_none() -> None:
+def test_given_value_has_no_guess() -> None:
     _, sigma, _, _ = adjusted(0, 1.0)
     assert (sigma[:, FOCAL.start :] == 0.0).all()
     # The first camera, whose pose stayed, is as uncertain as the others in the world that these hold.
     assert sigma[0, POSITION].max() > 0.2 * sigma[2, POSITION].max()
 
 
-def test_two_cameras_hold_the_world_together() -> None:
+def test_two_cameras_hold_world_together() -> None:
     _, sigma, _, _ = adjusted(0, 1.0, num_cameras=2)
     assert np.isfinite(sigma).all()
     assert (sigma[:, ROTATION].max(1) > 0).all()

@@ -34,7 +34,7 @@ def observed(bodies: RigidBodies, total: np.ndarray, noise_px: float, rng: np.ra
     return PointObservations(camera, block, GRID_M[point], points_px + rng.normal(0.0, noise_px, points_px.shape))
 
 
-def test_eliminated_deviations_take_the_step_of_the_whole_system() -> None:
+def test_eliminated_deviations_take_step_of_whole_system() -> None:
     rng = np.random.default_rng(1)
     bodies = bodies_of(4, rng)
     free = none_free(3)
@@ -74,7 +74,7 @@ def gauss_newton(residuals: Callable[[np.ndarray], np.ndarray], number: int) -> 
 
 
 @pytest.mark.slow
-def test_variances_and_delays_are_those_of_the_views() -> None:
+def test_variances_and_delays_are_those_of_views() -> None:
     rng = np.random.default_rng(2)
     bodies, delay_s = bodies_of(80, rng), np.array([0.0, 0.0, 0.05])
     speed = rng.normal(0.0, 0.4, (80, 6))

@@ -20,7 +20,7 @@ CAMERAS = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), np.random.default_
 
 
 @pytest.mark.parametrize("has_links", [False, True])
-def test_eliminated_unknowns_take_the_step_of_the_whole_system(has_links: bool) -> None:
+def test_eliminated_unknowns_take_step_of_whole_system(has_links: bool) -> None:
     rng = np.random.default_rng(1)
     truth_m = rng.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 1.8], (20, 3))
     points_px = np.stack([project(camera, truth_m) for camera in CAMERAS], axis=1) + rng.normal(0.0, 1.0, (20, 3, 2))

@@ -30,7 +30,7 @@ def camera_with(num_coefficients: int) -> Camera:
     place=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(0.0, 2.0)),
     num_coefficients=st.sampled_from((0, 4, 5, 8, 12)),
 )
-def test_derivatives_are_those_of_the_projection(place: tuple[float, float, float], num_coefficients: int) -> None:
+def test_derivatives_are_those_of_projection(place: tuple[float, float, float], num_coefficients: int) -> None:
     camera, point_m, tiny = camera_with(num_coefficients), np.array([place]), 1e-6
     found = linearise(camera, point_m)
     np.testing.assert_allclose(found.points_px, project(camera, point_m), atol=1e-9)
@@ -51,7 +51,7 @@ def test_derivatives_are_those_of_the_projection(place: tuple[float, float, floa
 
 # All places are in front of the camera, at x = 3 m.
 @given(place=st.tuples(st.floats(-3, 2), st.floats(-1.5, 1.5), st.floats(0.0, 2.0)))
-def test_derivatives_of_a_fisheye_are_those_of_its_projection(place: tuple[float, float, float]) -> None:
+def test_derivatives_of_fisheye_are_those_of_its_projection(place: tuple[float, float, float]) -> None:
     fisheye = replace(camera_with(4), lens="fisheye")
     point_m, tiny = np.array([place]), 1e-6
     found = linearise(fisheye, point_m)
@@ -67,12 +67,12 @@ def test_derivatives_of_a_fisheye_are_those_of_its_projection(place: tuple[float
         np.testing.assert_allclose(found.by_point[..., k], numeric, rtol=1e-5, atol=2e-3)
 
 
-def test_points_behind_the_camera_are_nan() -> None:
+def test_points_behind_camera_are_nan() -> None:
     assert np.isnan(linearise(camera_with(5), np.array([[6.0, -2.0, 2.0]])).points_px).all()
 
 
 @pytest.mark.parametrize("num_coefficients", [0, 4, 5, 8, 12])
-def test_offsets_are_the_steps_that_lead_to_a_camera(num_coefficients: int) -> None:
+def test_offsets_are_steps_that_lead_to_camera(num_coefficients: int) -> None:
     step = np.random.default_rng(0).normal(0.0, 0.02, NUM_PARAMETERS)
     step[10 + num_coefficients :] = 0.0
     camera = camera_with(num_coefficients)
@@ -81,7 +81,7 @@ def test_offsets_are_the_steps_that_lead_to_a_camera(num_coefficients: int) -> N
 
 
 @given(seed=st.integers(0, 1000), is_body=st.booleans())
-def test_derivatives_of_a_structure_are_those_of_its_points(seed: int, is_body: bool) -> None:
+def test_derivatives_of_structure_are_those_of_its_points(seed: int, is_body: bool) -> None:
     rng, tiny = np.random.default_rng(seed), 1e-6
     structure: Structure = FreePoints(rng.normal(size=(2, 3)))
     if is_body:

@@ -70,7 +70,7 @@ def scores(made: CalibrationResult, cameras: tuple[Camera, ...]) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_late_camera_is_named_and_bends_no_lens() -> None:
+def test_late_camera_is_named_and_bends_no_lens() -> None:
     made = calibrate_board(filmed(0, (0.0, 0.0, -0.04, 0.0)), BOARD, None, 4.0)
     for found, truth in zip(made.cameras, CAMERAS, strict=True):
         assert abs(found.matrix[0, 0] / truth.matrix[0, 0] - 1) < 0.003
@@ -93,7 +93,7 @@ def test_cameras_that_agree_give_no_doubt() -> None:
     ("seeds", "seeds_of_late"),
     accuracy_but([(range(1), range(9, 10))], [(range(1), range(9, 10)), (range(8), range(8, 16))]),
 )
-def test_errors_are_within_the_standard_deviations(seeds: range, seeds_of_late: range) -> None:
+def test_errors_are_within_standard_deviations(seeds: range, seeds_of_late: range) -> None:
     late = (0.0, 0.01, -0.03, 0.0)
     found = [scores(calibrate_board(filmed(seed), BOARD, None, 4.0), CAMERAS) for seed in seeds]
     found += [scores(calibrate_board(filmed(seed, late), BOARD, None, 4.0), CAMERAS) for seed in seeds_of_late]
@@ -113,7 +113,7 @@ def test_few_common_views_are_refused_with_their_number() -> None:
     assert "Of 4 views" in str(raised.value)
 
 
-def test_videos_of_one_frame_and_a_board_that_one_camera_sees_are_refused() -> None:
+def test_board_seen_by_one_camera_is_refused() -> None:
     views = filmed(3)
     with pytest.raises(InputError) as raised:
         calibrate_board([of_camera.select([0]) for of_camera in views], BOARD, None, 4.0)

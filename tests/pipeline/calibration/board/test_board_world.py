@@ -28,14 +28,14 @@ def world_of(num_places: int, rng: np.random.Generator, noise: float) -> BoardWo
 
 
 @pytest.mark.parametrize("num_places", [1, 3])
-def test_boards_without_errors_give_the_world_exactly(num_places: int) -> None:
+def test_boards_without_errors_give_world_exactly(num_places: int) -> None:
     world = world_of(num_places, np.random.default_rng(1), 0.0)
     found = world.world_from_root @ ROOT_FROM_WORLD
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(found.translation_m, 0.0, atol=1e-9)
 
 
-def test_the_stated_tilt_is_that_of_repeats_and_places_far_apart_lower_it() -> None:
+def test_stated_tilt_matches_repeats() -> None:
     rng, spread, stated = np.random.default_rng(2), {}, {}
     for num_places in (1, 3):
         worlds = [world_of(num_places, rng, 1.0) for _ in range(300)]

@@ -40,7 +40,7 @@ def distance_mm(found: tuple[Camera, ...], truth: tuple[Camera, ...], board: Boa
 
 
 @pytest.mark.slow
-def test_a_small_rig_is_recovered_from_a_short_video() -> None:
+def test_small_rig_is_recovered_from_short_video() -> None:
     made = calibrate_board(simulated(CHARUCO, num_cameras=3, num_poses=24), CHARUCO, None, 25.0)
     truth = ring(3)
     assert made.has_extrinsics
@@ -54,7 +54,7 @@ def test_a_small_rig_is_recovered_from_a_short_video() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("board", [CHARUCO, AMBIGUOUS], ids=str)
-def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
+def test_rig_is_recovered_with_its_floor(board: Board) -> None:
     made = calibrate_board(simulated(board), board, None, 25.0)
     truth = ring(4)
     assert made.has_extrinsics
@@ -74,7 +74,7 @@ def test_a_rig_is_recovered_with_its_floor(board: Board) -> None:
 
 
 @pytest.mark.slow
-def test_places_on_the_floor_make_one_plane() -> None:
+def test_places_on_floor_make_one_plane() -> None:
     cameras, rng = ring(4), np.random.default_rng(5)
     times_s, poses = board_poses(cameras, CHARUCO, 40, rng)
     # The last place is a table.
@@ -88,7 +88,7 @@ def test_places_on_the_floor_make_one_plane() -> None:
 
 
 @pytest.mark.slow
-def test_known_points_make_the_world() -> None:
+def test_known_points_make_world() -> None:
     cameras = ring(4)
     xyz_m = np.array([[0.4, 0.5, 0.0], [-0.6, 0.1, 0.1], [0.2, -0.5, 0.9]])
     seen_px = [(camera.name, project(camera, xyz_m)) for camera in cameras]
@@ -115,7 +115,7 @@ def test_given_intrinsics_stay() -> None:
 
 
 @pytest.mark.slow
-def test_cameras_of_another_clock_are_refused_with_the_offset() -> None:
+def test_cameras_of_another_clock_are_refused_with_offset() -> None:
     views = simulated(CHARUCO)
     late = replace(views[1], time_s=read_only(views[1].time_s + 0.4))
     with pytest.raises(InputError) as raised:
@@ -126,7 +126,7 @@ def test_cameras_of_another_clock_are_refused_with_the_offset() -> None:
 
 
 @pytest.mark.slow
-def test_a_camera_that_shares_no_view_is_named() -> None:
+def test_camera_that_shares_no_view_is_named() -> None:
     views = simulated(CHARUCO, num_poses=24)
     alone = replace(views[2], time_s=read_only(views[2].time_s + 1000.0))
     with pytest.raises(InputError) as raised:
@@ -148,7 +148,7 @@ def test_photographs_give_intrinsics_only() -> None:
         assert abs(camera.matrix[0, 0] / truth.matrix[0, 0] - 1) < 0.03
 
 
-def test_a_board_that_was_not_found_is_named_with_its_numbers() -> None:
+def test_board_that_was_not_found_is_named_with_its_numbers() -> None:
     views = [one.select(range(2)) for one in simulated(AMBIGUOUS, num_poses=8)]
     with pytest.raises(InputError) as raised:
         calibrate_board(views, AMBIGUOUS, None, 25.0)
@@ -156,7 +156,7 @@ def test_a_board_that_was_not_found_is_named_with_its_numbers() -> None:
     assert "5x7" in str(raised.value)
 
 
-def test_a_board_with_columns_and_rows_exchanged_is_named() -> None:
+def test_board_with_columns_and_rows_exchanged_is_named() -> None:
     camera, rng = ring(4)[0], np.random.default_rng(3)
     _, poses = board_poses([camera], CHARUCO, 1, rng)
     image = BoardPainter(camera, CHARUCO).paint(poses[-1], rng)
@@ -180,7 +180,7 @@ def test_views_come_back_from_their_archive() -> None:
     assert encode(decoded) == encode(views)
 
 
-def test_blurred_views_are_left_out_and_the_others_cover_the_picture() -> None:
+def test_blurred_views_are_left_out_and_others_cover_picture() -> None:
     (views, *_) = simulated(CHARUCO)
     sharpness = np.ones(len(views))
     sharpness[::3] = 5.0
@@ -191,7 +191,7 @@ def test_blurred_views_are_left_out_and_the_others_cover_the_picture() -> None:
     assert np.ptp(spread[chosen], axis=0).min() > 0.6 * np.ptp(spread, axis=0).min()
 
 
-def test_a_board_is_found_in_a_picture_and_a_mirrored_one_is_named() -> None:
+def test_board_is_found_in_picture_and_mirrored_one_is_named() -> None:
     camera = ring(4)[0]
     rng = np.random.default_rng(3)
     _, poses = board_poses([camera], CHARUCO, 1, rng)

@@ -32,7 +32,7 @@ def moved_onto(points_m: np.ndarray, onto_m: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @needs("boards")
-def test_a_board_on_webcams_gives_each_camera_its_own_lens_and_names_the_late_camera() -> None:
+def test_board_on_webcams_gives_lenses_and_names_late_camera() -> None:
     folder = folder_of("boards")
     session = SourceOptions([folder]).open_videos(None, keeps_poses=False)
     with Progress(disable=True) as progress:

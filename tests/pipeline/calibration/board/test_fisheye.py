@@ -46,7 +46,7 @@ def poses_around(rng: np.random.Generator, num_poses: int, most_deg: float) -> l
         (camera_of(0.5, [-0.2, 0.03, 0.001, -0.0005], "standard"), "standard"),
     ],
 )
-def test_the_lens_model_is_the_one_that_made_the_pictures(truth: Camera, lens: LensModel) -> None:
+def test_lens_model_is_one_that_made_pictures(truth: Camera, lens: LensModel) -> None:
     rng = np.random.default_rng(11)
     poses = poses_around(rng, 60, 65.0 if lens == "fisheye" else 40.0)
     (views,) = views_of([truth], BOARD, np.arange(60.0), poses, rng)

@@ -38,7 +38,7 @@ def errors(found: Found) -> tuple[float, float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [21, 22])
-def test_it_is_not_worse_than_others_on_the_same_videos(tmp_path: Path, seed: int) -> None:
+def test_it_is_not_worse_than_others_on_same_videos(tmp_path: Path, seed: int) -> None:
     if not (PEERS / ".installed").is_file():
         pytest.skip("aniposelib and Caliscope are not installed (`make verify-calibration` does it)")
     videos, rng = tmp_path / "videos", np.random.default_rng(seed)

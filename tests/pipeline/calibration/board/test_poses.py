@@ -24,7 +24,7 @@ def camera_of(lens: LensModel) -> Camera:
 
 
 @pytest.mark.parametrize("lens", DISTORTION)
-def test_the_best_pose_is_the_true_one(lens: LensModel) -> None:
+def test_best_pose_is_true_one(lens: LensModel) -> None:
     camera = camera_of(lens)
     board_from_away = look_at(np.array([0.3, -0.7, 0.5]), np.array([0.05, 0.1, 0.0]))
     corners_px = project(replace(camera, cam_from_world=board_from_away), BOARD.corners_m)
@@ -34,5 +34,5 @@ def test_the_best_pose_is_the_true_one(lens: LensModel) -> None:
     np.testing.assert_allclose(best.translation_m, board_from_away.translation_m, atol=1e-4)
 
 
-def test_a_board_beyond_a_fisheyes_view_has_no_pose() -> None:
+def test_board_beyond_fisheyes_view_has_no_pose() -> None:
     assert possible_poses(camera_of("fisheye"), np.full((BOARD.num_corners, 2), 1e5), BOARD) == []

@@ -7,14 +7,14 @@ from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.core.errors import InputError
 
 
-def test_a_chessboard_has_inner_corners() -> None:
+def test_chessboard_has_inner_corners() -> None:
     board = parse_board("chessboard:4x7:0.06")
     assert board == Board("chessboard", 4, 7, 0.06)
     assert board.num_corners == 28
     np.testing.assert_allclose(board.corners_m[[0, 3, 4]], [[0.0, 0.0, 0.0], [0.18, 0.0, 0.0], [0.0, 0.06, 0.0]])
 
 
-def test_a_charuco_board_has_squares() -> None:
+def test_charuco_board_has_squares() -> None:
     board = parse_board("charuco:7x5:0.06:0.045:DICT_4X4_50")
     assert board.corner_counts == (6, 4)
     np.testing.assert_allclose(board.corners_m, board.charuco.getChessboardCorners(), atol=1e-7)
@@ -22,7 +22,7 @@ def test_a_charuco_board_has_squares() -> None:
 
 
 @pytest.mark.parametrize(("spec", "is_ambiguous"), [("4x7", False), ("7x4", False), ("7x5", True), ("8x6", True)])
-def test_boards_that_look_alike_after_half_a_turn(spec: str, is_ambiguous: bool) -> None:
+def test_boards_that_look_alike_after_half_turn(spec: str, is_ambiguous: bool) -> None:
     assert parse_board(f"chessboard:{spec}:0.05").is_ambiguous is is_ambiguous
 
 
@@ -40,7 +40,7 @@ def test_boards_that_look_alike_after_half_a_turn(spec: str, is_ambiguous: bool)
         ("charuco:7x5:e:0.04:DICT_4X4_50", "not from"),
     ],
 )
-def test_a_wrong_board_says_how_to_write_it(spec: str, words: str) -> None:
+def test_wrong_board_says_how_to_write_it(spec: str, words: str) -> None:
     with pytest.raises(InputError) as raised:
         parse_board(spec)
     assert words in str(raised.value)

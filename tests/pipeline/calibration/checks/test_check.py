@@ -60,7 +60,7 @@ def codes(cameras: Sequence[Camera]) -> list[tuple[str, str | None, str]]:
     ],
     ids=["ring", "pair", "fisheye", "ceiling", "dome", "unknown sizes"],
 )
-def test_a_good_rig_has_no_finding(rig: Sequence[Camera]) -> None:
+def test_good_rig_has_no_finding(rig: Sequence[Camera]) -> None:
     assert codes(rig) == []
 
 
@@ -80,7 +80,7 @@ def test_a_good_rig_has_no_finding(rig: Sequence[Camera]) -> None:
         (lambda c: replace(distorted(c, -0.4, 0.0, 0.0, 0.0), lens="fisheye"), ("distortion_folds", "warning")),
     ],
 )
-def test_a_fault_of_one_camera_is_named(fault: Callable[[Camera], Camera], expected: tuple[str, str]) -> None:
+def test_fault_of_one_camera_is_named(fault: Callable[[Camera], Camera], expected: tuple[str, str]) -> None:
     faulty = fault(RING[3])
     assert codes((*RING[:3], faulty)) == [(expected[0], faulty.name, expected[1])]
 
@@ -96,7 +96,7 @@ def test_a_fault_of_one_camera_is_named(fault: Callable[[Camera], Camera], expec
         (in_other_world(RING, Rotation.identity(), 100.0), ("world_unit", "warning"), 800.0),
     ],
 )
-def test_a_wrong_world_is_one_finding(rig: Sequence[Camera], expected: tuple[str, str], evidence: float) -> None:
+def test_wrong_world_is_one_finding(rig: Sequence[Camera], expected: tuple[str, str], evidence: float) -> None:
     found = [one for one in check_cameras(rig) if one.code != "same_place"]
     (finding,) = found
     assert (finding.code, finding.severity, finding.camera) == (*expected, None)
@@ -104,13 +104,13 @@ def test_a_wrong_world_is_one_finding(rig: Sequence[Camera], expected: tuple[str
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1000.0, "mm"), (100.0, "cm")])
-def test_the_hint_names_the_unit(scale: float, unit: str) -> None:
+def test_hint_names_unit(scale: float, unit: str) -> None:
     (finding,) = check_cameras(in_other_world(RING, Rotation.identity(), scale))
     assert finding.hint == f"The lengths look like {unit}: state the unit (`--units {unit}`, `units`)."
 
 
 @pytest.mark.parametrize("axis", ["z", "-z", "y", "x"])
-def test_cameras_that_look_straight_down_tell_only_what_may_be_up(axis: str) -> None:
+def test_cameras_looking_down_bound_vertical(axis: str) -> None:
     """They stand in a circle, turned to its middle, so that their up directions cancel out."""
     down = [
         replace(camera, cam_from_world=Rigid3(turn.as_matrix() @ np.diag([1.0, -1.0, -1.0]), np.array([x, y, 4.0])))
@@ -140,7 +140,7 @@ def test_cameras_without_poses_are_one_finding() -> None:
     assert codes([replace(camera, cam_from_world=still) for camera in RING]) == [("calibration_unposed", None, "error")]
 
 
-def test_a_single_camera_is_not_enough() -> None:
+def test_single_camera_is_not_enough() -> None:
     assert codes(RING[:1]) == [("too_few_cameras", None, "error")]
 
 
@@ -153,7 +153,7 @@ def test_narrow_views_that_cross_are_found() -> None:
     assert {(finding[0], finding[2]) for finding in codes(aside)} == {("no_common_view", "error")}
 
 
-def test_long_lenses_side_by_side_share_a_view_far_away() -> None:
+def test_long_lenses_side_by_side_share_view_far_away() -> None:
     """Views of two degrees, three metres apart: they overlap beyond 86 m."""
     narrow = [changed(changed(camera, 0, 0, 36_600.0), 1, 1, 36_600.0) for camera in RING[:2]]
     places = ((10.0, 0.0, 2.0), (10.0, 3.0, 2.0))

@@ -54,7 +54,7 @@ def refusal(points: tuple[KnownPoint, ...], keeps_scale: bool = True) -> Problem
 
 
 @pytest.mark.parametrize(("scale", "keeps_scale"), [(1.0, True), (0.85, False)])
-def test_cameras_come_back_into_the_world(scale: float, keeps_scale: bool) -> None:
+def test_cameras_come_back_into_world(scale: float, keeps_scale: bool) -> None:
     placed = place_by_points(moved(scale), read_points(), keeps_scale)
     for found, truth in zip(placed.cameras, CAMERAS, strict=True):
         np.testing.assert_allclose(found.cam_from_world.rotation, truth.cam_from_world.rotation, atol=1e-6)
@@ -63,7 +63,7 @@ def test_cameras_come_back_into_the_world(scale: float, keeps_scale: bool) -> No
     assert placed.warnings == ()
 
 
-def test_marks_of_a_pixel_place_cameras_to_a_centimetre() -> None:
+def test_marks_of_pixel_place_cameras_to_centimetre() -> None:
     placed = place_by_points(moved(), read_points(noise_px=1.0), keeps_scale=True)
     errors_m = [
         np.linalg.norm(center_in_world(a) - center_in_world(b)) for a, b in zip(placed.cameras, CAMERAS, strict=True)
@@ -83,7 +83,7 @@ def test_marks_of_a_pixel_place_cameras_to_a_centimetre() -> None:
         (np.random.default_rng(3).uniform(-1, 1, (5, 3)), "Check the names"),
     ],
 )
-def test_points_that_do_not_fit_are_refused_with_the_reason(xyz_m: np.ndarray, words: str) -> None:
+def test_points_that_do_not_fit_are_refused_with_reason(xyz_m: np.ndarray, words: str) -> None:
     problem = refusal(read_points(xyz_m))
     assert problem.code == "known_points_misfit"
     assert words in str(problem)
@@ -102,7 +102,7 @@ def test_all_that_is_wrong_with_points_is_listed() -> None:
     assert (found[1].camera, found[2].camera) == ("cam_x", CAMERAS[0].name)
 
 
-def test_a_table_is_read(tmp_path: Path) -> None:
+def test_table_is_read(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     rows = ["name, x_m, y_m, z_m, camera, x_px, y_px", "door,0,1.5,0,cam_1,10.5,20", "door,0,1.5,0,cam_2,30,40"]
     path.write_text("\n".join([*rows, "desk,1,2,0.75,cam_1,1,2"]), encoding="utf-8-sig")
@@ -121,7 +121,7 @@ def test_a_table_is_read(tmp_path: Path) -> None:
         ("desk,0,1", "something else than a number"),
     ],
 )
-def test_a_wrong_line_is_named(tmp_path: Path, row: str, words: str) -> None:
+def test_wrong_line_is_named(tmp_path: Path, row: str, words: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(f"name,x_m,y_m,z_m,camera,x_px,y_px\ndoor,0,1.5,0,cam_1,10.5,20\n{row}\n")
     with pytest.raises(InputError) as raised:
@@ -129,7 +129,7 @@ def test_a_wrong_line_is_named(tmp_path: Path, row: str, words: str) -> None:
     assert words in str(raised.value)
 
 
-def test_something_else_than_a_table_is_refused(tmp_path: Path) -> None:
+def test_something_else_than_table_is_refused(tmp_path: Path) -> None:
     for content in (b"\xff\xfe\x00", b"name,x\n1,2\n", b""):
         (tmp_path / "points.csv").write_bytes(content)
         with pytest.raises(InputError, match="table"):

@@ -41,7 +41,7 @@ def problems_of(simulation: Simulation, **changes: object) -> dict[str, str | No
 
 
 @pytest.mark.slow
-def test_people_place_cameras_in_a_level_world_of_their_scale(walk: Simulation) -> None:
+def test_people_place_cameras_in_level_world_of_their_scale(walk: Simulation) -> None:
     shares: list[float] = []
     made = calibrate_people(
         bare(walk.cameras), walk.times, walk.detections, walk.joints, statures_m(walk), True, shares.append
@@ -81,7 +81,7 @@ def test_guessed_lenses_are_estimated() -> None:
     assert all(0.0 < one.focal_sigma_percent < 2.0 for one in made.by_camera)
 
 
-def test_what_is_lacking_is_said_with_the_camera(walk: Simulation) -> None:
+def test_missing_value_is_named_with_camera(walk: Simulation) -> None:
     nobody = dict(walk.detections) | {"cam_01": without(walk.detections["cam_01"])}
     assert problems_of(walk, detections=nobody) == {"people_not_found": "cam_01"}
     late = dict(walk.times) | {"cam_01": FrameTimes(walk.times["cam_01"].time_s + 100.0)}
@@ -91,7 +91,7 @@ def test_what_is_lacking_is_said_with_the_camera(walk: Simulation) -> None:
 
 
 @pytest.mark.slow
-def test_a_wrong_clock_and_a_video_given_twice_are_named(walk: Simulation) -> None:
+def test_wrong_clock_and_video_given_twice_are_named(walk: Simulation) -> None:
     times = dict(walk.times) | {"cam_02": FrameTimes(walk.times["cam_02"].time_s + 0.5)}
     late = calibrate_people(bare(walk.cameras), times, walk.detections, walk.joints, [1.7], True)
     assert {(one.code, one.camera) for one in late.warnings} == {("people_poor_fit", "cam_02")}
@@ -101,7 +101,7 @@ def test_a_wrong_clock_and_a_video_given_twice_are_named(walk: Simulation) -> No
 
 
 @pytest.mark.slow
-def test_known_points_make_the_world_and_its_scale(walk: Simulation) -> None:
+def test_known_points_make_world_and_its_scale(walk: Simulation) -> None:
     xyz_m = np.array([[0.8, 0.6, 0.0], [-0.9, 0.2, 0.1], [0.2, -0.7, 1.2]])
     seen_px = {camera.name: project(camera, xyz_m).tolist() for camera in walk.cameras}
     points = tuple(
@@ -120,7 +120,7 @@ def test_known_points_make_the_world_and_its_scale(walk: Simulation) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("num_cameras", "seed"), accuracy_but([(4, 3)], [(4, 1), (4, 2), (4, 3), (8, 1), (8, 4)]))
-def test_rooms_of_a_minute(num_cameras: int, seed: int) -> None:
+def test_rooms_of_minute(num_cameras: int, seed: int) -> None:
     simulation = room(num_cameras, seed)
     made = calibrate_people(
         bare(simulation.cameras), simulation.times, simulation.detections, simulation.joints, [1.7], True

@@ -30,7 +30,7 @@ def walkers(simulation: Simulation, places_px: np.ndarray) -> Detections:
     return Detections(simulation.cameras[0].name, frame, points_px, np.ones(points_px.shape[:2]), box_px)
 
 
-def test_a_tracklet_ends_where_two_people_may_be_exchanged(walk: Simulation) -> None:
+def test_tracklet_ends_where_two_people_may_be_exchanged(walk: Simulation) -> None:
     camera = walk.cameras[0]
     along, height = np.linspace(100.0, 900.0, 250), np.full(250, 300.0)
     crossing = np.stack([np.column_stack([along, height]), np.column_stack([along[::-1], height + 10.0])], axis=1)
@@ -51,7 +51,7 @@ def test_a_tracklet_ends_where_two_people_may_be_exchanged(walk: Simulation) -> 
     assert [len(one.instants) for one in found] == [len(instants_s)] * 2
 
 
-def test_points_are_interpolated_between_frames_and_not_over_gaps(walk: Simulation) -> None:
+def test_points_are_interpolated_but_not_over_gaps(walk: Simulation) -> None:
     camera = walk.cameras[0]
     time_s = np.arange(250) / 25.0 + 0.013
     places = np.column_stack([100.0 * time_s, np.full(250, 300.0)])[:, None]
@@ -95,7 +95,7 @@ def person_of(simulation: Simulation, tracklet: ViewTracklet, instants_s: np.nda
     return int(np.argmin(distance_px))
 
 
-def test_the_sampson_distance_is_that_to_the_epipolar_line() -> None:
+def test_sampson_distance_is_that_to_epipolar_line() -> None:
     # A sideways camera: epipolar lines are rows, and both points move half of the difference.
     essential = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     left, right = np.array([[0.1, 0.2], [0.0, 0.0]]), np.array([[0.5, 0.2], [0.3, 0.1]])
@@ -113,7 +113,7 @@ def at_once(num_groups: int, *pairs: tuple[int, int]) -> np.ndarray:
     return are_others
 
 
-def test_statures_scale_the_world_whoever_is_who() -> None:
+def test_statures_scale_world_whoever_is_who() -> None:
     # The third group is the first person at another time.
     found = of_groups([2.0, 1.8, 2.05], [100.0, 80.0, 10.0])
     match = match_statures(found, at_once(3, (0, 1), (1, 2)), [0.9, 1.0])
@@ -129,7 +129,7 @@ def test_people_who_are_seen_at_once_have_different_statures() -> None:
     assert len(set(match_statures(found, at_once(2), [1.7, 1.2]).stature.tolist())) == 1
 
 
-def test_a_child_beside_two_adults() -> None:
+def test_child_beside_two_adults() -> None:
     found = of_groups([3.6, 2.7, 3.0], [80.0, 80.0, 80.0])
     pairs = ((0, 1), (1, 2), (0, 2))
     match = match_statures(found, at_once(3, *pairs), [1.49, 1.78, 1.34])
@@ -154,7 +154,7 @@ def test_two_groups_at_one_place_are_one_person(walk: Simulation) -> None:
     assert not others_at_once(found, both, group, later).any()
 
 
-def test_a_person_without_legs_has_no_stature(walk: Simulation) -> None:
+def test_person_without_legs_has_no_stature(walk: Simulation) -> None:
     columns = walk.joints.indices(JOINTS)
     xyz_m = walk.truth_m[0][:, columns].copy()
     group = np.zeros(len(xyz_m), int)
@@ -173,14 +173,14 @@ def doubts(
     return [(problem.code, problem.camera, problem.message) for problem in problems]
 
 
-def test_a_camera_that_takes_somebody_for_another_one_is_named(walk: Simulation) -> None:
+def test_camera_that_takes_somebody_for_another_one_is_named(walk: Simulation) -> None:
     assert not doubts(walk, [0.99, 0.97, 0.98], [1.75], [0], [1.7])
     ((code, camera, message),) = doubts(walk, [0.99, 0.97, 0.5], [1.75], [0], [1.7])
     assert (code, camera) == ("people_poor_fit", "cam_02")
     assert message.startswith("50 % of what the camera sees")
 
 
-def test_statures_that_are_not_those_of_the_people_are_named(walk: Simulation) -> None:
+def test_statures_that_are_not_those_of_people_are_named(walk: Simulation) -> None:
     fits = [1.0, 1.0, 1.0]
     assert not doubts(walk, fits, [1.75, 1.38], [0, 1], [1.78, 1.34])
     # One stature is that of all, however tall they are.

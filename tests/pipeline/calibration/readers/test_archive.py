@@ -61,7 +61,7 @@ def test_archives_that_are_refused(tmp_path: Path, files: dict[str, str | bytes]
     assert problems_of(write_zip(tmp_path / "rig.zip", files)) == [(code, None)]
 
 
-def test_a_damaged_archive(tmp_path: Path) -> None:
+def test_damaged_archive(tmp_path: Path) -> None:
     path = write_zip(tmp_path / "rig.zip", {"a.calib": biocv(RIG[0])})
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -70,6 +70,6 @@ def test_a_damaged_archive(tmp_path: Path) -> None:
     assert problems_of(path) == [("calibration_unreadable", None)]
 
 
-def test_paths_in_an_archive_are_not_followed(tmp_path: Path) -> None:
+def test_paths_in_archive_are_not_followed(tmp_path: Path) -> None:
     path = write_zip(tmp_path / "rig.zip", {f"../../{one.name}.calib": biocv(one) for one in RIG})
     assert_rig(read_contents(path))

@@ -55,7 +55,7 @@ def write_zip(path: Path, cameras: str, images: str) -> Path:
     return path
 
 
-def test_a_zip_and_a_joined_file(tmp_path: Path) -> None:
+def test_zip_and_joined_file(tmp_path: Path) -> None:
     (tmp_path / "rig.txt").write_text("".join(parts()))
     for path in (write_zip(tmp_path / "rig.zip", *parts()), tmp_path / "rig.txt"):
         contents = read_contents(path)
@@ -64,7 +64,7 @@ def test_a_zip_and_a_joined_file(tmp_path: Path) -> None:
         assert_rig(contents, COLMAP_RIG)
 
 
-def test_images_in_folders_have_the_folders_names(tmp_path: Path) -> None:
+def test_images_in_folders_have_folders_names(tmp_path: Path) -> None:
     cameras, _ = parts()
     images = IMAGES + "".join(
         lines_of_image(k + 1, one, f"{one.name}/00 01.png", "") for k, one in enumerate(COLMAP_RIG)

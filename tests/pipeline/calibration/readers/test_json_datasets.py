@@ -46,7 +46,7 @@ def test_panoptic_is_in_centimetres_with_y_down(tmp_path: Path) -> None:
     assert [one.section for one in contents.cameras] == ["hd_left", "hd_right"]
 
 
-def test_vga_cameras_of_the_whole_dome_are_left_out(tmp_path: Path) -> None:
+def test_vga_cameras_of_whole_dome_are_left_out(tmp_path: Path) -> None:
     vga = [panoptic(replace(RIG[0], name=f"{k:03}"), "vga") for k in range(480)]
     contents = read_contents(write(tmp_path / "rig.json", {"cameras": [*vga, *(panoptic(one) for one in RIG)]}))
     assert_rig(contents)
@@ -79,14 +79,14 @@ def test_voxelpose_has_centres_in_millimetres(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [{"image_width": 1920, "image_height": 1080}, {"size": [1920, 1080]}])
-def test_voxelpose_with_a_size(tmp_path: Path, size: dict[str, Any]) -> None:
+def test_voxelpose_with_size(tmp_path: Path, size: dict[str, Any]) -> None:
     document = {one.name: voxelpose(one) | size | {"model": "Basler"} for one in RIG}
     contents = read_contents(write(tmp_path / "rig.json", document))
     assert contents.notes == ("rig.json: fields that are not read: model.",)
     assert_rig(contents)
 
 
-def test_lens_that_voxelpose_and_panoptic_do_not_name_is_a_problem(tmp_path: Path) -> None:
+def test_lens_that_voxelpose_and_panoptic_do_not_name_is_problem(tmp_path: Path) -> None:
     for document in (
         {one.name: voxelpose(one) | {"kc": one.distortion.tolist()[:4]} for one in RIG},
         {"cameras": [panoptic(one) | {"kc": one.distortion.tolist()[:4]} for one in RIG]},
@@ -94,7 +94,7 @@ def test_lens_that_voxelpose_and_panoptic_do_not_name_is_a_problem(tmp_path: Pat
         assert problems_of(write(tmp_path / "rig.json", document)) == [("unsupported_lens", None)]
 
 
-def test_faster_voxelpose_lists_the_cameras_of_a_sequence(tmp_path: Path) -> None:
+def test_faster_voxelpose_lists_cameras_of_sequence(tmp_path: Path) -> None:
     path = write(tmp_path / "calibration.json", {"customized_sequence": [voxelpose(camera) for camera in RIG]})
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("VoxelPose JSON", "mm")
@@ -137,7 +137,7 @@ def test_faults_of_voxelpose(tmp_path: Path, changes: dict[str, Any], code: str)
     assert problems_of(write(tmp_path / "rig.json", document)) == [(code, "1")]
 
 
-def test_mvor_has_transforms_from_the_cameras_in_millimetres(tmp_path: Path) -> None:
+def test_mvor_has_transforms_from_cameras_in_millimetres(tmp_path: Path) -> None:
     path = write(tmp_path / "camma_mvor_2018.json", {"images": [], "cameras_info": cameras_info(RIG)})
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("CAMMA MVOR JSON", "mm")

@@ -33,7 +33,7 @@ def fields_of(one: Camera) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("ending", [".yml", ".yaml", ".xml", ".json"])
-def test_a_rig_in_one_file(tmp_path: Path, ending: str) -> None:
+def test_rig_in_one_file(tmp_path: Path, ending: str) -> None:
     path = write_storage(tmp_path / f"rig{ending}", {one.name: fields_of(one) for one in RIG})
     contents = read_contents(path)
     assert (contents.format, contents.unit) == ("OpenCV", None)
@@ -41,7 +41,7 @@ def test_a_rig_in_one_file(tmp_path: Path, ending: str) -> None:
 
 
 @pytest.mark.parametrize("ending", [".yml", ".xml", ".json"])
-def test_a_file_for_each_camera_in_a_zip(tmp_path: Path, ending: str) -> None:
+def test_file_for_each_camera_in_zip(tmp_path: Path, ending: str) -> None:
     with zipfile.ZipFile(tmp_path / "rig.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for rig_camera in RIG:
             archive.write(
@@ -71,7 +71,7 @@ def test_extrinsics_in_one_matrix(tmp_path: Path, rows: int) -> None:
 
 
 @pytest.mark.parametrize("num_coefficients", [4, 5, 8, 12])
-def test_lengths_of_the_distortion(tmp_path: Path, num_coefficients: int) -> None:
+def test_lengths_of_distortion(tmp_path: Path, num_coefficients: int) -> None:
     distortion = tuple(0.01 * np.arange(1, num_coefficients + 1))
     rig = (camera("a", 0.1, distortion), camera("b", 0.2, distortion))
     assert_rig(read_contents(write_storage(tmp_path / "rig.yml", {one.name: fields_of(one) for one in rig})), rig)
@@ -94,7 +94,7 @@ def test_fisheye(tmp_path: Path, model: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("vector", ["[1.2, 0.1, -0.3]", "[[1.2, 0.1, -0.3]]", "[[1.2], [0.1], [-0.3]]"])
-def test_a_vector_is_a_list_a_row_or_a_column(tmp_path: Path, vector: str) -> None:
+def test_vector_is_list_row_or_column(tmp_path: Path, vector: str) -> None:
     path = tmp_path / "rig.yml"
     path.write_text(
         f"%YAML:1.0\n---\nleft:\n   K: [[1450., 0., 959.5], [0., 1450., 539.5], [0., 0., 1.]]\n   rvec: {vector}\n"
@@ -216,7 +216,7 @@ def test_openpose(tmp_path: Path) -> None:
     assert_rig(contents, tuple(replace(rig_camera, size_px=UNKNOWN_SIZE) for rig_camera in RIG))
 
 
-def test_names_within_a_mapping_count_where_they_tell_the_cameras_apart(tmp_path: Path) -> None:
+def test_names_within_mapping_count_if_distinct(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     named = {f"cam_{k}": plain(fields_of(one)) | {"name": one.name} for k, one in enumerate(RIG)}
     path.write_text(json.dumps(named))
@@ -227,14 +227,14 @@ def test_names_within_a_mapping_count_where_they_tell_the_cameras_apart(tmp_path
 
 
 @pytest.mark.parametrize("field", ["name", "camera_name", "serial", "id"])
-def test_names_in_a_list(tmp_path: Path, field: str) -> None:
+def test_names_in_list(tmp_path: Path, field: str) -> None:
     path = tmp_path / "rig.json"
     listed = [{field: rig_camera.name, **plain(fields_of(rig_camera))} for rig_camera in RIG]
     path.write_text(json.dumps({"camera_rig": 3, "cameras": listed}))
     assert [rig_camera.name for rig_camera in read_contents(path).cameras] == ["left", "right"]
 
 
-def test_a_distortion_under_another_name_is_no_unknown_field(tmp_path: Path) -> None:
+def test_distortion_under_another_name_is_no_unknown_field(tmp_path: Path) -> None:
     fields = {rig_camera.name: fields_of(rig_camera) for rig_camera in RIG}
     fields["right"]["radial_distortion"] = fields["right"].pop("distortion_coefficients")
     path = write_storage(tmp_path / "rig.yml", fields)
@@ -268,7 +268,7 @@ def test_unread_lens_is_one_problem_that_names_field_and_cameras(tmp_path: Path)
 
 
 @pytest.mark.parametrize("beside", [{"kc": [-0.11, 0.07, 0.002, -0.003, 0.01]}, {"lens": {"k1": -0.11}}])
-def test_lens_beside_the_cameras_is_not_dropped(tmp_path: Path, beside: dict[str, Any]) -> None:
+def test_lens_beside_cameras_is_not_dropped(tmp_path: Path, beside: dict[str, Any]) -> None:
     path = tmp_path / "rig.json"
     cameras = {one.name: mv3dpose(one) | {"discCoef": None} for one in RIG}
     for document in (cameras | beside, {"cameras": cameras} | beside):
@@ -294,14 +294,14 @@ def test_size_is_read_under_its_usual_names(tmp_path: Path, size: dict[str, Any]
     assert ([one.size_px for one in contents.cameras], contents.notes) == ([(1920, 1080)] * 2, ())
 
 
-def test_sizes_that_contradict_each_other_are_a_problem(tmp_path: Path) -> None:
+def test_sizes_that_contradict_each_other_are_problem(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     cameras = [mv3dpose(one) | {"discCoef": None} for one in RIG]
     path.write_text(json.dumps([cameras[0], cameras[1] | {"imgSize": [1280, 720]}]))
     assert problems_of(path) == [("invalid_size", "1")]
 
 
-def test_size_under_another_name_is_a_problem_where_no_size_is_read(tmp_path: Path) -> None:
+def test_size_under_another_name_is_problem(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     cameras = {one.name: mv3dpose(one) | {"discCoef": None, "dims": [1920, 1080]} for one in RIG}
     path.write_text(json.dumps(cameras))
@@ -311,7 +311,7 @@ def test_size_under_another_name_is_a_problem_where_no_size_is_read(tmp_path: Pa
     assert problems_of(path) == [("invalid_size", None)]
 
 
-def test_jarvis_with_a_size_is_in_millimetres_still(tmp_path: Path) -> None:
+def test_jarvis_with_size_is_in_millimetres_still(tmp_path: Path) -> None:
     path = tmp_path / "rig.zip"
     with zipfile.ZipFile(path, "w") as archive:
         for one in RIG:

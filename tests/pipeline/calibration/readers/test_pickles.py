@@ -62,7 +62,7 @@ def test_opencap(tmp_path: Path, protocol: int, form: str) -> None:
         ([[0, 1, 0], [0, 0, -1], [-1, 0, 0]], "y down, turned to Z up"),
     ],
 )
-def test_the_cameras_tell_how_the_board_stood(tmp_path: Path, board_from_upright: list[list[int]], axes: str) -> None:
+def test_cameras_tell_how_board_stood(tmp_path: Path, board_from_upright: list[list[int]], axes: str) -> None:
     """Upside down on the wall, on the floor, and upright but seen from another side."""
     path = tmp_path / "session.zip"
     path.write_bytes(
@@ -88,7 +88,7 @@ def test_cameras_that_look_down_tell_no_vertical_axis(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["{}/Deployed/cameraIntrinsics.pickle", "{}.pickle"])
-def test_intrinsics_of_a_phone_alone(tmp_path: Path, form: str) -> None:
+def test_intrinsics_of_phone_alone(tmp_path: Path, form: str) -> None:
     """As OpenCap keeps them for each model of phone."""
     intrinsics = {key: opencap(RIG[0])[key] for key in ("distortion", "intrinsicMat", "imageSize")}
     path = tmp_path / "iPhone12,8.zip"
@@ -103,7 +103,7 @@ def test_intrinsics_of_a_phone_alone(tmp_path: Path, form: str) -> None:
     np.testing.assert_array_equal(camera.matrix, RIG[0].matrix)
 
 
-def test_a_portrait_phone_has_its_height_first(tmp_path: Path) -> None:
+def test_portrait_phone_has_its_height_first(tmp_path: Path) -> None:
     document = opencap(replace(RIG[0], size_px=(720, 1280)))
     path = tmp_path / "Cam0.pickle"
     path.write_bytes(pickle.dumps(document))
@@ -148,7 +148,7 @@ def test_mvpose_with_sizes(tmp_path: Path, size: dict[str, Any]) -> None:
     assert problems_of(path) == [("unsupported_lens", None)]
 
 
-def test_lens_that_opencap_does_not_name_is_a_problem(tmp_path: Path) -> None:
+def test_lens_that_opencap_does_not_name_is_problem(tmp_path: Path) -> None:
     path = tmp_path / "Cam0.pickle"
     path.write_bytes(pickle.dumps(opencap(RIG[0]) | {"lens": 2.0 * RIG[0].distortion}))
     assert problems_of(path) == [("unsupported_lens", None)]

@@ -41,7 +41,7 @@ def read(path: Path, *cameras: str) -> CameraFile:
     return read_contents(path)
 
 
-def test_the_principal_point_is_moved_to_the_filmed_part(tmp_path: Path) -> None:
+def test_principal_point_is_moved_to_filmed_part(tmp_path: Path) -> None:
     contents = read(tmp_path / "calib.qca.txt", camera("whole"), camera("part", video=(480, 240, 1439, 839)))
     assert (contents.format, contents.unit, contents.notes) == ("Qualisys QCA", "mm", ())
     one, other = contents.cameras
@@ -53,7 +53,7 @@ def test_the_principal_point_is_moved_to_the_filmed_part(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("model", ['model="Miqus Video"', 'model="Arqus A12"', 'model="Miqus Hybrid"', ""])
-def test_model_names_the_hardware(tmp_path: Path, model: str) -> None:
+def test_model_names_hardware(tmp_path: Path, model: str) -> None:
     (one,) = read(tmp_path / "calib.qca.txt", camera("24021", model)).cameras
     assert (one.name, one.matrix[0, 0]) == ("24021", 1000.0)
 
@@ -74,13 +74,13 @@ def test_cameras_that_are_not_calibrated_are_left_out(tmp_path: Path, more: str)
     assert contents.notes == ("calib.qca.txt: camera 24022 is left out: not calibrated.",)
 
 
-def test_files_without_a_camera_that_films_are_refused(tmp_path: Path) -> None:
+def test_files_without_camera_that_films_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "calib.qca.txt"
     path.write_text(document(camera("11001", video=None), camera("24021", 'calibrated="false"')))
     assert problems_of(path) == [("calibration_empty", None)]
 
 
-def test_parameters_of_the_real_time_protocol(tmp_path: Path) -> None:
+def test_parameters_of_real_time_protocol(tmp_path: Path) -> None:
     path = tmp_path / "parameters.xml"
     general = "<General><Frequency>100</Frequency><Camera><ID>1</ID></Camera></General>"
     wrapped = f"<QTM_Parameters_Ver_1.25>{general}{document(camera('24021'))}</QTM_Parameters_Ver_1.25>"
@@ -103,7 +103,7 @@ def pose2sim(path: Path, distortion: tuple[float, float], size_px: tuple[int, in
 
 
 @pytest.mark.parametrize("distortion", [(-0.11, 0.07), (-0.0712345678901, 0.03), (0.0, 1e-3 / 3)])
-def test_pose2sim_enlarges_the_lens_of_its_own_calibrations(tmp_path: Path, distortion: tuple[float, float]) -> None:
+def test_pose2sim_enlarges_lens_of_its_own_calibrations(tmp_path: Path, distortion: tuple[float, float]) -> None:
     contents = pose2sim(tmp_path / "calib.qca.txt", distortion)
     (one,) = contents.cameras
     assert one.size_px == (1920, 1080)
@@ -111,7 +111,7 @@ def test_pose2sim_enlarges_the_lens_of_its_own_calibrations(tmp_path: Path, dist
     assert "24021 is stated by Pose2Sim with 64 times the distortion" in contents.notes[1]
 
 
-def test_pose2sim_keeps_the_lens_of_qualisys_in_its_way_there_and_back(tmp_path: Path) -> None:
+def test_pose2sim_keeps_lens_of_qualisys_there_and_back(tmp_path: Path) -> None:
     """Its TOML has a 64th of the distortion, as numbers of Qualisys: -0.046183, 0.139983."""
     contents = pose2sim(tmp_path / "calib.qca.txt", (-0.046183 / 64, 0.139983 / 64), (1087, 1919))
     (one,) = contents.cameras
@@ -120,7 +120,7 @@ def test_pose2sim_keeps_the_lens_of_qualisys_in_its_way_there_and_back(tmp_path:
     assert "the size of the videos counts" in contents.notes[0]
 
 
-def test_the_turn_of_views_is_noted(tmp_path: Path) -> None:
+def test_turn_of_views_is_noted(tmp_path: Path) -> None:
     """Qualisys turns the picture in its windows; the video, and so the calibration, is not turned."""
     cameras = camera("24021", 'viewrotation="0"'), camera("24022", 'viewrotation="90"')
     contents = read(tmp_path / "calib.qca.txt", *cameras)

@@ -82,7 +82,7 @@ def test_pose2sim(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("parts", [64, 128])
-def test_pose2sim_divides_the_lens_of_qualisys(tmp_path: Path, parts: int) -> None:
+def test_pose2sim_divides_lens_of_qualisys(tmp_path: Path, parts: int) -> None:
     """Numbers with the six decimals of Qualisys's file; the second part is for binned pixels."""
     rig = tuple(replace(one, distortion=np.array([-0.110853, 0.070001, 0.000607, 0.0])) for one in RIG)
     parted = tuple(replace(one, distortion=one.distortion / parts) for one in rig)
@@ -94,7 +94,7 @@ def test_pose2sim_divides_the_lens_of_qualisys(tmp_path: Path, parts: int) -> No
     assert f"divided the distortion of the Qualisys cameras by {parts}" in contents.notes[0]
 
 
-def test_lens_in_a_section_beside_the_cameras_is_not_dropped(tmp_path: Path) -> None:
+def test_lens_in_section_beside_cameras_is_not_dropped(tmp_path: Path) -> None:
     path = write(tmp_path / "rig.toml", 1.0, "error = 0.3")
     path.write_text(path.read_text() + "\n[lens]\ncoeffs = [-0.1, 0.2, 0.0, 0.0]\n")
     assert problems_of(path) == [("unsupported_lens", None)]
@@ -162,7 +162,7 @@ def test_caliscope_with_cameras_among_its_settings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["[cameras]\n", "[cameras.0]\nsize=[6,4]\n", "cameras = 5\n"])
-def test_files_without_a_posed_camera_are_refused(tmp_path: Path, content: str) -> None:
+def test_files_without_posed_camera_are_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "camera_array.toml"
     path.write_text(content)
     assert problems_of(path)
@@ -214,6 +214,6 @@ def test_freemocap_2_with_squares_of_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("square", ["1", "1.0", "true", "'wide'"])
-def test_freemocap_without_the_size_of_the_board(tmp_path: Path, square: str) -> None:
+def test_freemocap_without_size_of_board(tmp_path: Path, square: str) -> None:
     metadata = FREEMOCAP.replace("= 39", f"= {square}")
     assert read_contents(write(tmp_path / "rig.toml", 1.0, metadata)).unit is None

@@ -72,7 +72,7 @@ def test_points_are_seen_where_vicon_sees_them(
         assert np.abs(project(contents.cameras[1], POINTS_M) - ideal_px).max() > 0.4
 
 
-def test_a_wide_lens_in_the_whole_picture(tmp_path: Path) -> None:
+def test_wide_lens_in_whole_picture(tmp_path: Path) -> None:
     lens = f'VICON_RADIAL2="Vicon3Parameter 951.5 548.25 {WIDE[0]} {WIDE[1]} {WIDE[2]}"'
     square = [element(camera, lens).replace(str(1450 / 1460), "1") for camera in RIG]
     contents = read_contents(write(tmp_path / "session.xcp", *square))
@@ -110,7 +110,7 @@ def test_faults(tmp_path: Path, old: str, new: str, problems: list[tuple[str, st
     assert problems_of(write(tmp_path / "session.xcp", first.replace(old, new), element(RIG[1], lens))) == problems
 
 
-def test_an_orientation_of_zeros(tmp_path: Path) -> None:
+def test_orientation_of_zeros(tmp_path: Path) -> None:
     zeros = element(RIG[0], "").replace('ORIENTATION="', 'ORIENTATION="0 0 0 0" WAS="')
     path = write(tmp_path / "session.xcp", zeros, element(RIG[1], ""))
     assert problems_of(path) == [("invalid_rotation", "left")]

@@ -49,7 +49,7 @@ def found(given_from_true: Rigid3, points_m: Bodies) -> Level | None:
     return find_level(in_world(given_from_true), seen(CAMERAS, points_m), JOINTS)
 
 
-def test_a_tilted_world_is_levelled_and_people_keep_their_place() -> None:
+def test_tilted_world_is_levelled_and_people_keep_their_place() -> None:
     level = found(TILTED, walkers())
     assert level is not None
     assert level.tilt_deg == pytest.approx(np.hypot(5.0, 3.0), abs=0.2)
@@ -63,7 +63,7 @@ def test_a_tilted_world_is_levelled_and_people_keep_their_place() -> None:
     assert level.level_from_given.apply(middle_m)[:2] == pytest.approx(middle_m[:2], abs=0.03)
 
 
-def test_cameras_move_with_the_world() -> None:
+def test_cameras_move_with_world() -> None:
     level = found(TILTED, walkers())
     assert level is not None
     points_m = walkers(num=20)
@@ -74,7 +74,7 @@ def test_cameras_move_with_the_world() -> None:
     assert find_level(levelled, seen(CAMERAS, walkers()), JOINTS) is None
 
 
-def test_a_world_on_its_side_is_turned_by_upright_people() -> None:
+def test_world_on_its_side_is_turned_by_upright_people() -> None:
     """People who stand at one place determine no floor, but a vertical far from Z is beyond doubt."""
     side = Rigid3(Rotation.from_euler("x", -90.0, degrees=True).as_matrix(), np.zeros(3))
     level = found(side, walkers(reach_m=0.2))
@@ -83,7 +83,7 @@ def test_a_world_on_its_side_is_turned_by_upright_people() -> None:
     assert (level.level_from_given @ side).rotation[2, 2] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_feet_at_one_place_correct_the_height_alone() -> None:
+def test_feet_at_one_place_correct_height_alone() -> None:
     level = found(TILTED, walkers(reach_m=0.2))
     assert level is not None
     assert level.tilt_deg == 0.0
@@ -100,11 +100,11 @@ def test_feet_at_one_place_correct_the_height_alone() -> None:
     ],
     ids=["level", "nearly level", "too few poses"],
 )
-def test_a_good_world_is_left_alone(given_from_true: Rigid3, points_m: Bodies) -> None:
+def test_good_world_is_left_alone(given_from_true: Rigid3, points_m: Bodies) -> None:
     assert found(given_from_true, points_m) is None
 
 
-def test_upright_people_on_a_ramp_do_not_turn_the_world() -> None:
+def test_upright_people_on_ramp_do_not_turn_world() -> None:
     ramp = walkers()
     ramp[..., 2] += 0.14 * ramp[..., :1].mean(1)  # 8 degrees; bodies stay upright
     level = found(Rigid3(np.eye(3), np.zeros(3)), ramp)
@@ -154,13 +154,13 @@ def test_people_who_lie_turn_no_world_whose_cameras_are_upright(
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0])
-def test_a_lean_that_cameras_deny_turns_no_world(heading_deg: float) -> None:
+def test_lean_that_cameras_deny_turns_no_world(heading_deg: float) -> None:
     """People of one build who all lean by 12 degrees, in front of level cameras."""
     level = found(UNMOVED, turned_over(walkers(reach_m=0.2), 12.0, heading_deg))
     assert level is None or level.tilt_deg == 0.0
 
 
-def test_rolls_of_some_degrees_leave_the_decision_to_people() -> None:
+def test_rolls_of_some_degrees_leave_decision_to_people() -> None:
     """Handheld cameras, and a world that is tilted by 6 degrees."""
     rng = np.random.default_rng(3)
     rolls = Rotation.from_euler("z", rng.normal(0.0, 5.0, (len(CAMERAS), 1)), degrees=True).as_matrix()

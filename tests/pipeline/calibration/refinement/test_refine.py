@@ -17,7 +17,7 @@ POSES = none_free(4)
 POSES[:, EXTRINSICS] = True
 
 
-def test_exact_sightings_give_the_exact_cameras_and_wrong_views_do_not_pull_them() -> None:
+def test_exact_sightings_give_exact_cameras_despite_wrong_views() -> None:
     rng = np.random.default_rng(1)
     given_cameras = [disturb(camera, rng) for camera in ADJUSTED_CAMERAS]
     sightings = see(ADJUSTED_CAMERAS, *walk(10.0), noise_px=0.0)
@@ -39,7 +39,7 @@ def test_parameters_that_are_not_free_stay() -> None:
 
 
 @pytest.mark.slow
-def test_standard_deviations_are_the_spread_of_repeats() -> None:
+def test_standard_deviations_are_spread_of_repeats() -> None:
     seen = [see(ADJUSTED_CAMERAS, *walk(4.0), seed=seed) for seed in range(10)]
     found = [adjust_to_sightings(ADJUSTED_CAMERAS, ADJUSTED_CAMERAS, sightings, POSES) for sightings in seen]
     errors = np.array(
@@ -52,7 +52,7 @@ def test_standard_deviations_are_the_spread_of_repeats() -> None:
         assert 0.7 < ratio < 1.4
 
 
-def test_a_camera_that_sees_nobody_is_as_uncertain_as_before() -> None:
+def test_camera_that_sees_nobody_is_as_uncertain_as_before() -> None:
     sightings = see(ADJUSTED_CAMERAS, *walk(5.0))
     hidden = np.zeros(sightings.points_px.shape[:2], bool)
     hidden[:, 3] = True
@@ -87,7 +87,7 @@ def test_errors_are_within_two_standard_deviations() -> None:
     assert 0.92 < np.mean(is_within) < 0.99
 
 
-def test_moves_of_the_world_change_no_picture() -> None:
+def test_moves_of_world_change_no_picture() -> None:
     point_m, tiny = np.array([[0.3, -0.2, 1.1]]), 1e-6
     center_m = np.mean([camera.cam_from_world.inverse().translation_m for camera in ADJUSTED_CAMERAS], axis=0)
     arm_m = point_m - center_m
@@ -123,7 +123,7 @@ def test_disturbed_cameras_come_back() -> None:
 
 
 @pytest.mark.slow
-def test_a_good_calibration_is_not_touched() -> None:
+def test_good_calibration_is_not_touched() -> None:
     found = refine(CAMERAS, CAMERAS, see(CAMERAS, *walk(20.0)))
     assert not found.is_refined
     assert (found.refusal, found.cameras) == ("no_better", CAMERAS)
@@ -133,7 +133,7 @@ def test_a_good_calibration_is_not_touched() -> None:
 
 
 @pytest.mark.slow
-def test_one_camera_that_was_turned_is_the_one_that_moves() -> None:
+def test_one_camera_that_was_turned_is_one_that_moves() -> None:
     step = np.array([0.0, np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0])
     given = (CAMERAS[0], move_camera(CAMERAS[1], step), *CAMERAS[2:])
     found = refine(given, given, see(CAMERAS, *walk(20.0)))
@@ -151,7 +151,7 @@ def _with_small_picture(camera: Camera) -> Camera:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("small_deg", "large_deg"), [(2.0, 1.0), (0.6, 0.3)])
-def test_the_camera_that_moved_most_in_its_own_picture_comes_first(small_deg: float, large_deg: float) -> None:
+def test_camera_that_moved_most_in_its_own_picture_comes_first(small_deg: float, large_deg: float) -> None:
     """A camera with large pixels turns by twice the angle of another one, which is two fifths of its pixels."""
     true = (CAMERAS[0], _with_small_picture(CAMERAS[1]), *CAMERAS[2:])
     turns = np.zeros((4, 7))
@@ -167,7 +167,7 @@ def test_the_camera_that_moved_most_in_its_own_picture_comes_first(small_deg: fl
 
 
 @pytest.mark.slow
-def test_a_wrong_focal_length_is_found() -> None:
+def test_wrong_focal_length_is_found() -> None:
     zoom = np.zeros(7)
     zoom[FOCAL] = 0.06
     given = (move_camera(CAMERAS[0], zoom), *CAMERAS[1:])
@@ -178,7 +178,7 @@ def test_a_wrong_focal_length_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_a_camera_with_few_views_keeps_its_calibration() -> None:
+def test_camera_with_few_views_keeps_its_calibration() -> None:
     rng = np.random.default_rng(4)
     given = tuple(disturb(camera, rng) for camera in CAMERAS)
     sightings = see(CAMERAS, *walk(20.0))
@@ -202,7 +202,7 @@ def test_too_few_people_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("num_instants", [1, 2])
-def test_a_take_of_few_instants_is_not_refined(num_instants: int) -> None:
+def test_take_of_few_instants_is_not_refined(num_instants: int) -> None:
     """No part of the take is left that could tell whether cameras are better."""
     sightings = see(CAMERAS, *walk(0.2 * num_instants, num_people=8))
     assert len(sightings) >= 60

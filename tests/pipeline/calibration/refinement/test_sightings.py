@@ -18,7 +18,7 @@ def poses(frames: np.ndarray, xy_m: np.ndarray) -> Poses3D:
     return Poses3D(frames, xyz_m, points_px, np.full((num, 17, 3), 0.9))
 
 
-def test_points_are_spread_over_the_floor_and_over_time() -> None:
+def test_points_are_spread_over_floor_and_over_time() -> None:
     standing = poses(np.arange(0, 5000, 5), np.full((1000, 2), 0.2))
     walking = poses(np.arange(5000, 5100, 5), np.column_stack([np.arange(20) * 0.5 + 1.2, np.zeros(20)]))
     chosen = choose_sightings([standing, walking], COCO_17, TIMEBASE, max_points=17 * 40)

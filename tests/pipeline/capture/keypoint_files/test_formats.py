@@ -163,7 +163,7 @@ def test_mediapipe(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames[0][0, left + 20 :, 2], 0.0)
 
 
-def test_shares_of_the_image_become_pixels(tmp_path: Path) -> None:
+def test_shares_of_image_become_pixels(tmp_path: Path) -> None:
     center = {"pose_landmarks": [{"x": 0.5, "y": 0.0, "visibility": 1.0}] * 33}
     frames, problems, _ = read(
         tmp_path,
@@ -201,7 +201,7 @@ def test_shares_of_the_image_become_pixels(tmp_path: Path) -> None:
         ("[" * 100_000, None, "known format"),
     ],
 )  # fmt: skip
-def test_a_wrong_frame_is_named_with_its_field(tmp_path: Path, content: Any, field: str | None, words: str) -> None:
+def test_wrong_frame_is_named_with_its_field(tmp_path: Path, content: Any, field: str | None, words: str) -> None:
     frames, problems, _ = read(
         tmp_path, frame_0_keypoints=content, frame_1_keypoints={"people": [{"pose_keypoints_2d": points(17)}]}
     )
@@ -225,9 +225,7 @@ def test_a_wrong_frame_is_named_with_its_field(tmp_path: Path, content: Any, fie
         ({"frames": {"frame": 1}}, None, "known format"),
     ],
 )
-def test_a_file_of_all_frames_that_can_not_be_split(
-    tmp_path: Path, content: Any, field: str | None, words: str
-) -> None:
+def test_file_of_all_frames_that_can_not_be_split(tmp_path: Path, content: Any, field: str | None, words: str) -> None:
     frames, problems, _ = read(tmp_path, take=content)
     (problem,) = problems
     assert (problem.code, problem.file, problem.field) == ("keypoints_unreadable", "cam/take.json", field)
@@ -235,7 +233,7 @@ def test_a_file_of_all_frames_that_can_not_be_split(
     assert not frames
 
 
-def test_every_wrong_frame_of_a_file_is_named(tmp_path: Path) -> None:
+def test_every_wrong_frame_of_file_is_named(tmp_path: Path) -> None:
     people = [wholebody("one list") | {"frame": 1}, {"keypoints": [], "frame": 2}, {"keypoints": [], "frame": 4}]
     crowd = [wholebody("one list") | {"frame": 6}] * 129
     frames, problems, _ = read(tmp_path, results=[*people, *crowd])
@@ -253,7 +251,7 @@ def test_two_files_that_are_no_frames_are_ignored(tmp_path: Path) -> None:
     assert "2 other files" in findings[0].message
 
 
-def test_layouts_give_the_joints_of_the_readers() -> None:
+def test_layouts_give_joints_of_readers() -> None:
     assert LAYOUTS["coco-wholebody-133"].joints == WHOLE_BODY
     assert LAYOUTS["mediapipe-33"].joints == BODY_FEET
     assert BODY_FEET.names[:17] == COCO_17.names

@@ -41,7 +41,7 @@ def test_notes_beside_keypoints_are_no_labels(tmp_path: Path) -> None:
     assert contents.forms == {"OpenPose"}
 
 
-def test_an_object_of_two_formats_is_named(tmp_path: Path) -> None:
+def test_object_of_two_formats_is_named(tmp_path: Path) -> None:
     for number in (1, 2):
         (tmp_path / f"{number:06d}.json").write_text(json.dumps({"annots": [], "people": []}))
     problems: list[Problem] = []

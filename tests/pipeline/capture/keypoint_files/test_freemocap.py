@@ -103,7 +103,7 @@ def test_wrong_arrays(tmp_path: Path, content: np.ndarray | bytes, words: str) -
     assert words in problems[0].message
 
 
-def test_a_pickle_in_an_array_is_not_run(tmp_path: Path) -> None:
+def test_pickle_in_array_is_not_run(tmp_path: Path) -> None:
     class Trap:
         def __reduce__(self) -> Any:
             return Path.touch, (tmp_path / "run",)
@@ -113,7 +113,7 @@ def test_a_pickle_in_an_array_is_not_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_the_file_of_all_cameras_of_freemocap(tmp_path: Path, simulation: Simulation) -> None:
+def test_file_of_all_cameras_of_freemocap(tmp_path: Path, simulation: Simulation) -> None:
     write_session(simulation, "YOLO", tmp_path)
     folder = tmp_path / "raw_data"
     folder.mkdir()

@@ -69,7 +69,7 @@ def refused(folder: Path, write: Callable[[h5py.File], Any]) -> str:
     return problem.message
 
 
-def test_axes_of_sleap_as_the_file_states_them(tmp_path: Path) -> None:
+def test_axes_of_sleap_as_file_states_them(tmp_path: Path) -> None:
     def standard(file: h5py.File) -> None:
         file["node_names"] = ["Nose", "LShoulder", "RShoulder", "LHip", "RHip", "Hat"]
         file["tracks"], file["point_scores"] = POSITIONS, SCORES
@@ -103,7 +103,7 @@ def test_points_without_scores_and_tracks_that_are_not_seen(tmp_path: Path) -> N
     assert without.frames[0][0, 0].tolist() == [10.0, 11.0, 1.0]
 
 
-def test_a_table_without_likelihood_and_with_several_blocks(tmp_path: Path) -> None:
+def test_table_without_likelihood_and_with_several_blocks(tmp_path: Path) -> None:
     columns = [("us", name.decode(), coord) for name in NAMES for coord in ("x", "y")]
     values = POSITIONS[:, 0].reshape(4, 12)
 
@@ -126,7 +126,7 @@ def test_a_table_without_likelihood_and_with_several_blocks(tmp_path: Path) -> N
     np.testing.assert_array_equal(contents.frames[12][0, 12, :2], POSITIONS[3, 0, 4])
 
 
-def test_of_csv_and_hdf5_with_one_name_the_csv_is_read(tmp_path: Path) -> None:
+def test_of_csv_and_hdf5_with_one_name_csv_is_read(tmp_path: Path) -> None:
     lines = ["scorer,us,us,us,us,us,us,us,us", "bodyparts,LHip,LHip,RHip,RHip,LShoulder,LShoulder,RShoulder,RShoulder"]
     lines += ["coords,x,y,x,y,x,y,x,y", "0,1,2,3,4,5,6,7,8"]
     (tmp_path / "cam").mkdir()
@@ -246,7 +246,7 @@ def test_files_that_cant_be_used_say_why(tmp_path: Path, write: Callable[[h5py.F
     assert words in message
 
 
-def test_a_group_that_contains_itself_is_no_matter(tmp_path: Path) -> None:
+def test_group_that_contains_itself_is_no_matter(tmp_path: Path) -> None:
     def write(file: h5py.File) -> None:
         file["self"] = file["/"]
         analysis(file)

@@ -138,9 +138,7 @@ def test_layout_with_points_never_seen_is_told_by_people(
 
 
 @pytest.mark.parametrize("layout", ["body-25", "body-25b", "coco-17", "human36m-17"])
-def test_layout_of_a_person_in_one_picture_of_four_cameras_is_told(
-    room: Simulation, tmp_path: Path, layout: str
-) -> None:
+def test_layout_of_person_in_one_picture_of_four_cameras_is_told(room: Simulation, tmp_path: Path, layout: str) -> None:
     session = opened(room, tmp_path, layout, "eye", num_frames=1, num_people=1)
     assert session.layout is not None
     assert session.layout.name == layout
@@ -204,7 +202,7 @@ def test_coco_annotations_that_name_their_points_keep_them(room: Simulation, tmp
 
 @pytest.mark.parametrize("layout", ["coco-17", "body-25b", "human36m-17"])
 @pytest.mark.parametrize("scale", [1.0, 100.0])
-def test_wrong_points_of_low_scores_do_not_hide_the_layout(
+def test_wrong_points_of_low_scores_do_not_hide_layout(
     room: Simulation, tmp_path: Path, layout: str, scale: float
 ) -> None:
     generator = np.random.default_rng(2)
@@ -222,7 +220,7 @@ def test_wrong_points_of_low_scores_do_not_hide_the_layout(
     assert session.layout.name == layout
 
 
-def test_points_of_random_places_ask_for_the_layout(room: Simulation, tmp_path: Path) -> None:
+def test_points_of_random_places_ask_for_layout(room: Simulation, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
 
     def write(people: np.ndarray) -> bytes:
@@ -239,7 +237,7 @@ def test_points_of_random_places_ask_for_the_layout(room: Simulation, tmp_path: 
     assert (session.layout.name, session.layout.told_by) == ("body-25", "choice")
 
 
-def test_points_alike_in_all_layouts_are_read_without_a_question(room: Simulation, tmp_path: Path) -> None:
+def test_points_alike_in_all_layouts_are_read_without_question(room: Simulation, tmp_path: Path) -> None:
     session = opened(room, tmp_path, "body-25b", *(name for name in BODY_FEET.names if name != "nose"),
                      write=lambda people: openpose(np.where(np.arange(25)[:, None] > 0, 0.0, people)))  # fmt: skip
     assert session.layout is not None
@@ -270,7 +268,7 @@ def test_stated_layout_of_another_number_of_points_is_refused(room: Simulation, 
     assert "body-25 or body-25b" in str(problem.hint)
 
 
-def test_unknown_layout_is_refused_with_the_known_names(room: Simulation, tmp_path: Path) -> None:
+def test_unknown_layout_is_refused_with_known_names(room: Simulation, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         opened(room, tmp_path, "body-25", stated="body25")
     (problem,) = caught.value.problems
@@ -288,13 +286,13 @@ def test_people_of_body_25_need_no_finding(room: Simulation, tmp_path: Path) -> 
     assert session.layout.told_by == "pictures"
 
 
-def test_layout_with_one_of_its_number_is_told_by_the_number(room: Simulation, tmp_path: Path) -> None:
+def test_layout_with_one_of_its_number_is_told_by_number(room: Simulation, tmp_path: Path) -> None:
     session = opened(room, tmp_path, "halpe-26")
     assert session.layout is not None
     assert (session.layout.name, session.layout.told_by) == ("halpe-26", "number")
 
 
-def test_a_camera_without_people_has_the_joints_of_the_others(room: Simulation, tmp_path: Path) -> None:
+def test_camera_without_people_has_joints_of_others(room: Simulation, tmp_path: Path) -> None:
     emptied = replace(room, detections={
         name: replace(found, score=found.score * (name != room.cameras[0].name))
         for name, found in room.detections.items()
@@ -304,7 +302,7 @@ def test_a_camera_without_people_has_the_joints_of_the_others(room: Simulation, 
     assert not len(session.detections[room.cameras[0].name].frame)
 
 
-def test_layout_of_a_session_is_kept_in_its_record(room: Simulation, tmp_path: Path) -> None:
+def test_layout_of_session_is_kept_in_its_record(room: Simulation, tmp_path: Path) -> None:
     session = opened(room, tmp_path, "body-25b", num_frames=1)
     assert session.layout is not None
     assert decode_keypoints(encode_keypoints(session)).layout == session.layout

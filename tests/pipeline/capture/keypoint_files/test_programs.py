@@ -30,7 +30,7 @@ def simulation() -> Simulation:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_detections_come_back_from_the_files_of_a_program(tmp_path: Path, simulation: Simulation, program: str) -> None:
+def test_detections_come_back_from_files_of_program(tmp_path: Path, simulation: Simulation, program: str) -> None:
     name, _, special = program.partition(", ")
     write_session(simulation, program, tmp_path)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")
@@ -100,7 +100,7 @@ def pose2sim(count: int) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("count", "layout"), [(17, "coco-17"), (26, "halpe-26"), (133, "coco-wholebody-133"), (25, "body-25")]
 )
-def test_points_of_rtmpose_in_the_form_of_openpose(tmp_path: Path, count: int, layout: str) -> None:
+def test_points_of_rtmpose_in_form_of_openpose(tmp_path: Path, count: int, layout: str) -> None:
     folder = tmp_path / "cam01_json"
     folder.mkdir()
     unseen = pose2sim(count) | {"pose_keypoints_2d": [0.0] * 3 * count}
@@ -132,9 +132,7 @@ FRAMES: dict[str, Any] = {
 
 @pytest.mark.parametrize("program", FRAMES)
 @pytest.mark.parametrize(("name", "number"), [("000000.json", 0), ("cam01_000123.json", 123)])
-def test_read_folder_one_file_of_one_frame_has_the_number_of_its_name(
-    tmp_path: Path, program: str, name: str, number: int
-) -> None:
+def test_read_folder_single_frame_has_number_of_name(tmp_path: Path, program: str, name: str, number: int) -> None:
     contents, problems = read(tmp_path, FRAMES[program], name)
     assert not problems
     assert contents.forms == {program}
@@ -142,13 +140,13 @@ def test_read_folder_one_file_of_one_frame_has_the_number_of_its_name(
 
 
 @pytest.mark.parametrize("program", sorted(FRAMES.keys() - {"COCO"}))  # its people may state their frames
-def test_read_folder_one_frame_without_a_number_is_refused(tmp_path: Path, program: str) -> None:
+def test_read_folder_one_frame_without_number_is_refused(tmp_path: Path, program: str) -> None:
     _, problems = read(tmp_path, FRAMES[program], "people.json")
     assert [problem.code for problem in problems] == ["keypoints_unreadable"]
     assert problems[0].message.endswith("Name it like 000000.json.")
 
 
-def test_read_folder_one_file_of_all_frames_keeps_its_numbers_whatever_its_name(tmp_path: Path) -> None:
+def test_read_folder_single_file_keeps_its_numbers(tmp_path: Path) -> None:
     person = {"image_id": "0031.jpg", "keypoints": points(17)}
     contents, problems = read(tmp_path, [person, person | {"image_id": "0032.jpg"}], "cam2.json")
     assert (list(contents.frames), problems) == ([31, 32], [])
@@ -162,7 +160,7 @@ def test_folders_as_pose2sim_names_them(tmp_path: Path, simulation: Simulation) 
     assert session.folders == {camera.name: f"{camera.name}_json" for camera in simulation.cameras}
 
 
-def test_points_without_a_number_in_the_form_of_pose2sim(tmp_path: Path) -> None:
+def test_points_without_number_in_form_of_pose2sim(tmp_path: Path) -> None:
     text = json.dumps({"version": 1.3, "people": [pose2sim(26)]})
     contents, problems = read(tmp_path, text.replace("160.0, 161.0, 0.5", "NaN, NaN, NaN"), "cam01.0031.json")
     assert (list(contents.frames), problems) == ([31], [])
@@ -315,7 +313,7 @@ def test_rows_of_one_person_of_deeplabcut(tmp_path: Path) -> None:
     assert (contents.frames[0][0, :5, 2] == 0).all()
 
 
-def test_labels_of_deeplabcut_name_pictures_and_have_no_likelihood(tmp_path: Path) -> None:
+def test_deeplabcut_labels_name_pictures_without_likelihood(tmp_path: Path) -> None:
     parts = ["left_hip", "right_hip", "left_shoulder", "right_shoulder", "corner"]
     header = [
         "scorer,,," + ",".join(["me"] * 10),
@@ -346,7 +344,7 @@ def landmarks(x: float, y: float, count: int = 33) -> list[dict[str, float]]:
     ],
     ids=["Python", "JavaScript", "older JavaScript", "older Python", "holistic"],
 )
-def test_results_of_mediapipe_are_shares_of_the_image(tmp_path: Path, result: Any) -> None:
+def test_results_of_mediapipe_are_shares_of_image(tmp_path: Path, result: Any) -> None:
     contents, problems = read(tmp_path, [None, result, {"frame": 8, "image_size": [100, 100], **result}])
     assert not problems
     assert contents.forms == {"MediaPipe"}
@@ -462,7 +460,7 @@ def test_wrong_files_are_named_with_frame_and_field(
     assert words in problem.message
 
 
-def test_a_cell_of_any_length(tmp_path: Path) -> None:
+def test_cell_of_any_length(tmp_path: Path) -> None:
     _, problems = read(tmp_path, "scorer,a\nbodyparts," + "x" * 200_000, "take.csv")
     assert "read as CSV" in problems[0].message
 
@@ -474,7 +472,7 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
     assert "known format" in problems[0].message
 
 
-def test_a_file_of_endless_frames_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_of_endless_frames_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(people, "MAX_OUTPUT_FRAMES", 1000)
     begun = time.monotonic()
     contents, problems = read(tmp_path, "[" + "null," * 10**6 + '{"landmarks": []}]')
@@ -493,7 +491,7 @@ def test_several_files_without_numbers_are_named(tmp_path: Path) -> None:
     assert "camDLC.csv, camDLC_filtered.csv" in problem.message
 
 
-def test_problems_of_a_folder_are_counted_not_kept(tmp_path: Path) -> None:
+def test_problems_of_folder_are_counted_not_kept(tmp_path: Path) -> None:
     _, problems = read(tmp_path, [BODY | {"image_id": f"{k}.jpg", "keypoints": [1.0]} for k in range(40)])
     assert len(problems) == 11
     assert problems[-1].message == "30 more frames have problems."

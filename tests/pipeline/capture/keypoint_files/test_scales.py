@@ -81,9 +81,7 @@ def test_open_keypoints_scores_on_another_scale_are_confidences(
     assert all(SCALES[scale][1] in finding.message and finding.severity == "warning" for finding in findings)
 
 
-def test_open_keypoints_scores_of_one_camera_in_percent_are_told_by_its_own_values(
-    tmp_path: Path, simulation: Simulation
-) -> None:
+def test_open_keypoints_tells_percent_by_own_camera(tmp_path: Path, simulation: Simulation) -> None:
     write_simulation(simulation, tmp_path)
     expected = opened(tmp_path)
     camera = simulation.cameras[1].name
@@ -104,7 +102,7 @@ def test_open_keypoints_scores_of_one_camera_in_percent_are_told_by_its_own_valu
     ],
     ids=["heatmaps", "visibility", "unknown"],
 )
-def test_open_keypoints_scores_above_one_of_networks_count_as_one(
+def test_open_keypoints_clips_scores_above_one(
     tmp_path: Path, simulation: Simulation, of_score: Callable[[np.ndarray], np.ndarray], severities: set[str]
 ) -> None:
     write_simulation(simulation, tmp_path)
@@ -117,7 +115,7 @@ def test_open_keypoints_scores_above_one_of_networks_count_as_one(
         np.testing.assert_allclose(session.detections[name].score, np.minimum(score, 1.0))
 
 
-def test_open_keypoints_few_scores_far_above_one_leave_the_scale(tmp_path: Path, simulation: Simulation) -> None:
+def test_open_keypoints_few_scores_far_above_one_leave_scale(tmp_path: Path, simulation: Simulation) -> None:
     write_simulation(simulation, tmp_path)
     before = opened(tmp_path)
     frame = next(iter((tmp_path / "keypoints").rglob("*_000000000003_keypoints.json")))
@@ -130,7 +128,7 @@ def test_open_keypoints_few_scores_far_above_one_leave_the_scale(tmp_path: Path,
 
 
 @pytest.mark.parametrize("factor", [1000.0, 65535.0, -1.0])
-def test_open_keypoints_scores_of_an_unknown_scale_are_refused(
+def test_open_keypoints_scores_of_unknown_scale_are_refused(
     tmp_path: Path, simulation: Simulation, factor: float
 ) -> None:
     write_simulation(simulation, tmp_path)
@@ -146,7 +144,7 @@ def test_open_keypoints_scores_of_an_unknown_scale_are_refused(
 
 @pytest.mark.parametrize("low", [0, -1])
 @pytest.mark.parametrize("num_cameras", [1, 3])
-def test_open_keypoints_shares_of_the_picture_are_pixels(
+def test_open_keypoints_shares_of_picture_are_pixels(
     tmp_path: Path, simulation: Simulation, low: int, num_cameras: int
 ) -> None:
     write_simulation(simulation, tmp_path)
@@ -175,7 +173,7 @@ def test_open_keypoints_shares_of_the_picture_are_pixels(
     ],
     ids=["percent", "smaller pictures", "larger pictures"],
 )
-def test_open_keypoints_positions_that_do_not_fill_the_picture_are_named(
+def test_open_keypoints_names_positions_of_other_size(
     tmp_path: Path,
     simulation: Simulation,
     of_positions: Callable[[np.ndarray, np.ndarray], np.ndarray],
@@ -194,7 +192,7 @@ def test_open_keypoints_positions_that_do_not_fill_the_picture_are_named(
     assert all(f"in a picture of {size_px[0]} x {size_px[1]} pixels" in finding.message for finding in findings)
 
 
-def test_open_keypoints_few_shares_far_outside_leave_the_unit(tmp_path: Path, simulation: Simulation) -> None:
+def test_open_keypoints_few_shares_far_outside_leave_unit(tmp_path: Path, simulation: Simulation) -> None:
     write_simulation(simulation, tmp_path)
     expected = opened(tmp_path)
     largest_px = np.array(simulation.cameras[0].size_px) - 1.0  # of all cameras

@@ -83,7 +83,7 @@ def test_lines_of_yolo_are_of_one_form() -> None:
     assert sum(form.has_scores for form in LINES.values()) == 15
 
 
-def test_labels_need_the_size_of_the_image(tmp_path: Path) -> None:
+def test_labels_need_size_of_image(tmp_path: Path) -> None:
     (tmp_path / "1.txt").write_text(line(17))
     problems: list[Problem] = []
     read_folder(tmp_path, "left", None, 10**9, [], problems)

@@ -24,7 +24,7 @@ def test_nothing_is_wrong_with_good_pictures() -> None:
     assert check() == []
 
 
-def test_a_dark_picture() -> None:
+def test_dark_picture() -> None:
     (finding,) = check(right=[darker(image, 0.12) for image in WALKS["right"]])
     assert (finding.code, finding.camera, finding.severity) == ("picture_dark", "right", "warning")
     assert finding.evidence == {"dark_share": 1.0, "num_pictures": 6, "pictures": [0, 5]}
@@ -35,23 +35,23 @@ def test_dusk_is_not_dark(factor: float) -> None:
     assert check(right=[darker(image, factor) for image in WALKS["right"]]) == []
 
 
-def test_lit_people_on_a_black_stage_are_not_in_the_dark() -> None:
+def test_lit_people_on_black_stage_are_not_in_dark() -> None:
     stage = [np.where(image == (240, 220, 60), image, 5).astype(np.uint8) for image in WALKS["right"]]
     assert check(right=stage) == []
 
 
-def test_a_light_that_is_switched_on_late_is_not_most_of_the_time() -> None:
+def test_light_that_is_switched_on_late_is_not_most_of_time() -> None:
     assert check(right=[darker(image, 0.1 if k < 3 else 1.0) for k, image in enumerate(WALKS["right"])]) == []
 
 
-def test_a_blurred_picture() -> None:
+def test_blurred_picture() -> None:
     (finding,) = check(left=[cv2.GaussianBlur(image, (0, 0), 4.0) for image in WALKS["left"]])
     assert (finding.code, finding.camera, finding.severity) == ("picture_blurred", "left", "warning")
     # 4 of 320 pixels are 1.25 %.
     assert 0.008 < finding.evidence["blur_share"] < 0.0125
 
 
-def test_a_frozen_picture() -> None:
+def test_frozen_picture() -> None:
     frozen = WALKS["right"][:1] + [WALKS["right"][1]] * 5
     (finding,) = check(right=frozen)
     assert (finding.code, finding.camera, finding.severity) == ("picture_frozen", "right", "warning")
@@ -64,7 +64,7 @@ def test_a_frozen_picture() -> None:
     }
 
 
-def test_a_picture_that_stands_still_for_less_than_half_of_the_time() -> None:
+def test_picture_that_stands_still_for_less_than_half_of_time() -> None:
     assert check(right=WALKS["right"][:4] + [WALKS["right"][4]] * 2) == []
 
 
@@ -72,5 +72,5 @@ def test_nobody_moves_anywhere() -> None:
     assert check(left=[room(0)] * 6, right=[room(1)] * 6) == []
 
 
-def test_a_camera_without_pictures_is_left_out() -> None:
+def test_camera_without_pictures_is_left_out() -> None:
     assert check(right=[]) == []

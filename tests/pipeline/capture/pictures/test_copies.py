@@ -16,7 +16,7 @@ def encoded_again(image: np.ndarray, seed: int) -> np.ndarray:
 FIRST = pictures_of("cam_0", walk(0, 4))
 
 
-def test_an_encoded_copy_is_found_and_named() -> None:
+def test_encoded_copy_is_found_and_named() -> None:
     copy = pictures_of("cam_2", [encoded_again(image, seed) for seed, image in enumerate(walk(0, 4))])
     cameras = [FIRST, pictures_of("cam_1", walk(1, 4)), copy]
     assert similar_views(cameras) == [(0, 2)]
@@ -28,14 +28,14 @@ def test_an_encoded_copy_is_found_and_named() -> None:
     assert finding.evidence["pictures"] == [2]
 
 
-def test_the_same_view_with_other_people_is_no_copy() -> None:
+def test_same_view_with_other_people_is_no_copy() -> None:
     """As of cameras in a symmetric place, or of the camera's take before."""
     other = pictures_of("cam_1", walk(0, 4, from_px=150))
     assert similar_views([FIRST, other]) == [(0, 1)]
     assert same_video(FIRST, other, FIRST.figures, other.figures) is None
 
 
-def test_the_same_view_in_which_nothing_moves_is_a_copy() -> None:
+def test_same_view_in_which_nothing_moves_is_copy() -> None:
     one, other = (pictures_of(name, [encoded_again(room(0), 0)] * 3) for name in ("cam_0", "cam_1"))
     finding = same_video(one, other, one.figures, other.figures)
     assert finding is not None

@@ -63,7 +63,7 @@ def test_good_videos_have_pictures_and_no_findings(tmp_path: Path, walks: dict[s
 @pytest.mark.parametrize(
     "code", slow_but(["picture_blurred"], ["picture_dark", "picture_blurred", "picture_frozen", "same_video"])
 )
-def test_a_fault_is_found_and_named(tmp_path: Path, walks: dict[str, list[np.ndarray]], code: str) -> None:
+def test_fault_is_found_and_named(tmp_path: Path, walks: dict[str, list[np.ndarray]], code: str) -> None:
     right = {
         "picture_dark": [image // 8 for image in walks["right"]],
         "picture_blurred": [cv2.GaussianBlur(image, (0, 0), 4.0) for image in walks["right"]],
@@ -90,7 +90,7 @@ def test_keyframes_are_looked_at_where_there_are_enough(tmp_path: Path, monkeypa
     assert frames_to_look_at(few) == [2, 7, 12, 17, 22, 27, 32, 37]
 
 
-def test_a_short_video_has_fewer_pictures(tmp_path: Path) -> None:
+def test_short_video_has_fewer_pictures(tmp_path: Path) -> None:
     assert frames_to_look_at(info(tmp_path / "a.mp4", 1, 3)) == [0, 1, 2]
 
 
@@ -119,7 +119,7 @@ def test_without_time_pictures_are_left_out(
     assert looked.thumbnails == ((), ())
 
 
-def test_a_video_that_breaks_in_the_middle_is_a_finding(
+def test_video_that_breaks_in_middle_is_finding(
     tmp_path: Path, walks: dict[str, list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = session_of(tmp_path / "videos", walks)
@@ -131,7 +131,7 @@ def test_a_video_that_breaks_in_the_middle_is_a_finding(
     assert [len(one) for one in looked.thumbnails] == [NUM_PICTURES, 0]
 
 
-def test_a_decoder_that_is_ended_from_outside_leaves_its_pictures_out(
+def test_decoder_ended_from_outside_leaves_pictures_out(
     tmp_path: Path, walks: dict[str, list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def killed(video: VideoInfo, *_: object, **__: object) -> NoReturn:

@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_offsets_of_videos_with_sound_and_reasons_of_the_others(folder: Path) -> None:
+def test_offsets_of_videos_with_sound_and_reasons_of_others(folder: Path) -> None:
     session = open_session(folder / "videos", folder / "calibration.json")
     first, second, third, silent = (camera.name for camera in session.cameras)
     read: list[str] = []
@@ -51,7 +51,7 @@ def test_offsets_of_videos_with_sound_and_reasons_of_the_others(folder: Path) ->
     assert dict(found.reasons) == {silent: "The video has no sound."}
 
 
-def test_sound_of_a_video_whose_rate_was_stated_is_not_used(folder: Path) -> None:
+def test_sound_of_video_whose_rate_was_stated_is_not_used(folder: Path) -> None:
     whole = open_session(folder / "videos", folder / "calibration.json")
     second = whole.cameras[1].name
     session = open_session(folder / "videos", folder / "calibration.json", [Recording(second, frame_rate_hz=24.0)])

@@ -14,7 +14,7 @@ _VIEWS = ((4, 8.0), (3, 5.0), (2, 8.0))
 @pytest.mark.slow
 # The first fifteen have each scene with each number of cameras.
 @pytest.mark.parametrize("number", accuracy_but(range(15), range(50)))
-def test_no_clock_is_wrong_by_half_a_frame_unnoticed(number: int) -> None:
+def test_no_clock_is_wrong_by_half_frame_unnoticed(number: int) -> None:
     name = _SCENES[number % len(_SCENES)]
     num_views, duration_s = _VIEWS[number // len(_SCENES) % len(_VIEWS)]
     rate_hz = SCENES[name].clock.frame_rate_hz

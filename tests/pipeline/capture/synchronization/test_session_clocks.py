@@ -39,7 +39,7 @@ def errors_s(take: Take, found: Synchronization) -> list[float]:
     return [float(value) for value in offsets_s - offsets_s[0]]
 
 
-def test_motion_refines_declared_offsets_within_their_uncertainty() -> None:
+def test_motion_refines_offsets_within_uncertainty() -> None:
     take = cut_take(shortened("room", 5.0), 4, CUT)
     found = measured(take, (0.0, 0.03, -0.02), (0.01, 0.01, 0.01))
     assert found.is_certain
@@ -47,7 +47,7 @@ def test_motion_refines_declared_offsets_within_their_uncertainty() -> None:
     assert errors_s(take, found) == pytest.approx([0.0, 0.0, 0.0], abs=0.005)
 
 
-def test_motion_that_repeats_itself_is_decided_by_declared_offsets() -> None:
+def test_repeated_motion_is_decided_by_declared_offsets() -> None:
     take = cut_take(alone(Gesture.JUMP, 8.0), 4, CUT)
     assert "sync_ambiguous" in {problem.code for problem in take.synchronized().refusals}
     found = measured(take, (0.0, 0.02, 0.0), (0.01, 0.01, 0.01))
@@ -56,7 +56,7 @@ def test_motion_that_repeats_itself_is_decided_by_declared_offsets() -> None:
 
 
 @pytest.mark.parametrize("error_s", [0.3, 1.4])
-def test_what_is_beyond_the_uncertainty_is_used_with_a_warning(error_s: float) -> None:
+def test_offset_beyond_uncertainty_is_used_with_warning(error_s: float) -> None:
     take = cut_take(shortened("room", 5.0), 4, CUT)
     found = measured(take, (0.0, error_s, 0.0), (0.005, 0.005, 0.005))
     assert found.is_certain
@@ -127,7 +127,7 @@ def test_motion_is_that_of_synchronised_cameras(method: Method, tmp_path: Path) 
         np.testing.assert_array_equal(one.xyz_m, other.xyz_m)
 
 
-def test_wanted_frames_are_those_of_the_measured_clock() -> None:
+def test_wanted_frames_are_those_of_measured_clock() -> None:
     cut = session_of(cut_take(shortened("room", 5.0), 4, (0, 15, 25)))
     config = ReconstructionConfig(smoothing="none", sync="auto")
     whole, part = (reconstruct(cut, replace(config, frame_range=frames)) for frames in (None, (40, 100)))
@@ -139,7 +139,7 @@ def test_wanted_frames_are_those_of_the_measured_clock() -> None:
     assert min(apart_m) < 0.02
 
 
-def test_uncertain_clocks_end_the_reconstruction_with_the_reason() -> None:
+def test_uncertain_clocks_end_reconstruction_with_reason() -> None:
     session = session_of(cut_take(alone(Gesture.IDLE, 4.0), 1, (0, 12, 20)))
     with pytest.raises(InputError) as caught:
         reconstruct(session, ReconstructionConfig(sync="auto"))
@@ -147,7 +147,7 @@ def test_uncertain_clocks_end_the_reconstruction_with_the_reason() -> None:
     assert all("offset" in (problem.hint or "") for problem in caught.value.problems)
 
 
-def test_the_session_is_as_long_as_its_cameras_recorded_together() -> None:
+def test_session_is_as_long_as_its_cameras_recorded_together() -> None:
     take = cut_take(shortened("room", 5.0), 4, (0, 25))
     first = take.cameras[0].name
     times = {**take.times, first: replace(take.times[first], time_s=take.times[first].time_s[:110])}

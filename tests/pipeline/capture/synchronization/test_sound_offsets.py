@@ -47,7 +47,7 @@ def lag_of(first: np.ndarray, second: np.ndarray) -> tuple[float, float] | None:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("late_ms", [0, 137, 4211])
-def test_lag_of_a_camera_that_starts_late(seed: int, late_ms: int) -> None:
+def test_lag_of_camera_that_starts_late(seed: int, late_ms: int) -> None:
     energy = room(seed, 20.0, 25)
     found = lag_of(heard(energy, 0, seed=1), heard(energy, late_ms, seed=2))
     assert found is not None
@@ -58,7 +58,7 @@ def test_lag_of_a_camera_that_starts_late(seed: int, late_ms: int) -> None:
     assert back[0] == pytest.approx(-late_ms / 1000, abs=0.001)
 
 
-def test_drift_of_a_long_take() -> None:
+def test_drift_of_long_take() -> None:
     energy = room(3, 300.0, 400)
     # A clock that is 100 ppm fast: its millisecond k is at k / (1 + 1e-4).
     fast = np.interp(np.arange(300_000) / 1.0001, np.arange(len(energy)), energy)
@@ -104,7 +104,7 @@ def test_offsets_of_all_cameras(cameras: tuple[Camera, ...]) -> None:
     assert not found.reasons
 
 
-def test_cameras_without_an_offset_and_why(cameras: tuple[Camera, ...]) -> None:
+def test_cameras_without_offset_and_why(cameras: tuple[Camera, ...]) -> None:
     energy = room(5, 30.0, 40)
     names = [camera.name for camera in cameras]
     sounds: dict[str, np.ndarray | str] = {
@@ -154,14 +154,14 @@ def offsets(found: Synchronization) -> list[float]:
     return [clock.offset_s for clock in found.clocks]
 
 
-def test_motion_is_finer_than_the_sound_that_agrees() -> None:
+def test_motion_is_finer_than_sound_that_agrees() -> None:
     take = cut_take(shortened("room", 5.0), 4, (0, 12, 20))
     found = measured(take, sound_of(take, 0.02))
     assert found == take.synchronized()
     assert offsets(found) == pytest.approx(take.start_s, abs=0.005)
 
 
-def test_a_contradiction_is_refused_with_the_camera_and_the_time() -> None:
+def test_contradiction_is_refused_with_camera_and_time() -> None:
     take = cut_take(shortened("room", 5.0), 4, (0, 12, 20))
     found = measured(take, sound_of(take, 0.7))
     (refusal,) = found.refusals
@@ -177,7 +177,7 @@ def test_sound_decides_where_motion_repeats_itself() -> None:
     assert offsets(found) == pytest.approx(take.start_s, abs=0.02)
 
 
-def test_people_at_rest_are_synchronised_by_sound_alone_if_it_is_exact() -> None:
+def test_people_at_rest_are_synchronised_by_exact_sound() -> None:
     take = cut_take(alone(Gesture.IDLE, 4.0), 4, (0, 12, 20))
     found = measured(take, sound_of(take))
     assert found.is_certain

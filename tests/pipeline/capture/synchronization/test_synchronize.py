@@ -16,7 +16,7 @@ from tests.pipeline.capture.synchronization.conftest import alone, cut_take, sho
 PERIOD_S = 0.04
 
 
-def test_offsets_of_three_cameras_within_a_quarter_of_a_frame() -> None:
+def test_offsets_of_three_cameras_within_quarter_of_frame() -> None:
     take = cut_take(shortened("room", 6.0), 4, (10, 0, 25))
     found = take.synchronized()
     offsets_s = [clock.offset_s for clock in found.clocks]
@@ -45,7 +45,7 @@ def test_offsets_far_beyond_two_seconds_are_found_by_speeds() -> None:
     np.testing.assert_allclose([clock.offset_s for clock in found.clocks], take.start_s, atol=PERIOD_S / 4)
 
 
-def test_corrected_times_give_the_true_clock() -> None:
+def test_corrected_times_give_true_clock() -> None:
     take = cut_take(shortened("room", 6.0), 4, (10, 0, 25))
     corrected = corrected_times(take.times, take.synchronized())
     for camera, start_s in zip(take.cameras, take.start_s, strict=True):
@@ -63,7 +63,7 @@ def test_still_and_periodic_people_are_refused(gesture: Gesture) -> None:
     assert all(problem.camera and problem.hint for problem in found.refusals)
 
 
-def test_a_camera_of_another_place_is_refused() -> None:
+def test_camera_of_another_place_is_refused() -> None:
     take, other = (cut_take(shortened("room", 6.0), seed, (0, 0, 0)) for seed in (4, 5))
     stranger = take.cameras[1].name
     mixed = replace(take, detections={**take.detections, stranger: other.detections[stranger]})
@@ -88,7 +88,7 @@ def test_cameras_without_common_time_are_refused() -> None:
     assert not replace(take, detections=detections).synchronized().is_certain
 
 
-def test_remaining_offsets_name_the_camera_that_is_late() -> None:
+def test_remaining_offsets_name_camera_that_is_late() -> None:
     take = cut_take(shortened("room", 6.0), 4, (0, 0, 2))
     found = remaining_offsets(take.cameras, take.times, take.detections, take.joints)
     assert [one.is_wrong for one in found] == [False, False, True]
@@ -97,7 +97,7 @@ def test_remaining_offsets_name_the_camera_that_is_late() -> None:
     assert remaining_offsets(still.cameras, still.times, still.detections, still.joints) == ()
 
 
-def test_pictures_show_the_valley_at_the_offset() -> None:
+def test_pictures_show_valley_at_offset() -> None:
     take = cut_take(shortened("room", 6.0), 4, (0, 10))
     found = take.synchronized()
     evidence = found.evidence[1]
@@ -111,7 +111,7 @@ def test_pictures_show_the_valley_at_the_offset() -> None:
 
 
 @pytest.mark.slow
-def test_drift_of_five_minutes_within_half_a_frame_at_its_end() -> None:
+def test_drift_of_five_minutes_within_half_frame_at_its_end() -> None:
     stretch = (1.0, 1.0 + 1e-4, 1.0 - 1e-4, 1.0)
     take = cut_take(replace(find_scene("room"), duration_s=300.0), 0, (0, 12, 25, 5), stretch)
     found = take.synchronized()

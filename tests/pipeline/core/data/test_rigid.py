@@ -18,6 +18,6 @@ def test_group_laws(a: Rigid3, b: Rigid3, c: Rigid3, point: np.ndarray) -> None:
     np.testing.assert_allclose(a.inverse().apply(a.apply(point)), point, atol=1e-12)
 
 
-def test_a_quarter_turn_and_a_step() -> None:
+def test_quarter_turn_and_step() -> None:
     b_from_a = Rigid3(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.0, 5.0]))
     np.testing.assert_allclose(b_from_a.apply(np.array([1.0, 0.0, 0.0])), [0.0, 1.0, 5.0])

@@ -7,7 +7,7 @@ from pipeline.core.data.detections import MapGrid
 from pipeline.core.data.turns import is_quarter_turn, turned_axes, upright_size_px
 
 
-def test_the_axes_of_a_picture_turned_to_the_left() -> None:
+def test_axes_of_picture_turned_to_left() -> None:
     # What points to the right points up, and what points down points to the right.
     np.testing.assert_array_equal(np.array([(1.0, 0.0), (0.0, 1.0)]) @ turned_axes(90.0), [(0.0, -1.0), (1.0, 0.0)])
     np.testing.assert_array_equal(turned_axes(180.0), -np.eye(2))
@@ -24,7 +24,7 @@ def test_turns_add_up(first: float, second: float) -> None:
 @pytest.mark.parametrize(
     ("turn_deg", "size_px"), [(0, (4, 3)), (30, (4, 3)), (60, (3, 4)), (180, (4, 3)), (270, (3, 4))]
 )
-def test_the_size_follows_the_nearest_quarter(turn_deg: float, size_px: tuple[int, int]) -> None:
+def test_size_follows_nearest_quarter(turn_deg: float, size_px: tuple[int, int]) -> None:
     assert upright_size_px((4, 3), turn_deg) == size_px
     assert is_quarter_turn(turn_deg) == (turn_deg not in {30, 60})
 
@@ -36,7 +36,7 @@ def test_cells_of_turned_maps_and_pixels_are_inverse(turn_deg: float, x: float, 
     np.testing.assert_array_equal(grid.image_from_map(np.zeros(2)), [3.5, 900.0])
 
 
-def test_columns_of_a_picture_turned_left_run_left() -> None:
+def test_columns_of_picture_turned_left_run_left() -> None:
     grid = MapGrid((100.0, 50.0), (8.0, 10.0), 90.0)
     np.testing.assert_array_equal(grid.image_from_map(np.array([0.0, 1.0])), [90.0, 50.0])
     np.testing.assert_array_equal(grid.image_from_map(np.array([1.0, 0.0])), [100.0, 58.0])

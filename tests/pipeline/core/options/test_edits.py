@@ -69,7 +69,7 @@ def test_no_edits_leave_everybody_as_found() -> None:
 
 
 @given(st.lists(edits, max_size=8))
-def test_no_frame_of_a_found_person_is_in_two_places(made: list[PeopleEdit]) -> None:
+def test_no_frame_of_found_person_is_in_two_places(made: list[PeopleEdit]) -> None:
     take = apply(*possible(made))
     seen = [
         (piece.person, frame)

@@ -33,14 +33,14 @@ def codes(config: ReconstructionConfig, num_frames: int, frame_rate_hz: float) -
     return {problem.field: problem.code for problem in config_problems(config, num_frames, frame_rate_hz)}
 
 
-def test_all_that_a_session_does_not_allow_is_found_at_once() -> None:
+def test_all_that_session_does_not_allow_is_found_at_once() -> None:
     config = replace(CONFIG, cutoff_hz=12.5, exports=("bvh", "c3d"), clustering={"tau2": 0.2})
     assert codes(config, 100_000, 25.0) == {"cutoff_hz": "cutoff_range", None: "unknown_parameter"}
     assert codes(replace(config, clustering={}), 100_000, 25.1) == {}
 
 
 @pytest.mark.parametrize(("export", "package"), [("usd", "usd-core"), ("rerun", "rerun-sdk")])
-def test_format_not_installed_is_refused_with_the_command(
+def test_format_not_installed_is_refused_with_command(
     export: Export, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pipeline.core.options.file_formats.find_spec", lambda _: None)
@@ -75,7 +75,7 @@ def test_frames_at_another_rate_are_bounded() -> None:
 
 
 @given(frames=st.tuples(st.integers(0, 100), st.integers(0, 100)), num_frames=st.integers(1, 100))
-def test_frames_are_those_of_the_session(frames: tuple[int, int], num_frames: int) -> None:
+def test_frames_are_those_of_session(frames: tuple[int, int], num_frames: int) -> None:
     found = [problem.code for problem in session_problems(replace(CONFIG, frame_range=frames), num_frames, 25.0)]
     assert found == ([] if range(num_frames)[slice(*frames)] == range(*frames) != range(0) else ["frame_range"])
 
@@ -89,14 +89,14 @@ def test_last_frame_at_another_rate_is_not_later(num_frames: int, rate_hz: float
 
 
 @pytest.mark.parametrize("name", CONFIG_CHOICES)
-def test_defaults_keep_the_rules(name: str) -> None:
+def test_defaults_keep_rules(name: str) -> None:
     default = CONFIG_CHOICES[name].default
     assert not list(value_problems({name: default}))
     assert plain_value(CONFIG_CHOICES[name], default) == default
 
 
 @given(st.sampled_from(list(CONFIG_CHOICES)), JSON)
-def test_each_value_is_taken_or_refused_with_a_sentence(name: str, value: Any) -> None:
+def test_each_value_is_taken_or_refused_with_sentence(name: str, value: Any) -> None:
     """A value that is taken stays the same as JSON; a sentence about one that is not names the field."""
     choice, problems = CONFIG_CHOICES[name], list(value_problems({name: value}))
     assert all(problem.message.startswith(name) and problem.field for problem in problems)

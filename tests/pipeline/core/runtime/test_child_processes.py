@@ -41,7 +41,7 @@ def workers_of(process: "subprocess.Popen[str]", number: int) -> list[psutil.Pro
 
 
 @pytest.mark.parametrize("number", slow_but([signal.SIGKILL], [signal.SIGINT, signal.SIGKILL]))
-def test_processes_end_with_the_block_or_their_parent(tmp_path: Path, number: signal.Signals) -> None:
+def test_processes_end_with_block_or_their_parent(tmp_path: Path, number: signal.Signals) -> None:
     program = tmp_path / "program.py"
     program.write_text(textwrap.dedent(PROGRAM), encoding="utf-8")
     with subprocess.Popen([sys.executable, str(program)], stdout=subprocess.PIPE, text=True, stderr=-1) as process:
@@ -65,20 +65,20 @@ def test_processes_end_with_the_block_or_their_parent(tmp_path: Path, number: si
         assert "SpawnProcess" not in process.stderr.read()
 
 
-def test_an_error_in_the_block_waits_for_nobody() -> None:
+def test_error_in_block_waits_for_nobody() -> None:
     started_s = time.monotonic()
     with pytest.raises(TimeoutError), ProcessPool(1) as pool:
         pool.submit(time.sleep, 60).result(timeout=1)
     assert time.monotonic() - started_s < 20
 
 
-def test_pool_with_a_first_function_calls_it_and_works() -> None:
+def test_pool_with_first_function_calls_it_and_works() -> None:
     with ProcessPool(2, os.nice, [1]) as pool:
         assert list(pool.map(abs, [-1, -2, -3])) == [1, 2, 3]
         assert pool.submit(os.nice, 0).result() == os.nice(0) + 1
 
 
-def test_child_processes_need_the_standard_library_only() -> None:
+def test_child_processes_need_standard_library_only() -> None:
     """The web API's settings and the jobs' contract import the module, but no third-party packages."""
     text = (
         "import sys; before = set(sys.modules); import pipeline.core.runtime.child_processes; "
@@ -88,7 +88,7 @@ def test_child_processes_need_the_standard_library_only() -> None:
     assert set(done.stdout.split()) - {"__mp_main__"} == {"pipeline"}
 
 
-def test_a_module_s_command() -> None:
+def test_module_s_command() -> None:
     assert module_command("pipeline.capture.preflight", "--units", "mm")[1:] == [
         "-P",
         "-m",

@@ -36,7 +36,7 @@ def test_output_after_ready_is_returned(monkeypatch: pytest.MonkeyPatch) -> None
     assert run(monkeypatch, "print(word, sys.stdin.read() * 50_000, end='')") == b"word " + 50_000 * b"given"
 
 
-def test_limits_are_set_in_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_are_set_in_program(monkeypatch: pytest.MonkeyPatch) -> None:
     names = "AS CPU FSIZE NOFILE CORE"
     act = f"print([resource.getrlimit(getattr(resource, 'RLIMIT_' + name))[0] for name in {names!r}.split()])"
     assert run(monkeypatch, act) == f"[{2**30}, 20, 1000, 16, 0]\n".encode()
@@ -51,7 +51,7 @@ def test_limits_are_set_in_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
         ("time.sleep(60)", LIMITS, 5.0, True),
     ],
 )
-def test_limit_of_the_file_raises_beyond_limits(
+def test_limit_of_file_raises_beyond_limits(
     monkeypatch: pytest.MonkeyPatch, act: str, limits: ChildLimits, timeout_s: float, is_time: bool
 ) -> None:
     with pytest.raises(BeyondLimitsError) as error:
@@ -71,6 +71,6 @@ def test_refused_file_raises_with_its_text(monkeypatch: pytest.MonkeyPatch) -> N
         ("import no_such_module", r"it ended with exit code 1 \(ModuleNotFoundError"),
     ],
 )
-def test_other_end_is_not_the_fault_of_the_file(monkeypatch: pytest.MonkeyPatch, act: str, words: str) -> None:
+def test_other_end_is_not_fault_of_file(monkeypatch: pytest.MonkeyPatch, act: str, words: str) -> None:
     with pytest.raises(ChildError, match=f"check of a.mp4 failed, the file is not at fault: {words}"):
         run(monkeypatch, act)

@@ -95,7 +95,7 @@ def forked(server: ServedForks, request: ForkRequest, folder: Path) -> socket.so
         return send_request(server.requests, request, (stdin.fileno(), output.fileno(), log.fileno()))
 
 
-def test_a_fork_gets_its_files_and_limits_and_nothing_else(
+def test_fork_gets_its_files_and_limits_and_nothing_else(
     server: ServedForks, request_of: ForkRequest, tmp_path: Path
 ) -> None:
     with forked(server, request_of, tmp_path) as owner:
@@ -112,7 +112,7 @@ def test_a_fork_gets_its_files_and_limits_and_nothing_else(
     assert pid != server.process.pid
 
 
-def test_a_failure_is_that_of_the_fork(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_failure_is_that_of_fork(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     for changes, exit_code, log in (
         ({"program": "fail"}, 1, "ValueError: wrong"),
         ({"program": "unknown"}, 1, "KeyError"),
@@ -135,7 +135,7 @@ def test_a_failure_is_that_of_the_fork(server: ServedForks, request_of: ForkRequ
         (b"\xff", "UnicodeDecodeError"),
     ],
 )
-def test_a_malformed_request_ends_its_fork_alone(
+def test_malformed_request_ends_its_fork_alone(
     server: ServedForks, request_of: ForkRequest, tmp_path: Path, message: bytes, error: str
 ) -> None:
     log = tmp_path / "malformed.log"
@@ -167,7 +167,7 @@ def have_ended(processes: list[psutil.Process]) -> bool:
     return not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in processes)
 
 
-def test_a_fork_is_killed_with_its_children_when_its_owner_goes(
+def test_fork_is_killed_with_its_children_when_its_owner_goes(
     server: ServedForks, request_of: ForkRequest, tmp_path: Path
 ) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
@@ -183,7 +183,7 @@ def test_a_fork_is_killed_with_its_children_when_its_owner_goes(
     wait_for(lambda: not psutil.pid_exists(pid))
 
 
-def test_forks_end_with_a_killed_server(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_forks_end_with_killed_server(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
     server.process.kill()
     wait_for(lambda: have_ended(processes[:1]))
@@ -192,7 +192,7 @@ def test_forks_end_with_a_killed_server(server: ServedForks, request_of: ForkReq
     owner.close()
 
 
-def test_the_server_ends_when_nobody_can_ask(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
+def test_server_ends_when_nobody_can_ask(server: ServedForks, request_of: ForkRequest, tmp_path: Path) -> None:
     owner, processes = waiting(server, request_of, tmp_path)
     server.requests.close()
     assert server.process.wait(60) == 0
@@ -201,7 +201,7 @@ def test_the_server_ends_when_nobody_can_ask(server: ServedForks, request_of: Fo
     owner.close()
 
 
-def test_a_process_with_threads_does_not_serve(tmp_path: Path) -> None:
+def test_process_with_threads_does_not_serve(tmp_path: Path) -> None:
     path = tmp_path / "server.py"
     thread = "import threading, time\nthreading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
     path.write_text(thread + SERVER, encoding="utf-8")

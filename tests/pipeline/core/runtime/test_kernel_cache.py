@@ -17,7 +17,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_complete_after_a_warm_up_and_for_this_processor_only(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complete_after_warm_up_and_for_this_processor_only(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not kernel_cache.is_complete()
     kernel_cache.note_complete()
     assert kernel_cache.is_complete()
@@ -25,7 +25,7 @@ def test_complete_after_a_warm_up_and_for_this_processor_only(folder: Path, monk
     assert not kernel_cache.is_complete()
 
 
-def test_a_folder_that_cannot_be_written_is_never_complete(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_that_cannot_be_written_is_never_complete(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_cache, "cache_folder", lambda: None)
     kernel_cache.note_complete()
     assert not kernel_cache.is_complete()

@@ -7,7 +7,7 @@ import pytest
 from pipeline.core.runtime.once import once_a_process
 
 
-def test_threads_that_ask_at_the_same_time_get_one_value() -> None:
+def test_threads_that_ask_at_same_time_get_one_value() -> None:
     calls: list[str] = []
     is_asked_again = threading.Event()
 
@@ -33,7 +33,7 @@ def test_threads_that_ask_at_the_same_time_get_one_value() -> None:
     assert load("b") is not found[0]
 
 
-def test_an_error_is_not_kept() -> None:
+def test_error_is_not_kept() -> None:
     results: list[object] = [ValueError("not installed"), 3]
 
     @once_a_process

@@ -33,7 +33,7 @@ def test_pictures_that_were_freed_take_no_memory() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count other memory")
-def test_allocations_beyond_the_limit_fail() -> None:
+def test_allocations_beyond_limit_fail() -> None:
     program = (
         "import numpy as np, psutil\n"
         "from pipeline.core.runtime.resources import limit_memory\n"
@@ -63,5 +63,5 @@ def test_descriptor_limit_is_raised_for_children_too() -> None:
     assert run("100:1500", RAISE + "import sys; sys.stdout.flush()\n" + OF_CHILD) == [1500, 1500]
 
 
-def test_a_limit_that_is_high_already_stays() -> None:
+def test_limit_that_is_high_already_stays() -> None:
     assert run("1500:1500", RAISE) == [1500]

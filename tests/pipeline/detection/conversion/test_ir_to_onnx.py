@@ -75,7 +75,7 @@ def test_every_kind_of_layer_does_what_it_does() -> None:
     np.testing.assert_allclose(found[1], np.concatenate([elu, conv], axis=1), rtol=1e-4, atol=1e-5)
 
 
-def test_what_can_not_be_converted_is_said() -> None:
+def test_conversion_impossible_is_reported() -> None:
     xml, weights = small_network("Tanh").files()
     with pytest.raises(ModelError, match="needs Tanh, which is not supported"):
         convert(xml, weights, "image", {"few": 4, "many": 8})

@@ -48,7 +48,7 @@ def squares() -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "outputs"), [("blazepose-full", POSE), ("blazepose-heavy", POSE), ("mediapipe-hand", HAND)]
 )
-def test_outputs_are_those_of_the_original(
+def test_outputs_are_those_of_original(
     name: str, outputs: dict[str, str], squares: list[np.ndarray], tmp_path: Path
 ) -> None:
     entry = entry_of(name)

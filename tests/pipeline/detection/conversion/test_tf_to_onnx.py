@@ -77,7 +77,7 @@ def test_every_kind_of_node_does_what_it_does() -> None:
     np.testing.assert_allclose(found["second"], np.max(shifted, axis=0), rtol=1e-5, atol=1e-6)
 
 
-def test_a_single_value_stands_for_all() -> None:
+def test_single_value_stands_for_all() -> None:
     graph = GraphBuilder()
     tensor = graph.message.node.add(name="zeros", op="Const").attr.add(key="value").value.tensor
     tensor.dtype = 1
@@ -94,6 +94,6 @@ def test_a_single_value_stands_for_all() -> None:
         (GraphBuilder().encode(), "has no node joined"),
     ],
 )
-def test_what_can_not_be_converted_is_said(content: bytes, message: str) -> None:
+def test_conversion_impossible_is_reported(content: bytes, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         convert(content, "image", "joined", {"first": 4, "second": 4})

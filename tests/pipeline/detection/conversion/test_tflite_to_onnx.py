@@ -117,7 +117,7 @@ def test_depthwise_convolution(stride: int) -> None:
 @pytest.mark.parametrize(("activation", "bounds"), [(NONE, (-np.inf, np.inf)), (RELU, (0, np.inf)), (RELU6, (0, 6))])
 @pytest.mark.parametrize(("kind", "function"), [("ADD", np.add), ("SUB", np.subtract), ("MUL", np.multiply)])
 @pytest.mark.parametrize("shape", [(), (3,), (1, 1, 1, 3)])
-def test_arithmetic_with_a_constant(
+def test_arithmetic_with_constant(
     kind: str, function: np.ufunc, shape: tuple[int, ...], activation: int, bounds: tuple[float, float]
 ) -> None:
     image = RANDOM.normal(scale=9, size=(4, 5, 3))
@@ -180,7 +180,7 @@ def run_fixed(graph: Graph, batch: np.ndarray) -> np.ndarray:
     return result.transpose(0, 2, 3, 1) if result.ndim == 4 else result
 
 
-def test_resizing_to_a_constant_size() -> None:
+def test_resizing_to_constant_size() -> None:
     row = np.arange(4.0)
     image = np.tile(row[None, None, :, None], (1, 3, 1, 2))
     graph = fixed_graph(
@@ -202,7 +202,7 @@ def test_padding_of_rows_columns_and_channels(paddings: list[list[int]]) -> None
     ("paddings", "kinds"),
     [([[0, 0], [1, 2], [0, 1], [0, 0]], ["Conv"]), ([[0, 0], [0, 1], [1, 0], [0, 2]], ["Pad", "Conv"])],
 )
-def test_padding_before_a_convolution_becomes_its_own(paddings: list[list[int]], kinds: list[str]) -> None:
+def test_padding_before_convolution_becomes_its_own(paddings: list[list[int]], kinds: list[str]) -> None:
     image = RANDOM.normal(size=(4, 5, 3))
     padded = np.pad(image, paddings[1:])
     weights = RANDOM.normal(size=(2, 3, 3, padded.shape[-1])).astype(np.float32)
@@ -250,7 +250,7 @@ def test_means_of_other_axes_are_refused() -> None:
         run_fixed(graph, np.zeros((1, 4, 5, 3)))
 
 
-def test_product_with_a_matrix() -> None:
+def test_product_with_matrix() -> None:
     batch, weights = RANDOM.normal(size=(2, 6)), RANDOM.normal(size=(4, 6)).astype(np.float32)
     bias = RANDOM.normal(size=4).astype(np.float32)
     activation = options(FusedActivationFunction=RELU)
@@ -260,14 +260,14 @@ def test_product_with_a_matrix() -> None:
     np.testing.assert_allclose(run_fixed(without_bias, batch), batch @ weights.T, atol=1e-5)
 
 
-def test_a_product_of_a_map_is_refused() -> None:
+def test_product_of_map_is_refused() -> None:
     weights = np.ones((4, 3), np.float32)
     graph = fixed_graph("FULLY_CONNECTED", ((1, 5, 5, 3), (1, 4)), [weights], options(FusedActivationFunction=NONE))
     with pytest.raises(ModelError, match="multiplies maps with a matrix"):
         run_fixed(graph, np.zeros((1, 5, 5, 3)))
 
 
-def test_reshaping_keeps_the_order_of_channels_last() -> None:
+def test_reshaping_keeps_order_of_channels_last() -> None:
     batch = RANDOM.normal(size=(3, 2, 4, 5))
     graph = fixed_graph("RESHAPE", ((1, 2, 4, 5), (1, 40)), [np.array([1, 40], np.int32)], None)
     np.testing.assert_allclose(run_fixed(graph, batch), batch.reshape(3, 40), atol=1e-6)
@@ -280,12 +280,12 @@ def test_another_way_of_reshaping_is_refused(shapes: tuple[tuple[int, ...], tupl
         convert_graph(graph, {"image": "input"}, {"result": "output"}, is_fixed=True)
 
 
-def test_an_unknown_operator_is_named() -> None:
+def test_unknown_operator_is_named() -> None:
     with pytest.raises(ModelError, match="needs FLOOR_DIV, which is not supported"):
         convert_graph(graph_of("FLOOR_DIV", [], 3, None), {"image": "input"}, {"result": "output"})
 
 
-def test_an_unknown_activation_is_refused() -> None:
+def test_unknown_activation_is_refused() -> None:
     graph = graph_of("ADD", [np.ones(3, np.float32)], 3, options(FusedActivationFunction=TANH))
     with pytest.raises(ModelError, match="needs activation 4, which is not supported"):
         convert_graph(graph, {"image": "input"}, {"result": "output"})
@@ -297,7 +297,7 @@ def test_dilation_is_refused() -> None:
         convert_graph(graph, {"image": "input"}, {"result": "output"})
 
 
-def test_a_depth_multiplier_is_refused() -> None:
+def test_depth_multiplier_is_refused() -> None:
     wide = convolution_options(1, SAME)
     wide.DepthMultiplier = lambda: 2
     graph = graph_of("DEPTHWISE_CONV_2D", [np.ones((1, 3, 3, 6), np.float32)], 6, wide)
@@ -305,7 +305,7 @@ def test_a_depth_multiplier_is_refused() -> None:
         convert_graph(graph, {"image": "input"}, {"result": "output"})
 
 
-def test_weights_that_depend_on_the_input_are_refused() -> None:
+def test_weights_that_depend_on_input_are_refused() -> None:
     graph = graph_of("CONV_2D", [], 3, convolution_options(1, SAME))
     (convolution,) = graph.operators
     two_inputs = Operator(convolution.kind, (0, 0), convolution.outputs, convolution.options)
@@ -313,18 +313,18 @@ def test_weights_that_depend_on_the_input_are_refused() -> None:
         convert_graph(Graph(graph.tensors, (two_inputs,)), {"image": "input"}, {"result": "output"})
 
 
-def test_a_missing_tensor_is_named() -> None:
+def test_missing_tensor_is_named() -> None:
     with pytest.raises(ModelError, match="has no tensor heatmap: it is not the version that is needed"):
         convert_graph(graph_of("LOGISTIC", [], 3, None), {"image": "input"}, {"heatmap": "heatmap"})
 
 
-def test_what_lies_beyond_the_inputs_is_not_supported() -> None:
+def test_extrapolation_has_no_support() -> None:
     graph = graph_of("LOGISTIC", [], 3, None)
     with pytest.raises(ModelError, match="a tensor that nothing makes"):
         convert_graph(graph, {}, {"result": "output"})
 
 
 @pytest.mark.parametrize("content", [b"", b"no flatbuffer at all", bytes(1000), b"\xff" * 1000])
-def test_what_is_no_model_is_said(content: bytes) -> None:
+def test_no_model_is_reported(content: bytes) -> None:
     with pytest.raises(ModelError, match="damaged or has another format"):
         read_model(content)

@@ -81,7 +81,7 @@ def draw_limb(begin: np.ndarray, end: np.ndarray, shape: tuple[int, int]) -> np.
 @given(
     turn_deg=st.one_of(st.floats(0.0, 359.0), st.sampled_from([0.0, 90.0, 180.0, 270.0])), limb_deg=st.floats(0, 360)
 )
-def test_fields_of_a_turned_picture_connect_the_same_points(turn_deg: float, limb_deg: float) -> None:
+def test_fields_of_turned_picture_connect_same_points(turn_deg: float, limb_deg: float) -> None:
     """A limb of the picture, as a network draws its field that sees the picture turned."""
     letterbox = fit_letterbox((640, 480), 1.0, 8, turn_deg)
     grid = grid_on_image(FieldGrid(8, (0.0, 0.0), 0.3), letterbox)
@@ -98,7 +98,7 @@ def test_fields_of_a_turned_picture_connect_the_same_points(turn_deg: float, lim
 
 
 @pytest.mark.parametrize("center", [(10.0, 7.0), (10.25, 7.5), (10.5, 7.9), (3.3, 12.7)])
-def test_peaks_are_found_within_a_thirtieth_of_a_cell(center: tuple[float, float]) -> None:
+def test_peaks_are_found_within_thirtieth_of_cell(center: tuple[float, float]) -> None:
     heatmaps = np.stack([0.8 * gaussian((20, 24), np.array(center)), np.zeros((20, 24), np.float32)])
     joint, cells, score = find_peaks(heatmaps)
     assert joint.tolist() == [0]
@@ -114,7 +114,7 @@ def test_two_peaks_in_one_map_and_none_in_noise() -> None:
     np.testing.assert_allclose(np.sort(cells[:, 0]), [6.2, 9.4], atol=0.1)
 
 
-def test_peaks_at_the_border_and_on_the_padding() -> None:
+def test_peaks_at_border_and_on_padding() -> None:
     heatmaps = np.zeros((1, 19, 10, 12), np.float32)
     heatmaps[0, 0, 0, 0], heatmaps[0, 1, 5, 11] = 0.9, 0.9
     outputs = {"heatmaps": heatmaps, "pafs": np.zeros((1, 38, 10, 12), np.float32)}
@@ -167,7 +167,7 @@ def test_bodies_are_grouped_and_are_nobody_elses() -> None:
     np.testing.assert_allclose(bodies.box_px[:, :2], bodies.keypoints_px.min(1))
 
 
-def test_half_a_body_is_one_and_a_stray_peak_is_none() -> None:
+def test_half_body_is_one_and_stray_peak_is_none() -> None:
     outputs, _ = people((15.0, 6.0))
     below = [j for j, name in enumerate(COCO_18.names) if name.endswith(("knee", "ankle", "hip"))]
     outputs["heatmaps"][0, below] = 0.0
@@ -190,7 +190,7 @@ def test_frames_without_peaks_stack() -> None:
     assert stack_fields("left", []).frame.shape == (0,)
 
 
-def test_the_registrys_networks_with_fields_are_those_of_this_kind() -> None:
+def test_registrys_networks_with_fields_are_those_of_this_kind() -> None:
     assert {entry.name for entry in REGISTRY.values() if entry.fields is not None} == {
         entry.name for entry in REGISTRY.values() if entry.head is NetworkHead.OPENPOSE
     }

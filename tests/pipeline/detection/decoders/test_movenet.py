@@ -45,7 +45,7 @@ def person(x_px: float, y_px: float, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform((x_px, y_px), (x_px + 60, y_px + 120), (17, 2))
 
 
-def test_bodies_are_found_to_a_fraction_of_a_cell_and_the_surest_comes_first() -> None:
+def test_bodies_are_located_within_cell_and_sorted_by_score() -> None:
     heads = Heads()
     left_px, right_px = person(20.3, 30.7), person(250.2, 90.9, seed=1)
     for cell_yx, joints_px, score in [((20, 12), left_px, 0.5), ((37, 70), right_px, 0.75)]:
@@ -68,7 +68,7 @@ def test_one_body_is_found_wherever_it_is(seed: int, x_px: float, y_px: float) -
     np.testing.assert_allclose(decode_movenet(heads.outputs()).keypoints_px, [joints_px], atol=1e-4)
 
 
-def test_an_empty_image_has_no_bodies() -> None:
+def test_empty_image_has_no_bodies() -> None:
     bodies = decode_movenet(Heads().outputs())
     assert bodies.keypoints_px.shape == (0, 17, 2)
     assert bodies.score.shape == (0, 17)
@@ -76,7 +76,7 @@ def test_an_empty_image_has_no_bodies() -> None:
     assert bodies.center_score.shape == (0,)
 
 
-def test_a_centre_without_joints_and_joints_without_a_centre_are_no_bodies() -> None:
+def test_centre_or_joints_alone_are_no_bodies() -> None:
     heads = Heads()
     heads.add_center((30, 40), person(130, 60), 0.9)
     assert len(decode_movenet(heads.outputs()).score) == 0
@@ -86,7 +86,7 @@ def test_a_centre_without_joints_and_joints_without_a_centre_are_no_bodies() -> 
     assert len(decode_movenet(heads.outputs()).score) == 0
 
 
-def test_a_joint_without_a_peak_is_nan_with_score_0() -> None:
+def test_joint_without_peak_is_nan_with_score_0() -> None:
     heads = Heads()
     joints_px = person(100, 40)
     heads.add_center((25, 32), joints_px, 0.9)
@@ -107,7 +107,7 @@ def test_there_is_no_limit_of_six_people() -> None:
     np.testing.assert_allclose(decode_movenet(heads.outputs()).keypoints_px, people, atol=1e-4)
 
 
-def test_a_second_centre_of_the_same_person_is_left_out() -> None:
+def test_second_centre_of_same_person_is_left_out() -> None:
     heads = Heads()
     joints_px = person(100, 40)
     heads.add_center((25, 32), joints_px, 0.7)
@@ -121,7 +121,7 @@ def test_a_second_centre_of_the_same_person_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("scores", [(0.9, 0.6), (0.6, 0.9)])
-def test_where_two_people_overlap_a_peak_goes_to_whom_it_fits_best(scores: tuple[float, float]) -> None:
+def test_overlapping_people_get_best_fitting_peak(scores: tuple[float, float]) -> None:
     heads = Heads()
     front_px, back_px = person(100, 40), person(112, 44, seed=1)
     expected_px = back_px.copy()
@@ -142,7 +142,7 @@ def test_where_two_people_overlap_a_peak_goes_to_whom_it_fits_best(scores: tuple
     assert bodies.score[back, 10] == pytest.approx(0.1)
 
 
-def test_a_peak_far_from_where_a_body_expects_it_is_someone_elses() -> None:
+def test_peak_far_from_where_body_expects_it_is_someone_elses() -> None:
     heads = Heads()
     joints_px = person(100, 40)
     heads.add_center((25, 32), joints_px, 0.9)
@@ -151,7 +151,7 @@ def test_a_peak_far_from_where_a_body_expects_it_is_someone_elses() -> None:
     assert np.isnan(decode_movenet(heads.outputs()).keypoints_px[0, 0]).all()
 
 
-def test_a_plateau_is_one_peak() -> None:
+def test_plateau_is_one_peak() -> None:
     heads = Heads()
     joints_px = person(100, 40)
     for cell_yx in [(25, 32), (25, 33), (26, 32), (26, 33)]:
@@ -160,7 +160,7 @@ def test_a_plateau_is_one_peak() -> None:
     assert len(decode_movenet(heads.outputs()).score) == 1
 
 
-def test_peaks_in_the_corners_of_the_map_count() -> None:
+def test_peaks_in_corners_of_map_count() -> None:
     heads = Heads()
     joints_px = person(0, 0)
     height, width = SHAPE

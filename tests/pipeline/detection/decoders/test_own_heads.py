@@ -12,7 +12,7 @@ def bump(length: int, place: float, sigma: float = 2.0) -> np.ndarray:
     return np.asarray(np.exp(-((np.arange(length) - place) ** 2) / (2 * sigma**2)))
 
 
-def test_simcc_reads_the_bins_of_both_axes() -> None:
+def test_simcc_reads_bins_of_both_axes() -> None:
     bins_x = np.stack([bump(384, 31), 0.5 * bump(384, 380)])
     bins_y = np.stack([0.8 * bump(512, 500), bump(512, 3)])
     points_px, score = decode_simcc(bins_x, bins_y, SIZE_PX)
@@ -31,7 +31,7 @@ def test_heatmaps_are_read_between_cells(place: tuple[float, float]) -> None:
     assert score[0] == pytest.approx(0.9, abs=0.06)
 
 
-def test_peaks_at_the_border_and_flat_maps_stay_in_their_cells() -> None:
+def test_peaks_at_border_and_flat_maps_stay_in_their_cells() -> None:
     corner = np.zeros((64, 48))
     corner[63, 47] = 1
     points_px, score = decode_heatmaps(np.stack([corner, np.zeros((64, 48))]), SIZE_PX)

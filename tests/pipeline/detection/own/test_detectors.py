@@ -39,7 +39,7 @@ def image_of(x: float, y: float) -> np.ndarray:
 @pytest.mark.parametrize(("head", "model"), [("simcc", simcc()), ("heatmaps", heatmaps())])
 @pytest.mark.parametrize("place", [(150.0, 100.0), (201.3, 222.6)])
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0, 50.0])
-def test_points_of_a_crop_are_in_pixels_of_the_image(
+def test_points_of_crop_are_in_pixels_of_image(
     head: str, model: onnx.ModelProto, place: tuple[float, float], turn_deg: float, tmp_path: Path
 ) -> None:
     own = usual_network("simcc" if head == "simcc" else "heatmaps", "coco-17")
@@ -61,7 +61,7 @@ def test_uncertain_points_are_left_out(tmp_path: Path) -> None:
     assert len(open_own(network, own, OneBody()).detect(image_of(150, 100)).score) == 0
 
 
-def test_people_of_one_stage_are_scaled_to_the_image(tmp_path: Path) -> None:
+def test_people_of_one_stage_are_scaled_to_image(tmp_path: Path) -> None:
     keypoints = np.tile([64.0, 32.0, 0.9], (2, 17, 1))
     keypoints[0, 5] = (10.0, 20.0, 0.1)
     boxes = np.array([[0, 0, 1, 1, 0.95], [0, 0, 1, 1, 0.2]])
@@ -76,7 +76,7 @@ def test_people_of_one_stage_are_scaled_to_the_image(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("head", "shorter"), [("simcc", 0), ("heatmaps", 1)])
-def test_the_box_around_joints_is_in_the_middle_of_the_crop(head: str, shorter: int) -> None:
+def test_box_around_joints_is_in_middle_of_crop(head: str, shorter: int) -> None:
     own = usual_network("simcc" if head == "simcc" else "heatmaps", "coco-17")
     matrix = crop_matrix(np.array([(100.0, 50.0), (140.0, 250.0)]), own, PictureTurn(SIZE, 0.0))
     np.testing.assert_allclose(matrix @ [120, 150, 1], [(192 - shorter) / 2, (256 - shorter) / 2])
@@ -84,7 +84,7 @@ def test_the_box_around_joints_is_in_the_middle_of_the_crop(head: str, shorter: 
     assert matrix[0, 0] == pytest.approx((192 - shorter) / 210)
 
 
-def test_a_crop_is_turned_upright() -> None:
+def test_crop_is_turned_upright() -> None:
     own = usual_network("simcc", "coco-17")
     # A person with the head to the right: 200 pixels long, which is the height of the turned box.
     matrix = crop_matrix(np.array([(250.0, 140.0), (50.0, 100.0)]), own, PictureTurn(SIZE, 90.0))
@@ -102,7 +102,7 @@ def test_people_of_one_stage_are_turned_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(bodies.keypoints_px[0, 0], [399 - 20, 40])
 
 
-def test_colours_are_normalised_in_the_network_s_order() -> None:
+def test_colours_are_normalised_in_network_s_order() -> None:
     own = replace(usual_network("simcc", "coco-17"), channels="bgr", mean=(1.0, 2.0, 3.0), std=(2.0, 4.0, 5.0))
     tensor = as_input(np.full((4, 6, 3), (10, 20, 30), np.uint8), own)
     assert tensor.shape == (1, 3, 4, 6)

@@ -38,7 +38,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "home"
 
 
-def test_a_network_is_added_and_listed(tmp_path: Path, home: Path) -> None:
+def test_network_is_added_and_listed(tmp_path: Path, home: Path) -> None:
     name = add_own(write(simcc(), tmp_path / "My RTMPose_m.onnx"), SIMCC)
     assert name.startswith("own-my-rtmpose-m-")
     entry = entry_of(name)
@@ -50,7 +50,7 @@ def test_a_network_is_added_and_listed(tmp_path: Path, home: Path) -> None:
     assert not list((home / "models").glob(".own-*"))
 
 
-def test_the_name_depends_on_the_file_and_its_description(tmp_path: Path) -> None:
+def test_name_depends_on_file_and_its_description(tmp_path: Path) -> None:
     path = write(simcc(), tmp_path / "net.onnx")
     names = {add_own(path, SIMCC), add_own(path, usual_network("simcc", "coco-17", (192, 256)))}
     assert len(names) == 1
@@ -125,14 +125,14 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.slow
-def test_a_network_without_end_is_refused(tmp_path: Path) -> None:
+def test_network_without_end_is_refused(tmp_path: Path) -> None:
     # By the limit of processor time: the limit of the clock is longer.
     with pytest.raises(ModelError, match=r"loop\.onnx can't be used: it gave no output for one image"):
         add_own(write(endless(), tmp_path / "loop.onnx"), SIMCC, has_chosen_size=False)
     assert files._TIMEOUT_S <= 60
 
 
-def test_the_check_ends_with_its_command(tmp_path: Path) -> None:
+def test_check_ends_with_its_command(tmp_path: Path) -> None:
     path = write(endless(), tmp_path / "loop.onnx")
     program = (
         "import sys; from pathlib import Path; from pipeline.detection.own.files import add_own; "
@@ -161,7 +161,7 @@ def test_weights_in_another_file_are_refused(tmp_path: Path) -> None:
         add_own(write(model, tmp_path / "net.onnx"), SIMCC)
 
 
-def test_a_missing_and_a_huge_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_and_huge_file_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ModelError, match=r"^net\.onnx can't be read or copied: No such file"):
         add_own(tmp_path / "net.onnx", SIMCC)
     monkeypatch.setattr(files, "_MAX_BYTES", 100)
@@ -182,7 +182,7 @@ def test_changed_files_are_noticed(tmp_path: Path, home: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["own-", "own-x", "own-../../x-0123456789ab", "own-gone-0123456789ab"])
-def test_an_unknown_network_says_how_to_add_it(name: str) -> None:
+def test_unknown_network_says_how_to_add_it(name: str) -> None:
     with pytest.raises(ModelError, match=r"There is no network .*multicap models add FILE"):
         entry_of(name)
 
@@ -206,7 +206,7 @@ def test_descriptions_are_read_back(field: str, value: object) -> None:
         decode_description(json.dumps(json.loads(content) | {field: value}).encode(), "a.json")
 
 
-def test_an_added_network_is_opened_as_a_detector(tmp_path: Path) -> None:
+def test_added_network_is_opened_as_detector(tmp_path: Path) -> None:
     boxes, keypoints = np.array([[0, 0, 1, 1, 0.9]]), np.tile([64.0, 32.0, 0.9], (1, 26, 1))
     path = write(rtmo(boxes, keypoints), tmp_path / "net.onnx")
     networks = MotionChoices(detector=add_own(path, usual_network("rtmo", "halpe-26"))).networks
@@ -216,7 +216,7 @@ def test_an_added_network_is_opened_as_a_detector(tmp_path: Path) -> None:
     np.testing.assert_allclose(bodies.keypoints_px, np.tile([64.0, 32.0], (1, 21, 1)))
 
 
-def test_a_network_of_crops_needs_multipose(tmp_path: Path) -> None:
+def test_network_of_crops_needs_multipose(tmp_path: Path) -> None:
     networks = MotionChoices(detector=add_own(write(simcc(), tmp_path / "net.onnx"), SIMCC)).networks
     with pytest.raises(ModelError, match="movenet-multipose is not installed"):
         open_detection(networks, "body")

@@ -40,7 +40,7 @@ def shapes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
         (CameraSizes((320, 640), border_px=90.0), [(320, 192), (640, 384)]),
     ],
 )
-def test_images_have_the_sizes_of_the_camera(
+def test_images_have_sizes_of_camera(
     shapes: list[tuple[int, int]], sizes: CameraSizes | None, expected: list[tuple[int, int]]
 ) -> None:
     opened = open_detection(Networks("movenet-multipose"), "body", sizes)

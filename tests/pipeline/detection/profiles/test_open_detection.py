@@ -23,14 +23,12 @@ FULL = Networks("movenet-multipose", near="blazepose-full", hand="mediapipe-hand
         (Networks("openpose-mobilenet-thin"), "whole", COCO_18),
     ],
 )
-def test_networks_with_crops_give_the_joints_that_are_asked_for(
-    networks: Networks, choice: str, joints: JointSet
-) -> None:
+def test_networks_with_crops_give_joints_that_are_asked_for(networks: Networks, choice: str, joints: JointSet) -> None:
     assert choice in {"body", "feet", "whole"}
     assert joints_of(networks, choice) is joints  # type: ignore[arg-type]
 
 
-def test_a_detector_of_bodies_reads_no_crops() -> None:
+def test_detector_of_bodies_reads_no_crops() -> None:
     with pytest.raises(ModelError, match="reads no crops"):
         open_landmarks("movenet-multipose")
 
@@ -48,7 +46,7 @@ def needs(networks: Networks) -> None:
         pytest.skip(f"Not installed: {', '.join(missing)}.")
 
 
-def test_feet_and_fingers_of_people_in_the_sample(image_rgb: np.ndarray) -> None:
+def test_feet_and_fingers_of_people_in_sample(image_rgb: np.ndarray) -> None:
     needs(FULL)
     detector = open_detection(FULL, "whole")
     assert isinstance(detector, TopDown)
@@ -72,7 +70,7 @@ def test_feet_and_fingers_of_people_in_the_sample(image_rgb: np.ndarray) -> None
     np.testing.assert_array_equal(bodies.score > 0, np.isfinite(bodies.keypoints_px).all(-1))
 
 
-def test_the_same_image_gives_the_same_bytes(image_rgb: np.ndarray) -> None:
+def test_same_image_gives_same_bytes(image_rgb: np.ndarray) -> None:
     networks = ReconstructionConfig(joints="feet").networks
     needs(networks)
     first, second = (open_detection(networks, "feet").detect(image_rgb) for _ in range(2))

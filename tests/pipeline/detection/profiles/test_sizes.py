@@ -26,7 +26,7 @@ def wide(height: float, width: float, num_sure: int) -> ImageBodies:
     return ImageBodies(keypoints_px, score, np.array([[50.0, 50.0, 50.0 + width, 50.0 + height]]), np.array([0.8]))
 
 
-def test_the_span_is_the_longer_side_around_sure_joints() -> None:
+def test_span_is_longer_side_around_sure_joints() -> None:
     assert body_spans_px(wide(120.0, 40.0, 8)).tolist() == [120.0]
     assert body_spans_px(wide(30.0, 90.0, 17)).tolist() == [90.0]
     assert np.isnan(body_spans_px(wide(120.0, 40.0, 7))).all()
@@ -35,7 +35,7 @@ def test_the_span_is_the_longer_side_around_sure_joints() -> None:
     assert body_spans_px(far).tolist() == [120.0]
 
 
-def test_the_span_is_measured_in_the_upright_picture() -> None:
+def test_span_is_measured_in_upright_picture() -> None:
     leaning = wide(100.0, 100.0, 8)
     assert body_spans_px(leaning, 90.0).tolist() == [100.0]
     # From the corner in the middle, both sides of the square rise by 100 / sqrt(2).
@@ -46,7 +46,7 @@ def test_the_span_is_measured_in_the_upright_picture() -> None:
     tall_px=st.floats(60.0, 900.0),
     size_px=st.sampled_from([(1920, 1080), (1080, 1920), (640, 480), (1088, 1920), (3840, 2160)]),
 )
-def test_the_tallest_body_spans_what_the_rule_says_within_the_limits(tall_px: float, size_px: tuple[int, int]) -> None:
+def test_tallest_body_spans_what_rule_says_within_limits(tall_px: float, size_px: tuple[int, int]) -> None:
     sizes = choose_sizes(spans([tall_px], [tall_px]), size_px, RULE)
     (longer_px,) = sizes.scaled_px
     assert longer_px <= RULE.max_px
@@ -55,19 +55,19 @@ def test_the_tallest_body_spans_what_the_rule_says_within_the_limits(tall_px: fl
 
 
 @pytest.mark.parametrize(("size_px", "expected"), [((1920, 1080), (512, 288)), ((640, 480), (512, 384))])
-def test_without_people_images_have_the_usual_size(size_px: tuple[int, int], expected: tuple[int, int]) -> None:
+def test_without_people_images_have_usual_size(size_px: tuple[int, int], expected: tuple[int, int]) -> None:
     longer_px, shorter_px = expected
     for nobody in (spans(), spans([], []), spans([math.nan])):
         assert choose_sizes(nobody, size_px, RULE) == CameraSizes((longer_px,))
     assert round(longer_px * min(size_px) / max(size_px)) == shorter_px
 
 
-def test_a_near_size_with_less_padding_is_preferred() -> None:
+def test_near_size_with_less_padding_is_preferred() -> None:
     # 500 x 281 pixels would be padded to 512 x 288, which has no padding at 512.
     assert choose_sizes(spans([230.0 * 1920 / 500]), (1920, 1080), RULE).scaled_px == (512,)
 
 
-def test_a_person_who_passes_near_the_camera_for_a_moment_does_not_count() -> None:
+def test_person_who_passes_near_camera_for_moment_does_not_count() -> None:
     standing = spans(*[[200.0, 180.0]] * 11, [600.0])
     assert choose_sizes(standing, (640, 480), RULE) == choose_sizes(standing[:-1], (640, 480), RULE)
 

@@ -40,7 +40,7 @@ def heights(bodies: ImageBodies) -> list[float]:
     return sorted((bodies.box_px[:, 3] - bodies.box_px[:, 1]).round().tolist())
 
 
-def test_tall_people_come_from_the_coarse_pass_and_small_ones_from_the_fine_pass() -> None:
+def test_tall_people_are_coarse_and_small_ones_fine() -> None:
     tall, small = body(100.0, 600.0, 0.8), body(700.0, 100.0, 0.6)
     fine = together(part(tall, slice(0, 9), 12.0), body(702.0, 101.0, 0.9))
     merged = merge_passes(together(tall, small), fine, BORDER_PX)
@@ -56,7 +56,7 @@ def test_bodies_that_one_pass_alone_finds_are_kept() -> None:
     assert heights(merge_passes(nobody(), tall, BORDER_PX)) == [600.0]
 
 
-def test_a_small_person_before_a_tall_one_is_no_part_of_it() -> None:
+def test_small_person_before_tall_one_is_no_part_of_it() -> None:
     tall, small = body(100.0, 600.0), body(330.0, 90.0)
     assert heights(merge_passes(tall, small, BORDER_PX)) == [90.0, 600.0]
 

@@ -10,7 +10,7 @@ def of_cpu(image: np.ndarray) -> Mapping[str, np.ndarray]:
     return {"sum": image.sum((2, 3)), "double": 2 * image}
 
 
-def test_noise_fills_the_range_and_is_the_same_every_time() -> None:
+def test_noise_fills_range_and_is_same_every_time() -> None:
     picture = noise((96, 160))
     assert picture.shape == (1, 3, 96, 160)
     assert picture.dtype == np.float32
@@ -30,7 +30,7 @@ def test_sizes_that_are_not_fixed_are_chosen() -> None:
 @pytest.mark.parametrize(
     ("type_", "agrees"), [(np.float32, True), (np.float16, True), ("bfloat16", False)], ids=["single", "half", "bfloat"]
 )
-def test_the_precision_of_the_mantissa_decides(type_: object, agrees: bool) -> None:
+def test_precision_of_mantissa_decides(type_: object, agrees: bool) -> None:
     def reduced(image: np.ndarray) -> Mapping[str, np.ndarray]:
         if type_ == "bfloat16":  # the upper half of a single-precision number
             bits = np.ascontiguousarray(image).view(np.uint32) & np.uint32(0xFFFF0000)

@@ -46,7 +46,7 @@ def answer(monkeypatch: pytest.MonkeyPatch, stdout: bytes) -> list[list[str]]:
     return commands
 
 
-def test_auto_is_the_cpu_without_a_package_for_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_auto_is_cpu_without_package_for_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, onnxruntime="1", onnxruntime_ep_openvino="1")
     assert find_provider("auto") == CPU
     assert CPU.identity == ""
@@ -61,7 +61,7 @@ def test_auto_is_cuda_where_it_works(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("choice", ["openvino", "cuda", "tensorrt"])
-def test_a_missing_package_is_named_with_the_command_that_installs_it(
+def test_missing_package_is_named_with_command_that_installs_it(
     choice: ProviderChoice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install(monkeypatch)
@@ -71,7 +71,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     assert f"pip install 'multicap[{'openvino' if choice == 'openvino' else 'gpu'}]'" in found.note
 
 
-def test_a_driver_that_fails_is_said_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_driver_that_fails_is_said_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, onnxruntime="1.31.1", onnxruntime_gpu="1.31.1")
     answer(monkeypatch, json.dumps({"problem": "no CUDA-capable device is detected"}).encode())
     found = find_provider("cuda")
@@ -81,13 +81,13 @@ def test_a_driver_that_fails_is_said_with_its_reason(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("stdout", [b"", b"{", b"Segmentation fault"])
-def test_a_probe_that_crashes_leaves_the_cpu(stdout: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_probe_that_crashes_leaves_cpu(stdout: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, onnxruntime_gpu="1.31.1")
     answer(monkeypatch, stdout)
     assert "ended the process" in find_provider("cuda").note
 
 
-def test_a_probe_that_hangs_leaves_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_probe_that_hangs_leaves_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, onnxruntime_gpu="1.31.1")
 
     def run(command: list[str], timeout: float, **_: object) -> None:
@@ -97,7 +97,7 @@ def test_a_probe_that_hangs_leaves_the_cpu(monkeypatch: pytest.MonkeyPatch) -> N
     assert "did not answer within 120 seconds" in find_provider("cuda").note
 
 
-def test_the_environment_chooses_and_processes_that_are_started_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_reaches_started_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, onnxruntime_gpu="1.31.1")
     commands = answer(monkeypatch, json.dumps({"device": "GPU"}).encode())
     choose_provider("cuda")
@@ -107,7 +107,7 @@ def test_the_environment_chooses_and_processes_that_are_started_are_told(monkeyp
     assert len(commands) == 1
 
 
-def test_a_wrong_name_in_the_environment_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_name_in_environment_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_PROVIDER", "gpu")
     with pytest.raises(PipelineError, match=r"MULTICAP_PROVIDER=gpu is no provider; choose one of auto, cpu"):
         current_provider()

@@ -36,7 +36,7 @@ def by_openvino(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     current_provider.cache_clear()
 
 
-def test_it_is_found_by_a_probe_in_a_process_of_its_own() -> None:
+def test_it_is_found_by_probe_in_process_of_its_own() -> None:
     found = find_provider("openvino")
     assert (found.name, found.note) == ("openvino", "")
     assert found.version
@@ -44,7 +44,7 @@ def test_it_is_found_by_a_probe_in_a_process_of_its_own() -> None:
 
 
 @pytest.mark.usefixtures("by_openvino")
-def test_a_network_in_single_precision_runs_on_it_with_the_outputs_of_the_cpu(
+def test_network_in_single_precision_equals_cpu(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, picture = _installed("mediapipe-hand"), noise((224, 224))
@@ -57,7 +57,7 @@ def test_a_network_in_single_precision_runs_on_it_with_the_outputs_of_the_cpu(
 
 
 @pytest.mark.usefixtures("by_openvino")
-def test_a_batch_has_the_outputs_of_its_images() -> None:
+def test_batch_has_outputs_of_its_images() -> None:
     network = open_network(_installed("mediapipe-hand"))
     pictures = [noise((224, 224), seed) for seed in range(3)]
     together = network(np.concatenate(pictures))
@@ -67,7 +67,7 @@ def test_a_batch_has_the_outputs_of_its_images() -> None:
 
 
 @pytest.mark.usefixtures("by_openvino")
-def test_a_network_in_integers_stays_on_the_cpu_with_a_warning(
+def test_network_in_integers_stays_on_cpu_with_warning(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, picture = _installed("movenet-multipose-int8"), noise((256, 256)) * np.float32(255)

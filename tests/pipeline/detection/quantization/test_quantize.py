@@ -49,7 +49,7 @@ def outputs(content: bytes, folder: Path) -> np.ndarray:
     return np.stack([run(image)["out"] for image in IMAGES])
 
 
-def test_outputs_are_nearly_those_of_the_float_network(network: bytes, tmp_path: Path) -> None:
+def test_outputs_are_nearly_those_of_float_network(network: bytes, tmp_path: Path) -> None:
     quantized = quantize(network, measure_ranges(network, IMAGES))
     expected = outputs(network, tmp_path)
     error = outputs(quantized, tmp_path) - expected
@@ -68,7 +68,7 @@ def test_sums_of_two_products_do_not_saturate(network: bytes) -> None:
         assert 255 * 2 * greatest.max() < 2**15
 
 
-def test_values_without_a_range_stay_in_floating_point(network: bytes) -> None:
+def test_values_without_range_stay_in_floating_point(network: bytes) -> None:
     ranges = measure_ranges(network, IMAGES)
     del ranges["out"]
     names = {one.name for one in onnx.load_model_from_string(quantize(network, ranges)).graph.initializer}
@@ -84,7 +84,7 @@ def test_equal_ranges_give_equal_bytes(network: bytes) -> None:
     assert quantize(network, measure_ranges(network, noisy)) == first
 
 
-def test_ranges_enclose_the_values(network: bytes) -> None:
+def test_ranges_enclose_values(network: bytes) -> None:
     low, high = (end(one) for one in measure_ranges(network, IMAGES)["image"])
     greatest = max(float(image.max()) for image in IMAGES)
     assert low == 0.0
@@ -92,7 +92,7 @@ def test_ranges_enclose_the_values(network: bytes) -> None:
     assert measure_ranges(network, [np.full((1, 3, 12, 16), -3.0, np.float32)])["image"] == (26, None)
 
 
-def test_the_installed_network_is_made_from_the_float_network() -> None:
+def test_installed_network_is_made_from_float_network() -> None:
     try:
         content, made = (models.verify(name).read_bytes() for name in ("movenet-multipose", "movenet-multipose-int8"))
     except ModelError as error:

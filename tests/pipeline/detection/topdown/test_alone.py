@@ -15,7 +15,7 @@ assert _REGION is not None
 REGION: Region = _REGION
 
 
-def test_joints_without_an_offset_are_the_landmarks() -> None:
+def test_joints_without_offset_are_landmarks() -> None:
     keypoints_px, score = read_body(decoded(landmarks_px(), REGION), COCO_17, at_common_marks=True)
     limbs = COCO_17.indices(("left_elbow", "right_wrist", "left_knee", "right_ankle", "nose"))
     np.testing.assert_allclose(keypoints_px[limbs], standing_px()[limbs], atol=2.0)
@@ -29,7 +29,7 @@ def test_ears_are_defined_otherwise_and_left_out() -> None:
     assert (score[ears] == 0).all()
 
 
-def test_hips_and_shoulders_move_to_the_marks_of_the_other_joints() -> None:
+def test_hips_and_shoulders_move_to_marks_of_other_joints() -> None:
     pose = decoded(landmarks_px(), REGION)
     hip, shoulder = COCO_17.indices(("left_hip", "left_shoulder"))
     detector_px, _ = read_body(pose, COCO_17, at_common_marks=False)

@@ -91,7 +91,7 @@ def test_frames_that_were_dropped_count_by_their_time() -> None:
     longest_s=st.floats(0.001, 0.2),
     data=st.data(),
 )
-def test_the_schedule_does_not_depend_on_the_range(steps_s: list[float], longest_s: float, data: st.DataObject) -> None:
+def test_schedule_does_not_depend_on_range(steps_s: list[float], longest_s: float, data: st.DataObject) -> None:
     time_s = 7.25 + np.cumsum(steps_s)
     whole = schedule_detections(time_s, range(len(time_s)), longest_s).detected
     assert whole[0] == 0
@@ -107,7 +107,7 @@ def test_the_schedule_does_not_depend_on_the_range(steps_s: list[float], longest
     assert part.detected == whole[first : last + 1]
 
 
-def test_a_body_that_walks_is_detected_in_every_second_frame_and_is_where_it_was() -> None:
+def test_body_that_walks_is_detected_in_every_second_frame() -> None:
     detector = BodiesByFrame(walking(0.02 * SIZE_PX))
     found = run(detector)
     assert detector.seen == [*range(0, 30, 2), *range(30, NUM_FRAMES, 2), NUM_FRAMES - 1]
@@ -118,7 +118,7 @@ def test_a_body_that_walks_is_detected_in_every_second_frame_and_is_where_it_was
         assert_allclose(bodies.box_px[0, :2], bodies.keypoints_px[0].min(0))
 
 
-def test_a_body_that_moves_fast_is_detected_in_every_frame() -> None:
+def test_body_that_moves_fast_is_detected_in_every_frame() -> None:
     detector = BodiesByFrame(walking(0.11 * SIZE_PX))
     run(detector)
     assert sorted(detector.seen) == list(range(NUM_FRAMES))
@@ -137,7 +137,7 @@ def test_one_fast_hand_makes_frames_detected() -> None:
 
 
 @pytest.mark.parametrize("entered", [12, 13])
-def test_a_body_that_enters_is_found_in_its_first_frame(entered: int) -> None:
+def test_body_that_enters_is_found_in_its_first_frame(entered: int) -> None:
     places = [[np.zeros(2)] + [np.array([200.0, 0.0])] * (frame >= entered) for frame in range(NUM_FRAMES)]
     found = run(BodiesByFrame(places))
     assert [len(bodies.score) for bodies in found.values()] == [1 + (frame >= entered) for frame in range(NUM_FRAMES)]
@@ -153,7 +153,7 @@ def test_bodies_keep_their_joints_when_their_order_changes() -> None:
     assert_allclose(found[1].keypoints_px, expected_px)
 
 
-def test_a_joint_that_one_detection_lacks_is_missing_between() -> None:
+def test_joint_that_one_detection_lacks_is_missing_between() -> None:
     @dataclass
     class WithoutNose(BodiesByFrame):
         def detect(self, image_rgb: np.ndarray) -> ImageBodies:
@@ -168,7 +168,7 @@ def test_a_joint_that_one_detection_lacks_is_missing_between() -> None:
     assert np.isfinite(bodies.keypoints_px[0, 1:]).all()
 
 
-def test_frames_beside_a_missing_picture_are_detected() -> None:
+def test_frames_beside_missing_picture_are_detected() -> None:
     detector = BodiesByFrame(walking(1.0))
     run(detector, missing=(8, NUM_FRAMES - 1))
     assert {7, 9, NUM_FRAMES - 2} <= set(detector.seen)
@@ -187,7 +187,7 @@ def test_frames_without_bodies_are_not_detected_between_others() -> None:
     missing=st.lists(st.integers(0, NUM_FRAMES - 1), max_size=3).map(tuple),
     cuts=st.lists(st.integers(1, NUM_FRAMES - 1), max_size=6),
 )
-def test_the_cut_into_ranges_changes_no_bit(
+def test_cut_into_ranges_changes_no_bit(
     longest_s: float, steps_px: list[float], missing: tuple[int, ...], cuts: list[int]
 ) -> None:
     places = [[np.array([place, 0.0])] for place in np.cumsum(steps_px)]

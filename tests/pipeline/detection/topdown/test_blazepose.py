@@ -10,7 +10,7 @@ SURE = np.full(17, 0.9)
 TURNED = Region((310.0, 240.0), 480.0, 0.4)
 
 
-def test_the_region_of_a_standing_body_is_centred_on_the_hips_and_upright() -> None:
+def test_region_of_standing_body_is_centred_on_hips_and_upright() -> None:
     region = body_region(standing_px(), SURE)
     assert region is not None
     np.testing.assert_allclose(region.center_px, CENTER_PX)
@@ -20,7 +20,7 @@ def test_the_region_of_a_standing_body_is_centred_on_the_hips_and_upright() -> N
 
 
 @pytest.mark.parametrize("angle_rad", [0.7, -2.0, 3.0])
-def test_the_region_turns_with_the_trunk(angle_rad: float) -> None:
+def test_region_turns_with_trunk(angle_rad: float) -> None:
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turned_px = (standing_px() - CENTER_PX) @ np.array([[cos, sin], [-sin, cos]]) + CENTER_PX
     region = body_region(turned_px, SURE)
@@ -35,7 +35,7 @@ def test_small_bodies_and_bodies_of_few_joints_have_no_region() -> None:
     assert body_region(standing_px(), few) is None
 
 
-def test_a_body_without_hips_is_centred_on_its_box() -> None:
+def test_body_without_hips_is_centred_on_its_box() -> None:
     joints_px, score = standing_px(), SURE.copy()
     joints_px[COCO_17.indices(("left_hip", "right_hip"))] = np.nan
     score[COCO_17.indices(("left_hip", "right_hip"))] = 0
@@ -45,7 +45,7 @@ def test_a_body_without_hips_is_centred_on_its_box() -> None:
     assert region.angle_rad == 0
 
 
-def test_landmarks_are_decoded_to_pixels_of_the_image() -> None:
+def test_landmarks_are_decoded_to_pixels_of_image() -> None:
     pose = decode_pose(pose_of(landmarks_px(), TURNED), TURNED)
     np.testing.assert_allclose(pose.regressed_px, landmarks_px(), atol=1e-3)
     refined_px, peak = pose.refined()
@@ -54,7 +54,7 @@ def test_landmarks_are_decoded_to_pixels_of_the_image() -> None:
     assert (peak > 0.6).all()
 
 
-def test_heat_corrects_a_regressed_landmark_and_unsure_heat_does_not() -> None:
+def test_heat_corrects_landmark_unless_unsure() -> None:
     wrong_px = landmarks_px() + np.array((9.0, -6.0))
     outputs = pose_of(landmarks_px(), TURNED, {"left_heel": 0.4}, wrong_px)
     refined_px, peak = decode_pose(outputs, TURNED).refined()

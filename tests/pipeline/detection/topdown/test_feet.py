@@ -19,7 +19,7 @@ def test_heels_and_toes_come_from_their_own_landmarks() -> None:
     assert ((score > 0.5) & (score <= 0.8)).all()
 
 
-def test_a_foot_whose_ankle_is_elsewhere_is_left_out() -> None:
+def test_foot_whose_ankle_is_elsewhere_is_left_out() -> None:
     ankles_px = ANKLES_PX.copy()
     ankles_px[1] += (0.07 * SIZE_PX, 0.0)
     points_px, score = read_feet(decoded(landmarks_px(), REGION), ankles_px, SIZE_PX)
@@ -28,12 +28,12 @@ def test_a_foot_whose_ankle_is_elsewhere_is_left_out() -> None:
     assert score[1] == score[3] == 0
 
 
-def test_a_foot_without_an_ankle_is_left_out() -> None:
+def test_foot_without_ankle_is_left_out() -> None:
     points_px, _ = read_feet(decoded(landmarks_px(), REGION), ANKLES_PX * np.array([[np.nan], [1.0]]), SIZE_PX)
     np.testing.assert_array_equal(np.isnan(points_px[:, 0]), [True, False, True, False])
 
 
-def test_an_unsure_toe_is_left_out_alone() -> None:
+def test_unsure_toe_is_left_out_alone() -> None:
     pose = decoded(landmarks_px(), REGION, {"right_foot_index": 0.4})
     points_px, score = read_feet(pose, ANKLES_PX, SIZE_PX)
     np.testing.assert_array_equal(np.isnan(points_px[:, 0]), [False, False, False, True])

@@ -28,7 +28,7 @@ def mapped_landmarks_px() -> np.ndarray:
     return points_px
 
 
-def test_offsets_lie_along_the_trunk_and_the_shoulders() -> None:
+def test_offsets_lie_along_trunk_and_shoulders() -> None:
     offsets_px = dict(zip(SHARED_JOINTS, landmark_offsets_px(standing_px()), strict=True))
     hip = LANDMARK_OFFSETS["hip"]
     # The trunk is 120 pixels long and upright, the shoulders are 60 pixels wide with the left one at the right.
@@ -38,7 +38,7 @@ def test_offsets_lie_along_the_trunk_and_the_shoulders() -> None:
     np.testing.assert_array_equal(offsets_px["nose"], (0, 0))
 
 
-def test_offsets_without_a_trunk_are_unknown_only_where_they_need_it() -> None:
+def test_offsets_are_unknown_where_trunk_is_missing() -> None:
     joints_px = standing_px()
     joints_px[HIP] = np.nan
     offsets_px = dict(zip(SHARED_JOINTS, landmark_offsets_px(joints_px), strict=True))
@@ -46,7 +46,7 @@ def test_offsets_without_a_trunk_are_unknown_only_where_they_need_it() -> None:
     np.testing.assert_array_equal(offsets_px["left_knee"], (0, 0))
 
 
-def test_common_marks_move_shoulders_down_the_trunk_and_nothing_else() -> None:
+def test_common_marks_move_shoulders_down_trunk_and_nothing_else() -> None:
     moved_px = common_marks_px(standing_px()) - standing_px()
     shoulders = COCO_17.indices(("left_shoulder", "right_shoulder"))
     np.testing.assert_allclose(moved_px[shoulders], [(0, -120 * COMMON_OFFSETS["shoulder"].up)] * 2)
@@ -54,19 +54,19 @@ def test_common_marks_move_shoulders_down_the_trunk_and_nothing_else() -> None:
     assert not np.delete(moved_px, shoulders, axis=0).any()
 
 
-def test_a_body_without_a_hip_keeps_its_shoulders() -> None:
+def test_body_without_hip_keeps_its_shoulders() -> None:
     joints_px = standing_px()
     joints_px[HIP] = np.nan
     np.testing.assert_array_equal(common_marks_px(joints_px), joints_px)
 
 
-def test_a_body_without_a_crop_is_at_the_common_marks_too() -> None:
+def test_body_without_crop_is_at_common_marks_too() -> None:
     fused_px, score = fuse(standing_px(), SURE, None)
     np.testing.assert_array_equal(fused_px, common_marks_px(standing_px()))
     np.testing.assert_array_equal(score, SURE)
 
 
-def test_networks_that_agree_but_for_their_definitions_change_nothing() -> None:
+def test_networks_that_agree_change_nothing() -> None:
     fused_px, _ = fuse(standing_px(), SURE, decoded(mapped_landmarks_px(), REGION))
     np.testing.assert_allclose(fused_px, common_marks_px(standing_px()), atol=0.3)
 
@@ -93,7 +93,7 @@ def test_another_persons_limb_far_away_is_not_taken() -> None:
     np.testing.assert_array_equal(fused_px[ELBOW], standing_px()[ELBOW])
 
 
-def test_an_unsure_heatmap_changes_nothing() -> None:
+def test_unsure_heatmap_changes_nothing() -> None:
     points_px = mapped_landmarks_px()
     points_px[LANDMARK["left_elbow"]] += (5.0, 0.0)
     fused_px, _ = fuse(standing_px(), SURE, decoded(points_px, REGION, {"left_elbow": 0.45}))
@@ -110,7 +110,7 @@ def test_ears_and_missing_joints_stay_as_they_are() -> None:
     assert (fused_px[ELBOW] != standing_px()[ELBOW]).any()
 
 
-def test_the_score_is_that_of_the_surer_network() -> None:
+def test_score_is_that_of_surer_network() -> None:
     score = np.where(np.arange(17) == KNEE, 0.3, 0.85)
     pose = decoded(mapped_landmarks_px(), REGION, {"left_elbow": 0.45})
     _, fused = fuse(standing_px(), score, pose)
@@ -118,7 +118,7 @@ def test_the_score_is_that_of_the_surer_network() -> None:
     np.testing.assert_array_equal(np.delete(fused, KNEE), np.delete(score, KNEE))
 
 
-def test_a_missing_joint_keeps_the_score_0() -> None:
+def test_missing_joint_keeps_score_0() -> None:
     joints_px, score = standing_px(), SURE.copy()
     joints_px[KNEE], score[KNEE] = np.nan, 0
     _, fused = fuse(joints_px, score, decoded(landmarks_px(), REGION))

@@ -31,7 +31,7 @@ def outputs_of(points_px: np.ndarray, presence: float = 0.9, right: float = 0.1)
     }
 
 
-def test_the_region_of_a_hand_reaches_beyond_the_fingers() -> None:
+def test_region_of_hand_reaches_beyond_fingers() -> None:
     """Wrist (350, 230), index (352, 270) and little finger (360, 264): the hand points down."""
     region = hand_region(landmarks_px(), LEFT)
     assert region is not None
@@ -50,7 +50,7 @@ def test_small_hands_and_missing_landmarks_have_no_region() -> None:
     assert hand_region(landmarks_px() * np.nan, RIGHT) is None
 
 
-def test_a_hand_is_decoded_to_pixels_of_the_image() -> None:
+def test_hand_is_decoded_to_pixels_of_image() -> None:
     hand = decode_hand(outputs_of(hand_px()), REGION, 3, LEFT, WRIST_PX + np.array((4.0, 0.0)))
     assert hand is not None
     assert (hand.body, hand.side) == (3, LEFT)
@@ -85,13 +85,13 @@ def test_no_hand(points_px: np.ndarray, presence: float, wrist_px: np.ndarray) -
     assert decode_hand(outputs_of(points_px, presence), REGION, 0, LEFT, wrist_px) is None
 
 
-def test_a_foreshortened_palm_is_measured_across() -> None:
+def test_foreshortened_palm_is_measured_across() -> None:
     flat_px = hand_px() * (1.0, 0.01)
     across_px = np.linalg.norm(flat_px[17] - flat_px[5])
     assert palm_length_px(flat_px) == pytest.approx(across_px)
 
 
-def test_a_hand_in_two_crops_belongs_to_the_nearer_wrist() -> None:
+def test_hand_in_two_crops_belongs_to_nearer_wrist() -> None:
     far = Hand(0, LEFT, hand_px() + 2.0, 0.95, 40.0, 0.5)
     near = Hand(1, RIGHT, hand_px(), 0.7, 40.0, 0.1)
     other = replace(far, body=2, points_px=hand_px() + np.array((40.0, 0.0)))

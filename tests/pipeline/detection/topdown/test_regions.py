@@ -25,14 +25,14 @@ def centroid_px(tensor: np.ndarray) -> np.ndarray:
 
 
 @given(REGIONS, st.integers(16, 512))
-def test_the_way_into_a_crop_and_back_changes_nothing(region: Region, crop_px: int) -> None:
+def test_way_into_crop_and_back_changes_nothing(region: Region, crop_px: int) -> None:
     points_px = np.array([(0.0, 0.0), (640.0, 480.0), (-3.5, 1000.25), (np.nan, np.nan)])
     back_px = region.image_from_crop(region.crop_from_image(points_px, crop_px), crop_px)
     np.testing.assert_allclose(back_px, points_px, atol=1e-6)
 
 
 @given(REGIONS, st.integers(16, 512))
-def test_the_edges_of_a_region_are_the_edges_of_its_crop(region: Region, crop_px: int) -> None:
+def test_edges_of_region_are_edges_of_its_crop(region: Region, crop_px: int) -> None:
     up = np.array([np.sin(region.angle_rad), -np.cos(region.angle_rad)])
     top_px = np.array(region.center_px) + region.side_px / 2 * up
     np.testing.assert_allclose(region.crop_from_image(top_px, crop_px), ((crop_px - 1) / 2, -0.5), atol=1e-6)
@@ -41,7 +41,7 @@ def test_the_edges_of_a_region_are_the_edges_of_its_crop(region: Region, crop_px
 @pytest.mark.parametrize(
     ("vector_px", "angle_deg"), [((0.0, -2.0), 0.0), ((3.0, 0.0), 90.0), ((-1.0, 0.0), -90.0), ((1.0, -1.0), 45.0)]
 )
-def test_the_upward_axis_turns_clockwise(vector_px: tuple[float, float], angle_deg: float) -> None:
+def test_upward_axis_turns_clockwise(vector_px: tuple[float, float], angle_deg: float) -> None:
     assert np.degrees(upward(np.array(vector_px))) == pytest.approx(angle_deg)
 
 
@@ -49,7 +49,7 @@ def test_the_upward_axis_turns_clockwise(vector_px: tuple[float, float], angle_d
 @pytest.mark.parametrize("side_px", [120.0, 256.0, 511.0, 512.0, 777.7, 1300.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 37.0, -160.0])
 @pytest.mark.parametrize("center_px", [(400.3, 300.8), (60.0, 50.0)])
-def test_a_point_in_the_crop_maps_back_to_its_place_in_the_image(
+def test_point_in_crop_maps_back_to_its_place_in_image(
     side_px: float, angle_deg: float, center_px: tuple[float, float]
 ) -> None:
     region = Region(center_px, side_px, np.radians(angle_deg))
@@ -62,13 +62,13 @@ def test_a_point_in_the_crop_maps_back_to_its_place_in_the_image(
     np.testing.assert_allclose(found_px, spot_px, atol=0.05 * side_px / 256)
 
 
-def test_an_upright_region_of_the_crops_own_size_is_a_copy() -> None:
+def test_upright_region_of_crops_own_size_is_copy() -> None:
     image = np.random.default_rng(1).integers(0, 256, (64, 80, 3), np.uint8)
     sampled = crop(image, Region((19.5, 25.5), 32.0), 32)
     np.testing.assert_allclose(sampled[0].transpose(1, 2, 0), image[10:42, 4:36] / np.float32(255), atol=1e-6)
 
 
-def test_the_border_is_repeated_outside_of_the_image() -> None:
+def test_border_is_repeated_outside_of_image() -> None:
     image = np.full((40, 40, 3), (51, 102, 204), np.uint8)
     sampled = crop(image, Region((0.0, 0.0), 500.0, 0.3), 64)
     np.testing.assert_allclose(
@@ -76,7 +76,7 @@ def test_the_border_is_repeated_outside_of_the_image() -> None:
     )
 
 
-def test_a_crop_beside_the_image_repeats_its_border() -> None:
+def test_crop_beside_image_repeats_its_border() -> None:
     image = np.full((40, 40, 3), 255, np.uint8)
     assert crop(image, Region((5000.0, -900.0), 800.0), 64).min() == 1.0
 

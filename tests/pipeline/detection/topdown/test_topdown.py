@@ -50,7 +50,7 @@ def one_body() -> FixedBodies:
     return FixedBodies(standing_px()[None])
 
 
-def test_the_detector_is_a_detector_of_bodies() -> None:
+def test_detector_is_detector_of_bodies() -> None:
     detector = TopDown(one_body(), network_of(landmarks_px()), None, True, BODY_FEET)
     assert isinstance(detector, BodyDetector)
     assert isinstance(one_body(), BodyDetector)
@@ -62,7 +62,7 @@ def test_other_joints_than_those_of_coco_are_refused() -> None:
 
 
 @pytest.mark.parametrize("joints", [COCO_17, BODY_FEET, WHOLE_BODY])
-def test_bodies_have_the_joints_that_are_asked_for(joints: JointSet) -> None:
+def test_bodies_have_joints_that_are_asked_for(joints: JointSet) -> None:
     hand = one_by_one(hand_network) if joints is WHOLE_BODY else None
     bodies = TopDown(one_body(), network_of(landmarks_px()), hand, True, joints).detect(IMAGE)
     assert bodies.score.shape == (1, len(joints.names))
@@ -71,7 +71,7 @@ def test_bodies_have_the_joints_that_are_asked_for(joints: JointSet) -> None:
     np.testing.assert_array_equal(bodies.center_score, [0.8])
 
 
-def test_without_refinement_the_body_stays_and_the_feet_are_added() -> None:
+def test_without_refinement_body_stays_and_feet_are_added() -> None:
     bodies = TopDown(one_body(), network_of(landmarks_px() + 2.0), None, False, BODY_FEET).detect(IMAGE)
     np.testing.assert_array_equal(bodies.keypoints_px[0, :17], standing_px())
     assert np.isfinite(bodies.keypoints_px[0, 17:]).all()
@@ -90,7 +90,7 @@ def test_fingers_hang_on_their_own_wrist() -> None:
         assert (np.diff(fingers_px[:, 1]) > 0).all()  # the hands point down, from the thumb's base to the last tip
 
 
-def test_small_bodies_keep_the_joints_of_the_detector() -> None:
+def test_small_bodies_keep_joints_of_detector() -> None:
     small_px = 100 + 0.1 * (standing_px() - standing_px().mean(0))
     bodies = TopDown(FixedBodies(small_px[None]), network_of(landmarks_px()), None, True, BODY_FEET).detect(IMAGE)
     np.testing.assert_array_equal(bodies.keypoints_px[0, :17], common_marks_px(small_px))
@@ -98,14 +98,14 @@ def test_small_bodies_keep_the_joints_of_the_detector() -> None:
     assert (bodies.score[0, 17:] == 0).all()
 
 
-def test_an_image_without_bodies() -> None:
+def test_image_without_bodies() -> None:
     detector = TopDown(
         FixedBodies(np.zeros((0, 17, 2))), network_of(landmarks_px()), one_by_one(hand_network), True, WHOLE_BODY
     )
     assert detector.detect(IMAGE).keypoints_px.shape == (0, 61, 2)
 
 
-def test_a_body_without_a_trunk_is_upright_in_the_turned_picture() -> None:
+def test_body_without_trunk_is_upright_in_turned_picture() -> None:
     score = np.full(17, 0.6)
     score[COCO_17.indices(("left_hip", "right_hip"))] = 0.0
     regions = [body_region(standing_px(), score, turn_deg) for turn_deg in (0.0, 90.0)]

@@ -23,7 +23,7 @@ def checked(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> tupl
     return code, json.loads(capsys.readouterr().out)
 
 
-def test_what_is_printed_is_what_the_service_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_printed_table_is_readable_by_service(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "robot.vrm"
     path.write_bytes(vrm("1.0"))
     code, printed = checked(path, capsys)

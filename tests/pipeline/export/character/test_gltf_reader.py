@@ -41,14 +41,14 @@ def test_bones_stand_where_they_were_put() -> None:
     assert rig.is_bone.sum() == len(bones)
 
 
-def test_the_mesh_is_read_in_the_rest_pose() -> None:
+def test_mesh_is_read_in_rest_pose() -> None:
     read = decode_character("a.glb", MIXAMO)
     (skinned,) = read.skinned
     # Six vertices a bone; the first one at its head, the last one at its tail.
     np.testing.assert_allclose(skinned.positions[::6], read.rig.positions[skinned.bones[::6]], atol=1e-3)
 
 
-def test_a_file_saved_in_a_pose_is_read_at_rest() -> None:
+def test_file_saved_in_pose_is_read_at_rest() -> None:
     document, binary = parts(MIXAMO)
     posed = next(node for node in document["nodes"] if node["name"] == "mixamorig:LeftArm")
     posed["rotation"] = [0.0, 0.6, 0.0, 0.8]
@@ -57,7 +57,7 @@ def test_a_file_saved_in_a_pose_is_read_at_rest() -> None:
     np.testing.assert_allclose(rig.positions, still.positions, atol=1e-3)
 
 
-def test_a_humanoid_table_is_read_in_both_versions() -> None:
+def test_humanoid_table_is_read_in_both_versions() -> None:
     for version in ("0.x", "1.0"):
         read = decode_character("a.vrm", vrm(version))
         assert read.rig.names[read.humanoid["leftLowerLeg"]].startswith("b")
@@ -122,7 +122,7 @@ def no_rotation(document: dict[str, Any]) -> None:
         (no_rotation, "character_unreadable"),
     ],
 )
-def test_what_can_not_be_is_refused(damage: Callable[[dict[str, Any]], None], code: str) -> None:
+def test_impossible_input_is_refused(damage: Callable[[dict[str, Any]], None], code: str) -> None:
     document, binary = parts(MIXAMO)
     damage(document)
     assert code_of(glb(document, binary)) == code

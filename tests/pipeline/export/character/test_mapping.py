@@ -95,7 +95,7 @@ LIMB_BONES = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "
         ("Hip Knee Ankle Toes Scapula Shoulder Elbow Wrist", "{bone}_{s}"),  # Advanced Skeleton
     ],
 )
-def test_bones_are_named_after_the_joints_at_their_heads(names: str, pattern: str) -> None:
+def test_bones_are_named_after_joints_at_their_heads(names: str, pattern: str) -> None:
     called = {
         f"mixamorig:{side}{joint}": pattern.format(s=side[0], bone=bone)
         for side in ("Left", "Right")
@@ -122,7 +122,7 @@ def test_meshes_that_are_called_as_bones_are_none() -> None:
 
 
 @pytest.mark.parametrize("rig", ["default", "mixamo", "game_engine"])
-def test_the_shape_tells_what_names_tell(rig: str) -> None:
+def test_shape_tells_what_names_tell(rig: str) -> None:
     file = read(bones_of(rig))
     by_shape, by_name = joints_by_shape(file.rig), joints_by_name(file.rig, {})
     toes = {"LeftToeBase", "RightToeBase"}  # MakeHuman's default rig has all ten; any will do.
@@ -132,7 +132,7 @@ def test_the_shape_tells_what_names_tell(rig: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["0.x", "1.0"])
-def test_the_table_of_a_vrm_counts(version: str) -> None:
+def test_table_of_vrm_counts(version: str) -> None:
     file = decode_character("a.vrm", vrm(version))
     mapping = map_bones(file)
     assert mapping.method == "vrm"
@@ -155,7 +155,7 @@ def test_ends_of_limbs_that_hang_elsewhere_keep_their_names(ends: tuple[str, ...
     ]
 
 
-def test_a_limb_that_is_broken_within_is_named() -> None:
+def test_limb_that_is_broken_within_is_named() -> None:
     with pytest.raises(InputError) as raised:
         map_bones(read(ik_bones(dict.fromkeys(("lowerleg01.L", "lowerleg01.R"), "root"))))
     assert [problem.message for problem in raised.value.problems] == [
@@ -164,7 +164,7 @@ def test_a_limb_that_is_broken_within_is_named() -> None:
     ]
 
 
-def test_the_shape_never_contradicts_names() -> None:
+def test_shape_never_contradicts_names() -> None:
     names = {"wrist.L": "grip one", "wrist.R": "grip two"}
     bones = ik_bones({"lowerarm02.L": "spine01"})
     renamed: Bones = {
@@ -219,7 +219,7 @@ def test_odd_names_in_centimetres_with_z_up() -> None:
     assert len(rig.names) == len(file.rig.names)
 
 
-def test_a_table_corrects_the_mapping(tmp_path: Path) -> None:
+def test_table_corrects_mapping(tmp_path: Path) -> None:
     file = read(bones_of("mixamo"))
     path = tmp_path / "bones.json"
     path.write_text(json.dumps({"bones": {"LeftShoulder": None, "LeftToeBase": "mixamorig:RightToeBase"}}))
@@ -232,7 +232,7 @@ def test_a_table_corrects_the_mapping(tmp_path: Path) -> None:
     assert map_bones(file, bone_table(mapping.document())).bones == mapping.bones
 
 
-def test_all_problems_of_a_table_are_told(tmp_path: Path) -> None:
+def test_all_problems_of_table_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         bone_table({"bones": {"Elbow": "a", "LeftArm": 3}})
     assert [problem.code for problem in raised.value.problems] == ["bones_invalid"] * 2
@@ -257,7 +257,7 @@ def test_large_trees_are_no_characters(num_children: int) -> None:
     assert [problem.code for problem in raised.value.problems] == ["character_bones"]
 
 
-def test_a_chair_is_no_character() -> None:
+def test_chair_is_no_character() -> None:
     chair: Bones = {"seat": (None, np.zeros(3), np.array([0.0, 0.0, 0.1]))}
     for number, (x, y) in enumerate(((0.2, 0.2), (-0.2, 0.2), (0.2, -0.2), (-0.2, -0.2))):
         chair[f"leg {number}"] = ("seat", np.array([x, y, 0.0]), np.array([x, y, -0.5]))
@@ -267,7 +267,7 @@ def test_a_chair_is_no_character() -> None:
     assert "no skeleton of a person" in str(raised.value)
 
 
-def test_a_mesh_alone_is_no_character() -> None:
+def test_mesh_alone_is_no_character() -> None:
     with pytest.raises(InputError) as raised:
         map_bones(decode_character("a.glb", glb({"nodes": [{"name": "mesh"}]}, b"")))
     (problem,) = raised.value.problems

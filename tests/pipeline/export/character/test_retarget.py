@@ -59,7 +59,7 @@ def places(motion: CharacterMotion, joint: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CHARACTERS)
 @pytest.mark.parametrize("take", [*TAKES, *ON_THE_FLOOR], ids=lambda take: "-".join(take[:2]))
-def test_feet_stand_still_on_the_floor(name: str, take: tuple[str, str, float]) -> None:
+def test_feet_stand_still_on_floor(name: str, take: tuple[str, str, float]) -> None:
     animation = take_of(*take)
     figures = retargeting_figures(retarget(animation.motions[0], figure(name), animation.floor))
     assert figures.slide_cm <= 0.1
@@ -68,7 +68,7 @@ def test_feet_stand_still_on_the_floor(name: str, take: tuple[str, str, float]) 
 
 
 @pytest.mark.parametrize("take", TAKES, ids=lambda take: "-".join(take[:2]))
-def test_limbs_of_a_twin_have_the_person_s_directions(take: tuple[str, str, float]) -> None:
+def test_limbs_of_twin_have_person_s_directions(take: tuple[str, str, float]) -> None:
     animation = take_of(*take)
     motion = retarget(animation.motions[0], twin(animation.motions[0]), animation.floor)
     assert motion.scale == pytest.approx(1.0, abs=1e-5)
@@ -97,7 +97,7 @@ def test_limbs_of_others_have_them_as_nearly_as_feet_allow(name: str) -> None:
         assert angles_deg(motion, f"{side}ForeArm", f"{side}Hand").max() < 0.01
 
 
-def test_feet_on_a_treadmill_go_with_its_belt() -> None:
+def test_feet_on_treadmill_go_with_its_belt() -> None:
     animation = take_of("walk", "feet", 4.0)
     source = animation.motions[0]
     # The person walks ahead at the speed of the belt, and so stays in the room.
@@ -118,7 +118,7 @@ def test_feet_on_a_treadmill_go_with_its_belt() -> None:
     assert figures.direction_deg[1] <= 5.0
 
 
-def test_the_path_is_scaled_by_the_legs() -> None:
+def test_path_is_scaled_by_legs() -> None:
     animation = take_of("walk", "feet", 4.0)
     source = animation.motions[0]
     motion = retarget(source, figure("odd"), animation.floor)
@@ -166,7 +166,7 @@ def standing(roll_deg: float) -> tuple[SkeletonMotion, Floor]:
     return replace(source, contacts=contacts), Floor(float(ankles_m[:, 2].mean()) - 0.065, 0.0, 0.0)
 
 
-def test_hips_tilt_for_feet_that_were_located_beside_the_floor() -> None:
+def test_hips_tilt_for_feet_that_were_located_beside_floor() -> None:
     """Nearly straight legs, which would turn by four degrees, keep their directions."""
     source, floor = standing(2.5)
     motion = retarget(source, twin(source), floor)
@@ -183,7 +183,7 @@ def test_hips_tilt_for_feet_that_were_located_beside_the_floor() -> None:
     assert retargeting_figures(retarget(replace(source, contacts=()), twin(source), floor)).hips_deg[1] < 1e-6
 
 
-def test_hips_do_not_rock_while_a_foot_stands() -> None:
+def test_hips_do_not_rock_while_foot_stands() -> None:
     """Hips are as smooth as the person's where feet stand still."""
     animation = take_of("walk", "feet", 4.0)
     source = animation.motions[0]
@@ -206,7 +206,7 @@ def test_hands_meet_where_they_met() -> None:
     assert angles_deg(apart, "LeftArm", "LeftHand").max() < 1e-3
 
 
-def test_a_person_at_rest_stands_straight() -> None:
+def test_person_at_rest_stands_straight() -> None:
     """An A-posed character in a person's T-pose has its arms and legs stretched, and its hands flat."""
     motion = retarget(posed({}), figure("default"), None)
     for side, out in (("Left", 1.0), ("Right", -1.0)):
@@ -218,7 +218,7 @@ def test_a_person_at_rest_stands_straight() -> None:
 
 
 @pytest.mark.slow
-def test_fingers_turn_as_the_person_s() -> None:
+def test_fingers_turn_as_person_s() -> None:
     animation = take_of("hands", "whole", 4.0)
     source = animation.motions[0]
     motion = retarget(source, figure("mixamo"), animation.floor)
@@ -238,7 +238,7 @@ def test_fingers_turn_as_the_person_s() -> None:
     assert figure("mixamo").joints["LeftHandIndex1"] not in still.turns
 
 
-def test_bones_of_a_forearm_share_the_twist_of_the_hand() -> None:
+def test_bones_of_forearm_share_twist_of_hand() -> None:
     rig, joints = figure("default").rig, figure("default").joints
     motion = retarget(posed({"LeftHand": (60.0, 0.0, 0.0)}), figure("default"), None)
     turns = motion.turns

@@ -20,7 +20,7 @@ def fresh_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_model_is_installed_with_its_licence(fresh_home: Path) -> None:
+def test_model_is_installed_with_its_licence(fresh_home: Path) -> None:
     with pytest.raises(ModelError, match=r"not installed\. Run: multicap opensim install"):
         installed.load()
     assert installed.install().is_relative_to(fresh_home)
@@ -29,7 +29,7 @@ def test_the_model_is_installed_with_its_licence(fresh_home: Path) -> None:
     assert b"BSD 3-Clause" in licence
 
 
-def test_a_changed_model_is_refused_and_installed_again(fresh_home: Path) -> None:
+def test_changed_model_is_refused_and_installed_again(fresh_home: Path) -> None:
     path = installed.install()
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"<mass>", b"<mass>1", 1))

@@ -73,9 +73,7 @@ def test_walk_has_model_that_follows_markers_and_angles(
     assert {name: far for name, far in apart_deg(walk, folder).items() if far > 5.0} == {}
 
 
-def test_the_model_has_the_size_and_the_mass_of_the_person(
-    walk: Reconstruction, walk_archive: tuple[OpenSimPerson, Path]
-) -> None:
+def test_model_has_size_and_mass_of_person(walk: Reconstruction, walk_archive: tuple[OpenSimPerson, Path]) -> None:
     person, folder = walk_archive
     code = """
 model = opensim.Model("scaled.osim")
@@ -96,9 +94,7 @@ print([lengths[0], lengths[1], lengths[3], float(model.getTotalMass(state))])
     assert 55.0 < mass_kg < 80.0
 
 
-def test_opensim_reads_the_files_and_runs_the_setups_by_hand(
-    walk_archive: tuple[OpenSimPerson, Path], tmp_path: Path
-) -> None:
+def test_opensim_reads_files_and_runs_setups_by_hand(walk_archive: tuple[OpenSimPerson, Path], tmp_path: Path) -> None:
     """The setups name files beside them: a program that is started in the folder runs them as README.txt says."""
     _, folder = walk_archive
     copy = tmp_path / "by hand" / "person"
@@ -128,7 +124,7 @@ def test_equal_takes_give_equal_bytes_and_nothing_is_left_behind(
         assert {"LICENSE.txt", "README.txt", "generic.osim"} <= {name.partition("/")[2] for name in archive.namelist()}
 
 
-def test_a_person_without_hips_has_no_archive_and_a_reason(walk: Reconstruction, tmp_path: Path) -> None:
+def test_person_without_hips_has_no_archive_and_reason(walk: Reconstruction, tmp_path: Path) -> None:
     track = walk.tracks[0]
     xyz_m = np.array(track.xyz_m)
     xyz_m[1:, walk.joints.index("left_hip")] = np.nan
@@ -162,7 +158,7 @@ def test_people_in_survey_coordinates_are_found(
     np.testing.assert_allclose(np.subtract(origin_m, away_m), [0.0, 0.0, 2.0], atol=1.0)
 
 
-def test_bones_of_an_impossible_size_are_named(walk: Reconstruction, tmp_path: Path) -> None:
+def test_bones_of_impossible_size_are_named(walk: Reconstruction, tmp_path: Path) -> None:
     motion = walk.motions[0]
     lengths_m = np.array(motion.bone_length_m)
     lengths_m[[INDEX["LeftForeArm"], INDEX["RightForeArm"]]] = 1.2
@@ -193,7 +189,7 @@ def test_children_and_tall_people_are_as_documented(motion: str, seed: int, size
 
 
 @pytest.mark.slow
-def test_gaps_are_left_out_of_the_motion(tmp_path: Path) -> None:
+def test_gaps_are_left_out_of_motion(tmp_path: Path) -> None:
     take = take_of("walk", 5.0, gaps=[(slice(90, 190), ""), (slice(210, 290), "left_")])
     person, folder = archived(take, tmp_path)
     assert person.problem is None

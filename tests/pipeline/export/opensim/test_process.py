@@ -32,7 +32,7 @@ def change(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def test_an_unknown_body_of_a_marker_is_named(setups: Path) -> None:
+def test_unknown_body_of_marker_is_named(setups: Path) -> None:
     change(setups / "markers.xml", "/bodyset/head", "/bodyset/tail")
     _, problem = run_opensim(setups, 60, ignore)
     assert problem is not None
@@ -40,14 +40,14 @@ def test_an_unknown_body_of_a_marker_is_named(setups: Path) -> None:
     assert "tail" in problem
 
 
-def test_a_broken_model_is_a_problem_and_not_a_crash(setups: Path) -> None:
+def test_broken_model_is_problem_and_not_crash(setups: Path) -> None:
     (setups / "generic.osim").write_bytes(b"<OpenSimDocument Version='40000'><Model><BodySet>\x00")
     _, problem = run_opensim(setups, 60, ignore)
     assert problem is not None
     assert problem.startswith("Scaling failed")
 
 
-def test_the_frame_and_the_marker_where_it_stopped_are_named(setups: Path) -> None:
+def test_frame_and_marker_where_it_stopped_are_named(setups: Path) -> None:
     lines = (setups / "markers.trc").read_text().splitlines()
     head, rows = lines[:6], [line.split("\t") for line in lines[6:]]
     rows[20][2:] = ["nan"] * (len(rows[20]) - 2)
@@ -59,7 +59,7 @@ def test_the_frame_and_the_marker_where_it_stopped_are_named(setups: Path) -> No
     assert f"the marker {log.last} was" in problem
 
 
-def test_a_run_beyond_its_computing_time_is_ended(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_beyond_its_computing_time_is_ended(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "_MAX_CPU_S", 3)
     monkeypatch.setattr(process, "_MAX_CPU_S_A_FRAME", 0)
     lines = (setups / "markers.trc").read_text().splitlines()
@@ -73,7 +73,7 @@ def test_a_run_beyond_its_computing_time_is_ended(setups: Path, monkeypatch: pyt
     assert "limits on time and memory" in problem
 
 
-def test_an_end_from_outside_is_not_the_person_s_fault(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_end_from_outside_is_not_person_s_fault(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
 
     class Watched(subprocess.Popen[bytes]):
@@ -90,7 +90,7 @@ def test_an_end_from_outside_is_not_the_person_s_fault(setups: Path, monkeypatch
         run_opensim(setups, 60, kill)
 
 
-def test_a_canceled_task_ends_the_child(setups: Path) -> None:
+def test_canceled_task_ends_child(setups: Path) -> None:
     class CanceledError(Exception):
         pass
 

@@ -32,7 +32,7 @@ def detail(image: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("radius_px", [10.0, 24.0, 60.0])
-def test_no_detail_of_a_face_is_left(radius_px: float) -> None:
+def test_no_detail_of_face_is_left(radius_px: float) -> None:
     image = patterned()
     blurred = blur_ellipses(image, np.array([[160.0, 120.0, radius_px, 1.3 * radius_px]]))
     inner = (
@@ -55,7 +55,7 @@ def test_faces_that_differ_in_detail_alone_become_equal() -> None:
     assert np.abs(shown - shown_other).max() <= 2
 
 
-def test_what_lies_outside_stays_as_it_was() -> None:
+def test_pixels_outside_stay() -> None:
     image = patterned()
     blurred = blur_ellipses(image, np.array([[100.0, 60.0, 20.0, 30.0]]))
     rows, columns = np.mgrid[:240, :320]
@@ -64,7 +64,7 @@ def test_what_lies_outside_stays_as_it_was() -> None:
     assert (blurred[~is_outside] != image[~is_outside]).any(axis=-1).mean() > 0.9
 
 
-def test_ellipses_at_the_edge_and_beyond_it() -> None:
+def test_ellipses_at_edge_and_beyond_it() -> None:
     image = patterned()
     far = np.array([[-500.0, 60.0, 20.0, 30.0], [160.0, 900.0, 20.0, 30.0]])
     np.testing.assert_array_equal(blur_ellipses(image, far), image)
@@ -75,7 +75,7 @@ def test_ellipses_at_the_edge_and_beyond_it() -> None:
     assert detail(whole) < 0.02 * detail(image)
 
 
-def test_a_tiny_head_is_blurred_too() -> None:
+def test_tiny_head_is_blurred_too() -> None:
     image = np.zeros((60, 60, 3), np.uint8)
     image[::2] = 255
     blurred = blur_ellipses(image, np.array([[30.0, 30.0, 4.0, 4.0]]))
@@ -111,7 +111,7 @@ def inner(image: np.ndarray, frame: int) -> np.ndarray:
     return image[80:121, x_px - 20 : x_px + 21]
 
 
-def test_heads_are_gone_from_the_encoded_video(video: VideoInfo, tmp_path: Path) -> None:
+def test_heads_are_gone_from_encoded_video(video: VideoInfo, tmp_path: Path) -> None:
     path = tmp_path / "blurred.mp4"
     frames: list[None] = []
     write_blurred(video, video.time_s, range(NUM_FRAMES), HEADS, path, lambda: frames.append(None))
@@ -125,7 +125,7 @@ def test_heads_are_gone_from_the_encoded_video(video: VideoInfo, tmp_path: Path)
         assert detail(shown) > 0.5 * detail(rest)
 
 
-def test_frames_outside_of_the_take_are_black(video: VideoInfo, tmp_path: Path) -> None:
+def test_frames_outside_of_take_are_black(video: VideoInfo, tmp_path: Path) -> None:
     path = tmp_path / "part.mp4"
     part = HeadRegions("front", CAMERA.size_px, 4, 8, FRAMES, ELLIPSE_PX)
     write_blurred(video, video.time_s, range(4, 8), part, path, lambda: None)

@@ -66,7 +66,7 @@ def without_joints(xyz_m: np.ndarray, frames: slice, *names: str) -> np.ndarray:
     return joints_m
 
 
-def test_the_head_is_inside_in_every_frame() -> None:
+def test_head_is_inside_in_every_frame() -> None:
     assert covered(regions_of(walk_m()), walk_m()).all()
 
 
@@ -80,7 +80,7 @@ def test_the_head_is_inside_in_every_frame() -> None:
         COCO_17.names,
     ],
 )
-def test_a_head_whose_joints_are_unknown_for_a_while_is_inside(missing: tuple[str, ...]) -> None:
+def test_head_whose_joints_are_unknown_for_while_is_inside(missing: tuple[str, ...]) -> None:
     truth_m = walk_m()
     assert covered(regions_of(without_joints(truth_m, slice(15, 35), *missing)), truth_m).all()
 
@@ -95,7 +95,7 @@ def test_less_knowledge_makes_larger_regions() -> None:
     assert radii[-1] > 2 * radii[0]
 
 
-def test_a_joint_that_is_uncertain_makes_a_larger_region() -> None:
+def test_joint_that_is_uncertain_makes_larger_region() -> None:
     certain = track_of(walk_m(), 1)
     unsure = replace(certain, uncertainty_m=np.full(certain.score.shape, 0.05))
     radii = [path.radius_m for track in (certain, unsure) if (path := head_path(track, COCO_17, TIMEBASE))]
@@ -114,11 +114,11 @@ def test_people_are_expected_before_and_after_their_track() -> None:
     assert short.at(TIME_S[4] + HOLD_S + 0.01) is None
 
 
-def test_a_track_without_any_place_has_no_head() -> None:
+def test_track_without_any_place_has_no_head() -> None:
     assert head_path(track_of(np.full((5, 17, 3), np.nan), 1), COCO_17, TIMEBASE) is None
 
 
-def test_a_sphere_is_inside_its_ellipse_through_the_lens() -> None:
+def test_sphere_is_inside_its_ellipse_through_lens() -> None:
     wide = replace(
         CAMERA, matrix=np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix, distortion=np.array([-0.25, 0.06, 0.0, 0.0])
     )
@@ -134,7 +134,7 @@ def test_a_sphere_is_inside_its_ellipse_through_the_lens() -> None:
         assert ellipse_px[2] < 0.85 * np.ptp(points_px[:, 0])
 
 
-def test_heads_behind_and_at_the_camera() -> None:
+def test_heads_behind_and_at_camera() -> None:
     assert sphere_ellipse(CAMERA, np.array([0.0, -6.0, 1.0]), 0.2) is None
     at_camera = sphere_ellipse(CAMERA, np.array([0.0, -4.1, 1.0]), 0.2)
     assert at_camera is not None
@@ -148,7 +148,7 @@ def bodies(points_px: np.ndarray) -> Detections:
     return Detections("front", np.arange(len(points_px)), points_px, np.isfinite(points_px[..., 0]) * 1.0, box_px)
 
 
-def test_a_bystander_whom_no_track_took_is_covered() -> None:
+def test_bystander_whom_no_track_took_is_covered() -> None:
     truth_m = walk_m()
     found = bodies(project(CAMERA, truth_m))
     seen = seen_heads([found.within(range(25)), found.within(range(25, NUM_FRAMES))], COCO_17)["front"]
@@ -172,7 +172,7 @@ def test_a_bystander_whom_no_track_took_is_covered() -> None:
         tuple(name for name in COCO_17.names if name not in FACE),
     ],
 )
-def test_the_head_of_a_body_in_one_picture(missing: tuple[str, ...]) -> None:
+def test_head_of_body_in_one_picture(missing: tuple[str, ...]) -> None:
     """Every subset of the joints of people who stand, in profile and from the front, gives a region with the head."""
     for turn_rad in (0.0, 1.5):
         truth_px = project(CAMERA, walker(30, RATE_HZ, turn_rad=turn_rad) - np.array([1.0, 2.0, 0.0]))
@@ -184,7 +184,7 @@ def test_the_head_of_a_body_in_one_picture(missing: tuple[str, ...]) -> None:
             assert is_inside(truth_px[number, HEAD], ellipse_px[number : number + 1]).all()
 
 
-def test_a_body_without_shoulders_is_covered_whole() -> None:
+def test_body_without_shoulders_is_covered_whole() -> None:
     truth_px = project(CAMERA, walk_m())
     truth_px[:, [number for number, name in enumerate(COCO_17.names) if "knee" not in name and "ankle" not in name]] = (
         np.nan
@@ -195,7 +195,7 @@ def test_a_body_without_shoulders_is_covered_whole() -> None:
     assert is_inside(corners_px * 0.999 + corners_px.mean(0) * 0.001, ellipse_px[7:8]).all()
 
 
-def test_peaks_of_heatmaps_are_as_large_as_the_heads_of_people() -> None:
+def test_peaks_of_heatmaps_are_as_large_as_heads_of_people() -> None:
     truth_m = walk_m()
     nose_px = project(CAMERA, truth_m[:, COCO_17.index("nose")])
     fields = PafFields(
@@ -218,7 +218,7 @@ def test_peaks_of_heatmaps_are_as_large_as_the_heads_of_people() -> None:
     assert float(np.median(with_person.ellipse_px[:, 2])) > 20
 
 
-def test_frames_outside_of_the_take_are_covered_whole() -> None:
+def test_frames_outside_of_take_are_covered_whole() -> None:
     regions = HeadRegions("front", (640, 480), 10, 20, np.array([12]), np.array([[100.0, 50.0, 20.0, 30.0]]))
     for frame in (9, 20):
         assert is_inside(np.array([[0.0, 0.0], [639.0, 479.0]]), regions.in_frame(frame, (640, 480))).all()

@@ -69,7 +69,7 @@ def test_turned_or_zoomed_camera_alone_is_named(parameters: slice, step: float) 
     assert shift.step[parameters.start] == pytest.approx(-step, rel=0.15)
 
 
-def test_two_moved_cameras_are_named_the_worst_one_first() -> None:
+def test_two_moved_cameras_are_named_worst_one_first() -> None:
     cameras = moved(1, ROTATION, np.radians(0.6))
     cameras[3] = moved(3, ROTATION, np.radians(1.5))[3]
     assert [shift.camera for shift in shifted(cameras, observe())] == [3, 1]
@@ -82,7 +82,7 @@ def test_bodies_of_other_people_are_no_shift() -> None:
     assert shifted(CAMERAS, points_px) == []
 
 
-def test_the_habits_of_a_detector_before_one_person_are_no_shift() -> None:
+def test_habits_of_detector_before_one_person_are_no_shift() -> None:
     """The joints of one person are half a deviation to the right in a camera, at all instants."""
     one = np.arange(len(INSTANT)) % NUM_PEOPLE == 0
     points_px = observe()[one]

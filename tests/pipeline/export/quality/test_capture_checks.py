@@ -39,7 +39,7 @@ def test_nothing_is_wrong_with_somebody_whom_three_cameras_see() -> None:
     assert checks(observe(TRACK)) == []
 
 
-def test_an_empty_result_says_so() -> None:
+def test_empty_result_says_so() -> None:
     report = quality_report(reconstruction())
     assert [check.code for check in all_checks(report)] == ["nobody_found"]
 
@@ -55,7 +55,7 @@ def nobody(check: SessionCheck) -> tuple[str, str, list[str]]:
     return found[-1].message, found[-1].evidence["reason"], [one.code for one in found]
 
 
-def test_an_empty_result_says_why() -> None:
+def test_empty_result_says_why() -> None:
     undetected = Finding(NOBODY_DETECTED, "Nobody was detected.", None, "error", "Look at the pictures.")
     message, reason, codes = nobody(SessionCheck((undetected,), {"a": 0, "b": 0}, 12))
     assert message == "Nobody was found. Nobody was detected. Look at the pictures."
@@ -72,7 +72,7 @@ def test_two_cameras_are_few() -> None:
     assert "2 cameras" in message
 
 
-def test_a_camera_that_was_matched_with_nobody_is_named() -> None:
+def test_camera_that_was_matched_with_nobody_is_named() -> None:
     four = (*CAMERAS, camera("elsewhere", 4.0))
     ((code, message),) = checks(unseen(observe(TRACK, four), slice(None), 3), four)
     assert code == "camera_without_people"
@@ -217,7 +217,7 @@ def test_limb_located_half_as_long_is_named() -> None:
     assert finding.evidence["limbs"] == [{"id": 1, "limb": "left forearm", "located_m": 0.125, "length_m": 0.25}]
 
 
-def test_the_take_decides_which_cameras_disagree_a_little() -> None:
+def test_take_decides_which_cameras_disagree_little() -> None:
     def at_instants(camera: str, severity: Severity, code: Code = CAMERA_DISAGREES) -> dict[str, Any]:
         return Finding(code, "A few instants say so.", camera, severity).to_json()
 

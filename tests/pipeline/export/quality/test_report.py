@@ -66,7 +66,7 @@ def shifted(observations: Observations, camera_index: int, shift_px: tuple[float
     return dataclasses.replace(observations, points_px=points_px)
 
 
-def test_a_perfect_walk_has_perfect_figures() -> None:
+def test_perfect_walk_has_perfect_figures() -> None:
     report = quality_report(reconstruction(track_of(walker(40), track_id=3, start_frame=5)))
     assert report["schema_version"] == 1
     assert (report["num_frames"], report["frame_rate_hz"]) == (100, RATE_HZ)
@@ -188,7 +188,7 @@ def test_error_is_measured_in_pixels_as_seen_over_outliers_too() -> None:
     assert report["people"][0]["reprojection_error_px"] == 0.0
 
 
-def test_doubtful_observations_don_t_count_and_the_views_show_it() -> None:
+def test_doubtful_observations_don_t_count_and_views_show_it() -> None:
     track = track_of(walker(40))
     off = shifted(observe(track), 1, (30.0, 40.0))
     score = off.score.copy()
@@ -202,7 +202,7 @@ def test_doubtful_observations_don_t_count_and_the_views_show_it() -> None:
     assert report["reprojection_error_px"]["by_camera"]["b"] == 50.0
 
 
-def test_dropped_joints_lower_coverage_and_joints_a_frame() -> None:
+def test_dropped_joints_lower_coverage_and_joints_frame() -> None:
     whole = track_of(walker(40))
     seen = track_of(without(walker(40), "left_wrist", "nose", frames=slice(0, 20)))
     report = quality_report(reconstruction(seen, observations=(observe(whole),)))
@@ -220,7 +220,7 @@ def test_interpolated_joints_are_not_covered() -> None:
     assert quality_report(reconstruction(dataclasses.replace(track, source=source)))["coverage"] == 0.5
 
 
-def test_jitter_is_the_mean_acceleration() -> None:
+def test_jitter_is_mean_acceleration() -> None:
     time_s = np.arange(20) / RATE_HZ
     xyz_m = np.zeros((20, 17, 3))
     # A parabola of 3 m/s2 in one joint, at rest in all others; unseen once.
@@ -243,7 +243,7 @@ def test_bone_length_deviation_weights_tracks_by_frames() -> None:
     assert np.isnan(bone_length_std_cm([], COCO_17))
 
 
-def test_stature_is_unknown_without_a_trunk() -> None:
+def test_stature_is_unknown_without_trunk() -> None:
     track = track_of(without(walker(5), "left_shoulder"))
     assert np.isnan(estimate_stature_m(track, COCO_17))
     assert quality_report(reconstruction(track))["people"][0]["stature_m"] is None
@@ -265,7 +265,7 @@ def test_short_tracks_have_no_jitter() -> None:
     assert report["bone_length_std_cm"] == 0.0
 
 
-def test_bytes_are_strict_and_always_the_same() -> None:
+def test_bytes_are_strict_and_always_same() -> None:
     report = quality_report(reconstruction(track_of(np.full((3, 17, 3), np.nan))))
     assert encode(report) == encode(report)
     assert b"NaN" not in encode(report)
@@ -286,7 +286,7 @@ def test_mirrored_world_is_error_wrong_floor_warning() -> None:
     assert found[1].hint is not None
 
 
-def test_people_decide_where_the_floor_is() -> None:
+def test_people_decide_where_floor_is() -> None:
     found = people_findings(quality_report(reconstruction(track_of(walker(60)))))
     assert found == []
     assert join_findings([DOUBT], found) == []

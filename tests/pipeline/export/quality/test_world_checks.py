@@ -37,7 +37,7 @@ def test_each_kind_of_wrong_world_is_named(scale: tuple[float, ...], shift_m: fl
     assert codes(WALK_M * scale + np.array([0.0, 0.0, shift_m])) == expected
 
 
-def test_a_world_is_upside_down_if_people_and_cameras_are() -> None:
+def test_world_is_upside_down_if_people_and_cameras_are() -> None:
     turn = np.diag([1.0, -1.0, -1.0])
     turned = [camera.cam_from_world for camera in CAMERAS]
     cameras = tuple(
@@ -55,7 +55,7 @@ def test_nothing_is_wrong_where_nothing_is_known() -> None:
     assert codes(np.full((5, 17, 3), np.nan)) == []
 
 
-def test_cameras_below_the_floor_are_named() -> None:
+def test_cameras_below_floor_are_named() -> None:
     sunk = (*CAMERAS, camera("low", 0.0, height_m=-1.0))
     track = track_of(WALK_M)
     (check,) = world_checks(reconstruction(track, cameras=sunk), {1: 1.7}, [])
@@ -77,13 +77,13 @@ def test_many_people_of_no_human_size_are_one_check() -> None:
     assert "person-10 (0.17 m) and 2 more. " in check["message"]
 
 
-def test_many_cameras_below_the_floor_are_not_all_named() -> None:
+def test_many_cameras_below_floor_are_not_all_named() -> None:
     sunk = (*CAMERAS, *(camera(f"low-{k}", 0.0, height_m=-1.0) for k in range(12)))
     (check,) = world_checks(reconstruction(track_of(WALK_M), cameras=sunk), {1: 1.7}, [])
     assert check["message"].endswith("low-8, low-9 and 2 more.")
 
 
-def test_a_mirrored_world_is_named() -> None:
+def test_mirrored_world_is_named() -> None:
     """People of a mirrored world raise the hand of the other side."""
     mirrored = WALK_M * np.array([-1.0, 1.0, 1.0])
     track = track_of(mirrored)
@@ -97,7 +97,7 @@ def test_units_that_fit_people_are_named() -> None:
     assert "cm" in check["hint"]
 
 
-def test_a_camera_that_was_turned_is_named_with_its_shift() -> None:
+def test_camera_that_was_turned_is_named_with_its_shift() -> None:
     step = np.array([np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     given = (CAMERAS[0], move_camera(CAMERAS[1], step), CAMERAS[2])
     track = track_of(walker(100))

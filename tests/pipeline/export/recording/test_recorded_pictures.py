@@ -34,7 +34,7 @@ def test_frames_are_no_more_than_allowed(time_s: np.ndarray, max_pictures: int) 
         assert len(chosen) <= len(time_s)
 
 
-def test_frames_of_a_slow_camera_are_all_kept() -> None:
+def test_frames_of_slow_camera_are_all_kept() -> None:
     assert thinned(np.arange(20) / 5.0, 1000).tolist() == list(range(20))
 
 

@@ -218,7 +218,7 @@ def test_pictures_and_unmatched_bodies_have_times_of_camera(tmp_path: Path) -> N
     )
 
 
-def test_far_worlds_have_an_origin_near_the_cameras(whole: Reconstruction, tmp_path: Path) -> None:
+def test_far_worlds_have_origin_near_cameras(whole: Reconstruction, tmp_path: Path) -> None:
     away_m = np.array([500_123.0, 5_412_345.0, 312.0])
     cameras = tuple(
         replace(camera, cam_from_world=camera.cam_from_world @ Rigid3(np.eye(3), -away_m)) for camera in whole.cameras
@@ -246,14 +246,14 @@ def test_nobody(tmp_path: Path) -> None:
     assert fixed(tmp_path / "take.rrd", "world/cameras/a/image", "Pinhole:resolution") == [[1280, 720]]
 
 
-def test_results_have_a_recording_beside_the_files_of_people(whole: Reconstruction, tmp_path: Path) -> None:
+def test_results_have_recording_beside_files_of_people(whole: Reconstruction, tmp_path: Path) -> None:
     names = [path.name for path in write_results(whole, tmp_path, ("csv", "rerun"))]
     assert sorted(name for name in names if not name.endswith("csv")) == ["metrics.json", "skeletons.json", "take.rrd"]
     assert sorted(names) == sorted(path.name for path in tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("fault", ["cut off", "empty", "another motion", "fewer frames"])
-def test_a_recording_with_wrong_contents_is_an_error(
+def test_recording_with_wrong_contents_is_error(
     whole: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     write = rerun_file._Recorder.write

@@ -37,7 +37,7 @@ def read(part: str) -> Any:
     return ElementTree.fromstring(part.replace("<details open>", '<details open="">'))
 
 
-def test_lines_are_broken_where_the_angle_is_unknown() -> None:
+def test_lines_are_broken_where_angle_is_unknown() -> None:
     knee_deg = np.linspace(5.0, 65.0, 100)
     knee_deg[40:50] = np.nan
     known = person("person-1", {"left_knee_flexion": knee_deg, "right_knee_flexion": knee_deg[::-1]}, 100)
@@ -58,7 +58,7 @@ def test_lines_are_broken_where_the_angle_is_unknown() -> None:
     assert cells == ["5 to 65° ± 1.5", "5 to 65° ± 1.5", "bent"]
 
 
-def test_long_takes_have_a_point_each_pixel() -> None:
+def test_long_takes_have_point_each_pixel() -> None:
     elbow_deg = 40.0 + 30.0 * np.sin(np.arange(5000) / 50.0)
     people = [person(name, {"right_elbow_flexion": elbow_deg}, 5000) for name in ("<script>", "person-2")]
     parts = list(angle_parts(people, frame_rate_hz=50.0))
@@ -114,7 +114,7 @@ def figures(act: Act) -> dict[str, object]:
     return {"gait": gait_document(gait_of(act)), "movements": movement_documents(gait_of(act), TIMEBASE)}
 
 
-def test_each_walker_has_a_row_for_both_feet_and_for_each() -> None:
+def test_each_walker_has_row_for_both_feet_and_for_each() -> None:
     rows = gait_rows([("Anna", figures(walk(1.2))), ("Ben", figures(exercise(Gesture.SQUAT)))])
     assert [row[:2] for row in rows] == [("Anna", side) for side in ("both", "left", "right")]
     assert all(len(row) == len(GAIT_COLUMNS) for row in rows)

@@ -28,7 +28,7 @@ def test_moments() -> None:
     assert [one.frame for one in moments([1, 1, 1], [1.0, 5.0, 1.0])] == [1]
 
 
-def test_presence_counts_people_and_takes_the_worst_error() -> None:
+def test_presence_counts_people_and_takes_worst_error() -> None:
     people = take(track_of(walker(60), 1, 7), track_of(walker(30) + 1.0, 2, 50))
     num_people, error_px = presence(people, person_views(people))
     assert num_people.tolist() == [0] * 7 + [1] * 43 + [2] * 17 + [1] * 13 + [0] * 20
@@ -42,7 +42,7 @@ def test_presence_of_nobody_is_zero() -> None:
     assert np.isnan(error_px).all()
 
 
-def test_pictures_are_small_and_show_the_people() -> None:
+def test_pictures_are_small_and_show_people() -> None:
     grey = np.full((1200, 1600, 3), 90, np.uint8)
     size_px, jpeg = draw_picture(grey, LARGE, {1: standing(0.0)[1]}, COCO_17)
     assert size_px == (LONG_SIDE_PX, 600)
@@ -52,7 +52,7 @@ def test_pictures_are_small_and_show_the_people() -> None:
     assert (np.abs(image.astype(int) - 90) > 60).any(-1).sum() > 500
 
 
-def test_without_a_video_the_ground_is_dark() -> None:
+def test_without_video_ground_is_dark() -> None:
     size_px, jpeg = draw_picture(None, CAMERA, {}, COCO_17)
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None

@@ -67,7 +67,7 @@ def test_records_hold_positions_sources_and_figures() -> None:
             assert found["camera_error"] == (0, 0, 0)
 
 
-def test_angles_of_many_turns_keep_within_the_numbers_of_records() -> None:
+def test_angles_of_many_turns_keep_within_numbers_of_records() -> None:
     turned_deg = np.array([[0.04, -181.26, np.nan], [3200.0, -7200.5, 3276.0]])
     person = person_frames(two_people(), person_views(two_people()), 0)
     person = replace(person, angle_deg=np.repeat(turned_deg, 20, axis=0))
@@ -78,7 +78,7 @@ def test_angles_of_many_turns_keep_within_the_numbers_of_records() -> None:
     np.testing.assert_allclose(off_deg, 360.0 * np.round(off_deg / 360.0), atol=0.051)
 
 
-def test_bodies_have_the_people_s_bones() -> None:
+def test_bodies_have_people_s_bones() -> None:
     installed.install()
     shapes, reconstruction = installed.load(), two_people()
     views, report = person_views(reconstruction), quality_report(reconstruction)
@@ -110,7 +110,7 @@ def test_bodies_have_the_people_s_bones() -> None:
         np.testing.assert_array_equal(joints_m[tip], joints_m[body["joints"].index("LeftHand")])
 
 
-def test_a_camera_s_error_is_the_mean_of_the_body_s_joints() -> None:
+def test_camera_s_error_is_mean_of_body_s_joints() -> None:
     reconstruction = two_people()
     seen = reconstruction.observations
     off = replace(reconstruction, observations=(seen[0], shifted(seen[1], 1, (3.0, 4.0))))
@@ -127,7 +127,7 @@ def test_a_camera_s_error_is_the_mean_of_the_body_s_joints() -> None:
     assert strips["error"][33:37].tolist() == [3, 3, 5, 3]
 
 
-def test_strips_tell_where_a_person_is_doubtful() -> None:
+def test_strips_tell_where_person_is_doubtful() -> None:
     description, content = written(two_people())
     assert description["strips"]["frames_per_bucket"] == 1
     strips = columns_of(description, 1)
@@ -144,7 +144,7 @@ def test_strips_tell_where_a_person_is_doubtful() -> None:
 
 
 @pytest.mark.slow
-def test_long_takes_have_few_buckets_that_keep_the_worst_frame() -> None:
+def test_long_takes_have_few_buckets_that_keep_worst_frame() -> None:
     num_frames = 2500
     one = take(track_of(np.tile(walker(25), (100, 1, 1))), num_frames=num_frames)
     score = one.observations[0].score.copy()
@@ -193,7 +193,7 @@ def test_far_joints_take_coarser_steps() -> None:
     np.testing.assert_allclose(read_record(description, content, 0, 7)["joints_m"], far_m[7], atol=0.6 * step_m)
 
 
-def test_a_take_without_people_is_valid() -> None:
+def test_take_without_people_is_valid() -> None:
     description, content = written(take())
     assert (description["people"], description["strips"]["people"], content) == ([], [], b"")
 

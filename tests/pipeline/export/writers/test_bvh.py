@@ -141,7 +141,7 @@ def parse(content: bytes) -> tuple[float, np.ndarray, np.ndarray]:
 
 @MOTIONS
 @pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
-def test_other_readers_find_the_same_positions(
+def test_other_readers_find_same_positions(
     tmp_path: Path,
     read: Callable[[Path], dict[str, np.ndarray]],
     dressed: Callable[[SkeletonMotion], SkeletonMotion],
@@ -159,9 +159,7 @@ def test_other_readers_find_the_same_positions(
 
 
 @pytest.mark.parametrize("read", [read_with_bvhio, read_with_bvh_converter])
-def test_other_readers_read_an_order_for_each_joint(
-    tmp_path: Path, read: Callable[[Path], dict[str, np.ndarray]]
-) -> None:
+def test_other_readers_read_order_for_each_joint(tmp_path: Path, read: Callable[[Path], dict[str, np.ndarray]]) -> None:
     motion = tumbling()
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(motion))
@@ -170,7 +168,7 @@ def test_other_readers_read_an_order_for_each_joint(
         assert np.linalg.norm(found_cm - positions_cm(motion)[:, INDEX[name]], axis=-1).max() < TOLERANCE_CM, name
 
 
-def test_fingers_leave_the_lines_of_the_body_as_they_are() -> None:
+def test_fingers_leave_lines_of_body_as_they_are() -> None:
     body, whole = encoded(walk(3)).decode().split("MOTION\n"), encoded(with_fingers(walk(3))).decode().split("MOTION\n")
     # Lines of the body, in their order, are a part of the hierarchy with fingers.
     lines = iter(whole[0].splitlines())
@@ -179,14 +177,14 @@ def test_fingers_leave_the_lines_of_the_body_as_they_are() -> None:
     assert "JOINT LeftHandThumb1\n" in whole[0]
 
 
-def test_other_readers_find_the_frame_rate(tmp_path: Path) -> None:
+def test_other_readers_find_frame_rate(tmp_path: Path) -> None:
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(walk()))
     assert bvhio.readAsBvh(str(path)).FrameTime == pytest.approx(1 / NTSC_HZ, abs=1e-15)
     assert process_bvhfile(str(path)).dt == pytest.approx(1 / NTSC_HZ, abs=1e-15)
 
 
-def test_bvhio_finds_an_upright_t_pose(tmp_path: Path) -> None:
+def test_bvhio_finds_upright_t_pose(tmp_path: Path) -> None:
     path = tmp_path / "person.bvh"
     path.write_bytes(encoded(walk(1)))
     root = bvhio.readAsHierarchy(str(path)).loadRestPose(recursive=True)
@@ -203,7 +201,7 @@ angles_deg = st.one_of(st.floats(-200, 200), st.sampled_from([-180.0, -90.0, 0.0
 
 @settings(max_examples=60, deadline=None)
 @given(st.data(), st.integers(1, 4), st.sampled_from([SKELETON, WHOLE_SKELETON]))
-def test_rotations_survive_the_file(data: st.DataObject, num_frames: int, skeleton: tuple[SkeletonJoint, ...]) -> None:
+def test_rotations_survive_file(data: st.DataObject, num_frames: int, skeleton: tuple[SkeletonJoint, ...]) -> None:
     size = num_frames * len(skeleton) * 3
     # A few drawn angles everywhere cover more than a list as long as the body.
     drawn = data.draw(st.lists(angles_deg, min_size=1, max_size=12))
@@ -324,7 +322,7 @@ CONVENTIONS = {"orders by joint": PRESETS["default"], "one order": ONE_ORDER, "a
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS.values(), ids=CONVENTIONS)
-def test_the_place_where_interpolated_angles_are_off_is_found(convention: Convention) -> None:
+def test_place_where_interpolated_angles_are_off_is_found(convention: Convention) -> None:
     motion = tumbling(700)  # more than a block of frames
     apart_mm = between_frames_mm(motion, convention)
     between = rotation_orders(motion, convention, "Blender").between
@@ -335,7 +333,7 @@ def test_the_place_where_interpolated_angles_are_off_is_found(convention: Conven
     assert between.joint in {"Hips", "LeftUpLeg"}
 
 
-def test_a_single_frame_has_nothing_between_frames() -> None:
+def test_single_frame_has_nothing_between_frames() -> None:
     motion = tumbling(1)
     assert rotation_orders(motion, PRESETS["default"], "Blender").between is None
     assert set(orders_in(encoded(motion)).values()) == {"ZXY"}

@@ -68,7 +68,7 @@ def test_poses_of_segments_by_ezc3d(tmp_path: Path) -> None:
             )
 
 
-def test_an_upright_person_has_segments_right_front_and_up() -> None:
+def test_upright_person_has_segments_right_front_and_up() -> None:
     motion = walk(1)
     rest = replace(motion, parent_from_joint=np.tile([0.0, 0.0, 0.0, 1.0], (*motion.parent_from_joint.shape[:2], 1)))
     axes = segments_from(rest)["pelvis"][0][:, [2, 0, 1]]
@@ -95,7 +95,7 @@ def test_residuals_and_numbers_of_cameras(tmp_path: Path) -> None:
     np.testing.assert_array_equal(residuals < 0.0, ~np.isfinite(xyz_m).all(-1).T)
 
 
-def test_a_file_that_ezc3d_has_written_again_is_read_by_others(tmp_path: Path) -> None:
+def test_file_that_ezc3d_has_written_again_is_read_by_others(tmp_path: Path) -> None:
     track = track_with(10)
     again = tmp_path / "again.c3d"
     ezc3d.c3d(str(written(tmp_path / "a.c3d", track))).write(str(again))
@@ -106,7 +106,7 @@ def test_a_file_that_ezc3d_has_written_again_is_read_by_others(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_the_filling_of_a_long_take_s_last_block_is_no_point(tmp_path: Path) -> None:
+def test_filling_of_long_take_s_last_block_is_no_point(tmp_path: Path) -> None:
     track = track_with(65_541)
     read = ezc3d.c3d(str(written(tmp_path / "a.c3d", track)))
     filling = read["data"]["meta_points"]["residuals"][0, :, 65_541:]
@@ -115,7 +115,7 @@ def test_the_filling_of_a_long_take_s_last_block_is_no_point(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_long_take(tmp_path: Path) -> None:
+def test_long_take(tmp_path: Path) -> None:
     """70,000 frames: readers that know the convention find all, others the first 65,535."""
     track = track_with(70_000)
     path = written(tmp_path / "a.c3d", track)
@@ -133,7 +133,7 @@ def test_a_long_take(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_poses_that_the_format_can_not_place_are_left_out(tmp_path: Path) -> None:
+def test_poses_that_format_can_not_place_are_left_out(tmp_path: Path) -> None:
     """Their first block would be beyond the 65,535th."""
     motion = walk(30)
     rows = np.arange(110_000) % 30
@@ -146,7 +146,7 @@ def test_poses_that_the_format_can_not_place_are_left_out(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("count", [255, 256, 600])
-def test_more_items_than_a_parameter_holds(count: int, tmp_path: Path) -> None:
+def test_more_items_than_parameter_holds(count: int, tmp_path: Path) -> None:
     events = [MarkedEvent("Foot Strike", "Left", float(number) / 8, 0.01, 0.9) for number in range(count)]
     group = ezc3d.c3d(str(written(tmp_path / "a.c3d", track_with(100), events=events)))["parameters"]["EVENT"]
     labels: Sequence[str] = [

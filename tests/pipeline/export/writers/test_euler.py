@@ -20,7 +20,7 @@ def turning(num_frames: int, num_joints: int, step_rad: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("step_rad", [0.05, 2.0])
-def test_all_frames_at_once_are_as_one_after_the_other(step_rad: float) -> None:
+def test_all_frames_at_once_are_as_one_after_other(step_rad: float) -> None:
     rotations = turning(300, 12, step_rad)
     # One joint passes through gimbal lock.
     quarter = np.linspace(0.0, 180.0, 300)

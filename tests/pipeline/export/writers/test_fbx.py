@@ -80,7 +80,7 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     assert [numbers(scene.global_settings, f"{axis}Axis", 1) for axis in ("Up", "Front", "Coord")] == [(1,), (2,), (0,)]
 
 
-def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
+def test_feet_end_in_toes_of_target_software(tmp_path: Path) -> None:
     scene = scene_of(written(walk(1), tmp_path / "person.fbx", "unreal"))
     limbs = {object_name(node): limb for limb, node in scene.of_kind("Model", "LimbNode").items()}
     assert scene.parent(limbs["ball_l"], "Model") == limbs["foot_l"]
@@ -91,7 +91,7 @@ def test_feet_end_in_toes_of_the_target_software(tmp_path: Path) -> None:
     }
 
 
-def test_humanik_has_take_of_the_rest_pose(tmp_path: Path) -> None:
+def test_humanik_has_take_of_rest_pose(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx", "humanik")
     scene = scene_of(path)
     assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
@@ -130,7 +130,7 @@ def test_angles_are_continuous_over_many_turns(tmp_path: Path) -> None:
         assert found is None or np.abs(np.diff(found[1], axis=1)).max() < 90.0
 
 
-def test_groups_of_joints_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_groups_of_joints_give_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = b"".join(fbx.encode(walk(60), "default", NOWHERE))
     assert whole == b"".join(fbx.encode(walk(60), "default", NOWHERE))
     monkeypatch.setattr(fbx, "_GROUP_BYTES", 2 * 60 * 12)
@@ -164,7 +164,7 @@ def test_names_are_kept_but_for_separators(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_by_three.positions["LeftHand"], np.column_stack([x, z, -y]), atol=1e-2)
 
 
-def test_a_person_without_frames_has_a_body_at_rest(tmp_path: Path) -> None:
+def test_person_without_frames_has_body_at_rest(tmp_path: Path) -> None:
     motion = walk(1)
     nobody = replace(motion, root_m=motion.root_m[:0], parent_from_joint=motion.parent_from_joint[:0])
     path = written(nobody, tmp_path / "person.fbx")
@@ -172,7 +172,7 @@ def test_a_person_without_frames_has_a_body_at_rest(tmp_path: Path) -> None:
     assert len(scene_of(path).of_kind("Model", "LimbNode")) == 24
 
 
-def test_the_skin_is_bound_in_the_rest_pose(tmp_path: Path) -> None:
+def test_skin_is_bound_in_rest_pose(tmp_path: Path) -> None:
     """Joints in the bind pose are where their offsets place them; feet stand on the floor."""
     scene = scene_of(written(walk(1), tmp_path / "person.fbx"))
     (pose,) = scene.of_kind("Pose", "BindPose").values()
@@ -206,7 +206,7 @@ def values(node: Node, name: str) -> np.ndarray:
     return typed_property(stored, 0, ArrayProperty).values()
 
 
-def test_a_file_with_other_contents_is_an_error(tmp_path: Path) -> None:
+def test_file_with_other_contents_is_error(tmp_path: Path) -> None:
     """One of the bytes of a file is another: it is refused, or joints are elsewhere, or the byte has no meaning."""
     motion = walk(20)
     content, expected_m = b"".join(fbx.encode(motion, "default", NOWHERE)), forward_kinematics(motion)

@@ -53,7 +53,7 @@ def test_nodes_are_read_as_they_were_written(version: int) -> None:
     assert isinstance(identity, Int64)
 
 
-def test_the_layout_is_that_of_the_format(version: int) -> None:
+def test_layout_is_that_of_format(version: int) -> None:
     """Offsets by hand: a node states its end, its number of properties and their size; lists end with zeros."""
     content = content_of(Node("Ab", (7,), (Node("C", ("x",)),)))
     form, width = ("<III", 13) if version == 7400 else ("<QQQ", 25)
@@ -71,7 +71,7 @@ def test_the_layout_is_that_of_the_format(version: int) -> None:
     assert (len(content) - 140) % 16 == 0
 
 
-def test_ids_belong_to_the_time_of_creation() -> None:
+def test_ids_belong_to_time_of_creation() -> None:
     """The ids of files and of footers are made from the time of creation, as other writers do it."""
     seconds, month, hour, day, hundredths, year, minute = 0, 1, 10, 1, 0, 1970, 0
     assert f"{year}-{month:02}-{day:02} {hour:02}:{minute:02}:{seconds:02}:000" == fbx_nodes.CREATED
@@ -104,7 +104,7 @@ def test_other_files_are_refused(content: bytes, message: str) -> None:
         read(content)
 
 
-def test_an_array_larger_than_its_bounds_is_not_decompressed() -> None:
+def test_array_larger_than_its_bounds_is_not_decompressed() -> None:
     bomb = array("d", np.zeros(2**16))
     stated = ArrayProperty("d", 2**31, True, bomb.num_bytes, bomb.content)
     with pytest.raises(FbxError, match="bytes"):
@@ -113,7 +113,7 @@ def test_an_array_larger_than_its_bounds_is_not_decompressed() -> None:
         ArrayProperty("d", 3, True, bomb.num_bytes, bomb.content).values()
 
 
-def test_nodes_have_a_bounded_depth() -> None:
+def test_nodes_have_bounded_depth() -> None:
     deep = Node("A", (1,))
     for _ in range(100):
         deep = Node("A", (), (deep,))

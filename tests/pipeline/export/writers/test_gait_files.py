@@ -29,7 +29,7 @@ def written(path: Path, events: tuple[MarkedEvent, ...], frames: range | None = 
 
 
 @pytest.mark.parametrize("first_frame", [0, -40])
-def test_ezc3d_reads_the_events_of_a_walk(tmp_path: Path, first_frame: int) -> None:
+def test_ezc3d_reads_events_of_walk(tmp_path: Path, first_frame: int) -> None:
     events = marked_events(gait_of(ACT))
     frames = range(first_frame, track_of(ACT).num_frames)
     group = ezc3d.c3d(str(written(tmp_path / "person.c3d", events, frames)))["parameters"]["EVENT"]
@@ -45,7 +45,7 @@ def test_ezc3d_reads_the_events_of_a_walk(tmp_path: Path, first_frame: int) -> N
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_c3d_reads_the_events_too(tmp_path: Path) -> None:
+def test_c3d_reads_events_too(tmp_path: Path) -> None:
     events = marked_events(gait_of(ACT))
     with written(tmp_path / "person.c3d", events).open("rb") as file:
         group = c3d.Reader(file).get("EVENT")
@@ -63,7 +63,7 @@ def test_files_without_events_have_no_group(tmp_path: Path) -> None:
     assert list(gait_tables(PersonGait(0), TIMEBASE)) == []
 
 
-def test_tables_have_a_row_an_event_and_a_row_a_stride() -> None:
+def test_tables_have_row_event_and_row_stride() -> None:
     gait = gait_of(ACT)
     tables = {
         kind: list(csv.DictReader(io.StringIO(content.decode()))) for kind, content in gait_tables(gait, TIMEBASE)

@@ -72,7 +72,7 @@ def test_names_are_kept(name: str, tmp_path: Path) -> None:
     assert document["animations"][0]["extras"]["start_frame"] == 7
 
 
-def test_the_same_motion_gives_the_same_bytes() -> None:
+def test_same_motion_gives_same_bytes() -> None:
     assert b"".join(glb.encode(walk(5), np.zeros(3))) == b"".join(glb.encode(walk(5), np.zeros(3)))
 
 
@@ -104,7 +104,7 @@ def test_body_mesh_is_closed_and_faces_outside(
     assert mesh.vertices[:, 2].max() == pytest.approx(rest_m[INDEX["HeadEnd"], 2], abs=0.01)
 
 
-def test_fingers_are_thin_and_apart_and_begin_in_a_flat_palm() -> None:
+def test_fingers_are_thin_and_apart_and_begin_in_flat_palm() -> None:
     motion = with_fingers(walk(1))
     # The axes of GLB files, to which the widths of bones refer.
     offsets_m = GLTF.rest_offsets(motion.bone_length_m)

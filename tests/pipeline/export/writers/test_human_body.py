@@ -95,7 +95,7 @@ def area_m2(vertices_m: np.ndarray, triangles: np.ndarray) -> float:
 
 
 @MOTIONS
-def test_a_glb_file_bends_the_body_as_the_skeleton_does(motion: SkeletonMotion) -> None:
+def test_glb_file_bends_body_as_skeleton_does(motion: SkeletonMotion) -> None:
     content = b"".join(glb.encode(motion, ORIGIN_M, body=HUMAN))
     body = shape_body(installed.load(), motion.bone_length_m)
     for frame in (0, 11):
@@ -104,7 +104,7 @@ def test_a_glb_file_bends_the_body_as_the_skeleton_does(motion: SkeletonMotion) 
 
 
 @MOTIONS
-def test_joints_of_a_glb_file_are_those_of_the_skeleton(motion: SkeletonMotion, tmp_path: Path) -> None:
+def test_joints_of_glb_file_are_those_of_skeleton(motion: SkeletonMotion, tmp_path: Path) -> None:
     path = tmp_path / "person.glb"
     path.write_bytes(b"".join(glb.encode(motion, ORIGIN_M, body=HUMAN)))
     read_m = np.concatenate(list(glb.read_xyz_m(path)))
@@ -113,7 +113,7 @@ def test_joints_of_a_glb_file_are_those_of_the_skeleton(motion: SkeletonMotion, 
 
 
 @pytest.mark.parametrize("preset", ["default", "unreal", "blender", "mixamo"])
-def test_joints_of_an_fbx_file_are_those_of_the_skeleton(preset: Preset, tmp_path: Path) -> None:
+def test_joints_of_fbx_file_are_those_of_skeleton(preset: Preset, tmp_path: Path) -> None:
     motion, path = gesturing(12), tmp_path / "person.fbx"
     path.write_bytes(b"".join(fbx.encode(motion, preset, ORIGIN_M, body=HUMAN)))
     read_m = np.concatenate(list(fbx.read_xyz_m(path, preset)))
@@ -123,7 +123,7 @@ def test_joints_of_an_fbx_file_are_those_of_the_skeleton(preset: Preset, tmp_pat
         assert convention.name(twist.name).encode() in path.read_bytes()
 
 
-def test_a_glb_file_is_valid(tmp_path: Path) -> None:
+def test_glb_file_is_valid(tmp_path: Path) -> None:
     path = tmp_path / "person.glb"
     motion, is_present = gesturing(12), np.arange(12) > 3
     path.write_bytes(b"".join(glb.encode(motion, ORIGIN_M, is_present=is_present, body=HUMAN)))
@@ -151,7 +151,7 @@ def test_three_js_finds_joints_and_hides_absent_people(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("read", [read_with_assimp, pytest.param(read_with_ufbx, marks=pytest.mark.slow)])
 @MOTIONS
-def test_other_readers_of_fbx_find_the_joints(
+def test_other_readers_of_fbx_find_joints(
     motion: SkeletonMotion, read: Callable[[Sequence[Path]], dict[Path, Animated]], tmp_path: Path
 ) -> None:
     path = tmp_path / "person.fbx"
@@ -167,7 +167,7 @@ def test_other_readers_of_fbx_find_the_joints(
 # At 29.97 Hz, the rate of the other walk, Blender's importer of FBX places keys late (docs/limits.md).
 @pytest.mark.blender
 @pytest.mark.parametrize("motion", [gesturing(12), walk(12, 30.0)], ids=["fingers", "no fingers"])
-def test_blender_finds_the_joints_and_bends_the_body(motion: SkeletonMotion, tmp_path: Path) -> None:
+def test_blender_finds_joints_and_bends_body(motion: SkeletonMotion, tmp_path: Path) -> None:
     of_glb, of_fbx = tmp_path / "person.glb", tmp_path / "person.fbx"
     of_glb.write_bytes(b"".join(glb.encode(motion, ORIGIN_M, body=HUMAN)))
     of_fbx.write_bytes(b"".join(fbx.encode(motion, "blender", ORIGIN_M, body=HUMAN)))
@@ -188,7 +188,7 @@ def test_blender_finds_the_joints_and_bends_the_body(motion: SkeletonMotion, tmp
     assert is_a_picture_of_people(picture)
 
 
-def test_rest_poses_of_presets_are_the_same_body() -> None:
+def test_rest_poses_of_presets_are_same_body() -> None:
     """Arms that hang half down have the length and, within what joints bend away, the volume of outstretched arms."""
     motion = gesturing(1)
     outstretched, lowered = (body_at_rest(motion, convention_of_fbx(preset), HUMAN) for preset in ("default", "unreal"))
@@ -200,7 +200,7 @@ def test_rest_poses_of_presets_are_the_same_body() -> None:
     np.testing.assert_allclose(np.linalg.norm(lowered.mesh.normals, axis=-1), 1.0)
 
 
-def test_a_body_stands_on_the_floor_of_the_take() -> None:
+def test_body_stands_on_floor_of_take() -> None:
     motion = gesturing(30)
     assert not motion.contacts
     plain = body_at_rest(motion, GLTF, HUMAN)
@@ -210,7 +210,7 @@ def test_a_body_stands_on_the_floor_of_the_take() -> None:
     assert plain.mesh.vertices[:, 1].min() == pytest.approx(0.0, abs=0.002)
 
 
-def test_a_person_who_is_not_there_has_hardly_any_area() -> None:
+def test_person_who_is_not_there_has_hardly_any_area() -> None:
     motion = gesturing(12)
     is_present = np.ones(12, bool)
     is_present[:4] = False
@@ -226,7 +226,7 @@ def test_a_person_who_is_not_there_has_hardly_any_area() -> None:
     assert area_m2(shrunk, mesh.triangles) < 0.1
 
 
-def test_without_an_installed_human_the_error_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_installed_human_error_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
     with pytest.raises(ModelError, match="Run: multicap bodies install"):
         list(glb.encode(gesturing(2), ORIGIN_M, body=HUMAN))

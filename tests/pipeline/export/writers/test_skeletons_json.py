@@ -62,7 +62,7 @@ def reconstruction(*tracks: Track3D) -> Reconstruction:
     return Reconstruction((), JOINTS, Timebase(0.5, 29.97, 300), tracks, (), Animation(tracks, motions, None))
 
 
-def test_everything_stands_where_the_contract_says() -> None:
+def test_everything_stands_where_contract_says() -> None:
     content = encoded(reconstruction(track()))
     assert json.loads(content) == {
         "schema_version": 1,
@@ -86,7 +86,7 @@ def test_everything_stands_where_the_contract_says() -> None:
     }
 
 
-def test_uncertainty_is_in_tenths_of_a_millimetre(tmp_path: Path) -> None:
+def test_uncertainty_is_in_tenths_of_millimetre(tmp_path: Path) -> None:
     certain = replace(track(), uncertainty_m=np.array([[0.01234, np.nan], [0.2, 0.00004]]))
     content = encoded(reconstruction(certain, track()))
     first, second = json.loads(content)["tracks"]
@@ -101,7 +101,7 @@ def test_uncertainty_is_in_tenths_of_a_millimetre(tmp_path: Path) -> None:
         skeletons_json.read_track_m(path)
 
 
-def test_bytes_are_strict_json_and_always_the_same() -> None:
+def test_bytes_are_strict_json_and_always_same() -> None:
     content = encoded(reconstruction(track(), track()))
     assert content == encoded(reconstruction(track(), track()))
     assert b"NaN" not in content
@@ -109,7 +109,7 @@ def test_bytes_are_strict_json_and_always_the_same() -> None:
     assert len(json.loads(content)["tracks"]) == 2
 
 
-def test_nobody_is_an_empty_list() -> None:
+def test_nobody_is_empty_list() -> None:
     assert json.loads(encoded(reconstruction()))["tracks"] == []
 
 

@@ -88,9 +88,7 @@ def test_takes_of_any_length_and_rate(
 
 
 @MOTIONS
-def test_the_body_is_bound_to_a_t_pose_on_the_floor(
-    dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path
-) -> None:
+def test_body_is_bound_to_t_pose_on_floor(dressed: Callable[[SkeletonMotion], SkeletonMotion], tmp_path: Path) -> None:
     motion = dressed(walk(5))
     stage = opened(usd.encode(motion, np.zeros(3)), tmp_path / "person.usdc")
     (skeleton,) = (UsdSkel.Skeleton(prim) for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton))
@@ -133,7 +131,7 @@ def skinned_m(stage: Any, frame: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("motion", [gesturing(12), walk(12)], ids=["fingers", "no fingers"])
-def test_a_human_bends_as_the_skeleton_does(motion: SkeletonMotion, tmp_path: Path) -> None:
+def test_human_bends_as_skeleton_does(motion: SkeletonMotion, tmp_path: Path) -> None:
     installed.install()
     path = tmp_path / "person.usdc"
     stage = opened(usd.encode(motion, np.zeros(3), body=BodyChoice("human")), path)
@@ -170,7 +168,7 @@ def test_names_become_identifiers_and_are_shown(name: str, expected: str, tmp_pa
     assert len(np.concatenate(list(usd.read_xyz_m(path)))) == 2
 
 
-def test_the_same_motion_gives_the_same_bytes() -> None:
+def test_same_motion_gives_same_bytes() -> None:
     assert b"".join(usd.encode(walk(5), np.zeros(3))) == b"".join(usd.encode(walk(5), np.zeros(3)))
 
 
@@ -213,7 +211,7 @@ def path(named: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return paths[3]
 
 
-def test_a_take_has_everybody_on_one_timeline(two_people: Reconstruction, named: Reconstruction, path: Path) -> None:
+def test_take_has_everybody_on_one_timeline(two_people: Reconstruction, named: Reconstruction, path: Path) -> None:
     stage = Usd.Stage.Open(str(path))
     assert faults(stage) == []
     assert stage.GetDefaultPrim().GetPath() == "/take"
@@ -232,7 +230,7 @@ def test_a_take_has_everybody_on_one_timeline(two_people: Reconstruction, named:
     assert check["max_distance_mm"] < 0.1
 
 
-def test_cameras_see_what_the_cameras_of_the_take_see(named: Reconstruction, path: Path) -> None:
+def test_cameras_see_what_cameras_of_take_see(named: Reconstruction, path: Path) -> None:
     """Points project to the same places of the picture."""
     stage = Usd.Stage.Open(str(path))
     found = [UsdGeom.Camera(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
@@ -257,14 +255,14 @@ def pinhole_px(camera: Camera, point_m: np.ndarray) -> np.ndarray:
     return np.array([x / z, y / z])
 
 
-def test_the_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
+def test_floor_is_where_people_stand(named: Reconstruction, path: Path) -> None:
     stage = Usd.Stage.Open(str(path))
     floor = UsdGeom.Mesh(stage.GetPrimAtPath("/take/floor/Surface"))
     np.testing.assert_allclose(np.array(floor.GetPointsAttr().Get()), take_scene(named).floor_m, atol=1e-5)
 
 
 @pytest.mark.blender
-def test_a_take_in_blender(two_people: Reconstruction, named: Reconstruction, path: Path, tmp_path: Path) -> None:
+def test_take_in_blender(two_people: Reconstruction, named: Reconstruction, path: Path, tmp_path: Path) -> None:
     cameras = [replace(camera, name=usd.identifier(camera.name)) for camera in named.cameras]
     read = read_take_with_blender(path, RATE_HZ, tmp_path, cameras)
     assert set(read["people"]) == {"Zoe_K", "Zoe_K_2"}
@@ -292,7 +290,7 @@ def test_person_who_comes_later_is_held_and_hidden(two_people: Reconstruction, p
     assert not UsdGeom.Imageable(people_in(first)[0]).GetVisibilityAttr().IsAuthored()
 
 
-def test_a_take_whose_file_is_cut_off_is_no_result(
+def test_take_whose_file_is_cut_off_is_no_result(
     named: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encode = usd.encode_take

@@ -70,7 +70,7 @@ def character(path: Path, motion: SkeletonMotion, scale: float) -> Path:
 
 @pytest.mark.parametrize("scale", [1.0, pytest.param(0.6, marks=pytest.mark.slow)])
 @MOTIONS
-def test_a_character_moves_as_the_person_does(
+def test_character_moves_as_person_does(
     dressed: Callable[[SkeletonMotion], SkeletonMotion], scale: float, tmp_path: Path
 ) -> None:
     """Joints of a character in the person's proportions are within 0.1 mm, in places that are scaled with its legs."""
@@ -112,7 +112,7 @@ def stored(motion: SkeletonMotion) -> dict[str, Any]:
     return document
 
 
-def test_the_extension_names_each_bone_once() -> None:
+def test_extension_names_each_bone_once() -> None:
     for motion, num_bones in ((walk(2), 19), (with_fingers(walk(2)), 49)):
         document = stored(replace(motion, name="Zoë 2"))
         assert document["extensionsUsed"] == [vrma.EXTENSION]
@@ -126,7 +126,7 @@ def test_the_extension_names_each_bone_once() -> None:
         assert "meshes" not in document
 
 
-def test_before_and_after_the_person_the_nearest_pose_holds(tmp_path: Path) -> None:
+def test_before_and_after_person_nearest_pose_holds(tmp_path: Path) -> None:
     motion, path = replace(walk(5), start_frame=3), tmp_path / "person.vrma"
     path.write_bytes(b"".join(vrma.encode(motion, np.zeros(3), range(10))))
     found_m = np.concatenate(list(vrma.read_xyz_m(path)))

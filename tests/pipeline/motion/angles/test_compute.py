@@ -37,7 +37,7 @@ def columns(*names: str) -> list[int]:
     return [ANGLE_NAMES.index(name) for name in names]
 
 
-def test_angles_of_a_walk_are_those_of_the_truth() -> None:
+def test_angles_of_walk_are_those_of_truth() -> None:
     truth_deg, angles = fitted("walk", 6, seed=7, duration_s=2.5)
     errors = errors_deg(truth_deg, angles)
     assert {name: rmse_deg(errors[name]) for name in HINGES if rmse_deg(errors[name]) > 3.0} == {}
@@ -72,7 +72,7 @@ def test_angles_are_as_precise_as_documented(motion: str, num_cameras: int, seed
         assert rmse_deg(errors[name]) < 8.0 * few, name
 
 
-def test_standard_deviations_are_those_of_the_errors() -> None:
+def test_standard_deviations_are_those_of_errors() -> None:
     truth_deg, angles = fitted("walk", 6, seed=7, duration_s=2.5)
     for name in ("left_knee_flexion", "right_elbow_flexion", "left_hip_adduction", "pelvis_rotation"):
         (column,) = columns(name)
@@ -105,7 +105,7 @@ def test_without_heels_and_fingers_feet_and_hands_have_no_angles() -> None:
     assert unknown == {f"{side}_{kind}" for side in ("left", "right") for kind in kinds}
 
 
-def test_gaps_are_unknown_for_the_joints_that_they_concern() -> None:
+def test_gaps_are_unknown_for_joints_that_they_concern() -> None:
     turns = np.tile(posed({}).parent_from_joint, (10, 1, 1))
     motion = replace(posed({}), root_m=np.zeros((10, 3)), parent_from_joint=turns)
     xyz_m = walker(10)
@@ -142,7 +142,7 @@ def test_hands_that_nobody_saw_have_no_angles() -> None:
     assert not known[columns("left_wrist_flexion", "left_wrist_deviation", "left_forearm_pronation")].any()
 
 
-def test_a_missing_segment_leaves_out_its_joints_alone() -> None:
+def test_missing_segment_leaves_out_its_joints_alone() -> None:
     segments = {name: turns for name, turns in segments_from(posed({})).items() if not name.endswith("foot")}
     found = dict(zip(ANGLE_NAMES, segment_angles(segments)[0], strict=True))
     assert np.isnan(found["left_ankle_dorsiflexion"])
@@ -150,7 +150,7 @@ def test_a_missing_segment_leaves_out_its_joints_alone() -> None:
     assert len(segments) == len(SEGMENTS) - 2
 
 
-def test_long_takes_are_worked_on_in_blocks_with_the_same_angles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_takes_are_worked_on_in_blocks_with_same_angles(monkeypatch: pytest.MonkeyPatch) -> None:
     joints_m, _ = performed("walk", 7, 0.5)
     track = track_of(joints_m)
     track = replace(track, uncertainty_m=np.full(track.score.shape, 0.005))
@@ -164,7 +164,7 @@ def test_long_takes_are_worked_on_in_blocks_with_the_same_angles(monkeypatch: py
     assert np.isfinite(whole.sigma_deg[:, columns("left_knee_flexion")]).all()
 
 
-def test_ranges_of_motion_are_those_of_the_known_frames() -> None:
+def test_ranges_of_motion_are_those_of_known_frames() -> None:
     angle_deg = np.full((5, len(ANGLE_NAMES)), np.nan)
     sigma_deg = angle_deg.copy()
     knee, elbow = columns("left_knee_flexion", "right_elbow_flexion")

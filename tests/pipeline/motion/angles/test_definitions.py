@@ -101,7 +101,7 @@ def free(name: str, found: dict[str, float]) -> bool:
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_poses_have_the_angles_of_their_names_on_both_sides(pose: str) -> None:
+def test_poses_have_angles_of_their_names_on_both_sides(pose: str) -> None:
     turns_deg, named_deg = POSES[pose]
     found = angles_deg(turns_deg)
     for name, found_deg in found.items():
@@ -111,7 +111,7 @@ def test_poses_have_the_angles_of_their_names_on_both_sides(pose: str) -> None:
             assert found_deg == pytest.approx(expected_deg, abs=1e-6), name
 
 
-def test_an_arm_raised_aside_is_abducted_by_90_degrees() -> None:
+def test_arm_raised_aside_is_abducted_by_90_degrees() -> None:
     found = angles_deg({})
     for side in ("left", "right"):
         assert found[f"{side}_shoulder_adduction"] == pytest.approx(-90.0)
@@ -119,7 +119,7 @@ def test_an_arm_raised_aside_is_abducted_by_90_degrees() -> None:
         assert found[f"{side}_shoulder_plane"] == pytest.approx(0.0)
 
 
-def test_a_single_side_moves_no_angle_of_the_other() -> None:
+def test_single_side_moves_no_angle_of_other() -> None:
     found = angles_deg({"RightUpLeg": -50.0 * X, "RightLeg": 90.0 * X})
     assert (found["right_hip_flexion"], found["right_knee_flexion"]) == pytest.approx((50.0, 90.0))
     assert (found["left_hip_flexion"], found["left_knee_flexion"]) == pytest.approx((0.0, 0.0))
@@ -145,7 +145,7 @@ def name_of(sequence: Sequence) -> str:
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES, ids=name_of)
-def test_angles_make_the_rotation_again(sequence: Sequence) -> None:
+def test_angles_make_rotation_again(sequence: Sequence) -> None:
     rotation = Rotation.random(500, np.random.default_rng(3)).as_matrix()
     found_rad = angles_rad(rotation, sequence)
     np.testing.assert_allclose(Rotation.from_euler(name_of(sequence), found_rad).as_matrix(), rotation, atol=1e-9)
@@ -155,7 +155,7 @@ def test_angles_make_the_rotation_again(sequence: Sequence) -> None:
     assert (np.degrees(found_rad[:, 1]) <= high_deg).all()
 
 
-def test_the_mirror_keeps_rotations_about_the_axis_to_the_right() -> None:
+def test_mirror_keeps_rotations_about_axis_to_right() -> None:
     turned = Rotation.from_euler("ZXY", [[0.3, 0.2, -0.4]]).as_matrix()
     np.testing.assert_allclose(angles_rad(mirrored(turned), (2, 0, 1)), [[0.3, -0.2, 0.4]], atol=1e-12)
 
@@ -168,7 +168,7 @@ def test_arm_raised_overhead_is_abducted_beyond_90_degrees() -> None:
     np.testing.assert_allclose(found_deg[:, 0], 2.0, atol=1e-6)
 
 
-def test_turns_in_a_circle_add_up() -> None:
+def test_turns_in_circle_add_up() -> None:
     turn_deg = np.linspace(0.0, 1000.0, 300)
     rotation = Rotation.from_euler("ZXY", np.stack([turn_deg, 0 * turn_deg + 20.0, 0 * turn_deg + 5.0], -1), True)
     found_deg = np.degrees(continuous(angles_rad(rotation.as_matrix(), (2, 0, 1)), is_proper=False))

@@ -36,7 +36,7 @@ def borders(triangles: np.ndarray) -> set[tuple[int, int]]:
     return {edge for edge, number in edges.items() if number == 1}
 
 
-def test_what_is_flat_needs_few_triangles() -> None:
+def test_flat_surface_needs_few_triangles() -> None:
     points = np.array([(x, y, 0) for y in range(0, 900, 100) for x in range(0, 900, 100)])
     corners = np.array([9 * y + x for y in range(8) for x in range(8)])
     triangles = np.concatenate([corners[:, None] + [0, 1, 10], corners[:, None] + [0, 10, 9]])
@@ -48,7 +48,7 @@ def test_what_is_flat_needs_few_triangles() -> None:
     assert (np.cross(second - first, third - first)[:, 2] > 0).all()
 
 
-def test_a_straight_tube_keeps_its_ends_and_a_bent_one_its_bend() -> None:
+def test_straight_tube_keeps_its_ends_and_bent_one_its_bend() -> None:
     points, triangles = tube(21)
     straight = coarsen(points[None], triangles, 40)
     assert len(straight) <= 40
@@ -70,7 +70,7 @@ def test_as_many_triangles_as_wanted_are_left_alone() -> None:
     np.testing.assert_array_equal(coarsen(points[None], triangles, len(triangles)), triangles)
 
 
-def test_the_coarse_body_has_the_shape_of_the_body(shapes: BodyShapes) -> None:
+def test_coarse_body_has_shape_of_body(shapes: BodyShapes) -> None:
     coarse = shapes.coarse()
     assert 0.9 * NUM_COARSE_TRIANGLES < len(coarse.triangles) <= NUM_COARSE_TRIANGLES
     assert not borders(coarse.triangles)

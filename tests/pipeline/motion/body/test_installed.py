@@ -34,7 +34,7 @@ def fresh_home(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.slow
-def test_the_body_is_made_of_the_package_with_the_same_bytes(fresh_home: Path) -> None:
+def test_body_is_made_of_package_with_same_bytes(fresh_home: Path) -> None:
     assert not installed.is_installed()
     path = installed.install()
     assert path.is_relative_to(fresh_home)
@@ -43,20 +43,20 @@ def test_the_body_is_made_of_the_package_with_the_same_bytes(fresh_home: Path) -
     assert path.stat().st_size < 600_000
 
 
-def test_the_data_are_free(package: Path) -> None:
+def test_data_are_free(package: Path) -> None:
     with zipfile.ZipFile(package) as wheel:
         assert b"Creative Commons CC0 1.0 Universal" in wheel.read(f"{installed._FOLDER}/LICENSE.md")
         assert {f"{installed._FOLDER}/{name}" for name in members()} <= set(wheel.namelist())
 
 
-def test_a_body_that_is_not_there_says_how_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_body_that_is_not_there_says_how_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path))
     with pytest.raises(ModelError, match=r"The human body is not installed\. Run: multicap bodies install"):
         installed.load()
 
 
 @pytest.mark.slow
-def test_a_damaged_file_is_refused_and_installed_again(made: bytes, fresh_home: Path) -> None:
+def test_damaged_file_is_refused_and_installed_again(made: bytes, fresh_home: Path) -> None:
     path = installed.install()
     whole = path.read_bytes()
     assert whole == made
@@ -71,7 +71,7 @@ def test_a_damaged_file_is_refused_and_installed_again(made: bytes, fresh_home: 
 
 
 @pytest.mark.slow
-def test_a_package_with_other_data_is_refused(made: bytes, fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_with_other_data_is_refused(made: bytes, fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installed, "_made_from", lambda _: made[:-1] + b"x")
     with pytest.raises(ModelError, match="not what it must be"):
         installed.install()

@@ -73,7 +73,7 @@ def assert_skin_follows(body: ShapedBody, motion: SkeletonMotion, step: int) -> 
 
 
 @pytest.mark.parametrize("name", slow_but(("cartwheel",), ACROBATICS))
-def test_skin_follows_the_joints_of_acrobats(shapes: BodyShapes, name: str) -> None:
+def test_skin_follows_joints_of_acrobats(shapes: BodyShapes, name: str) -> None:
     part = ACROBATICS[name][0]
     acrobat = perform_acrobatics(part.keys, part.center_m, 0.3, 4.0, np.random.default_rng(2))
     truth_m = acrobat_joints_at(acrobat, np.arange(0.0, 4.0, 0.1), COCO_17)
@@ -81,7 +81,7 @@ def test_skin_follows_the_joints_of_acrobats(shapes: BodyShapes, name: str) -> N
     assert_skin_follows(shape_body(shapes, motion.bone_length_m), motion, step=2)
 
 
-def test_skin_follows_the_joints_of_a_person_with_fingers(shapes: BodyShapes) -> None:
+def test_skin_follows_joints_of_person_with_fingers(shapes: BodyShapes) -> None:
     motion = gesturing(60)
     assert_skin_follows(shape_body(shapes, motion.bone_length_m), motion, step=10)
 
@@ -101,7 +101,7 @@ def forearm_volumes(vertices_m: np.ndarray, body: ShapedBody, side: str) -> np.n
 
 @pytest.mark.parametrize("side", ["Left", "Right"])
 @pytest.mark.parametrize(("twist_deg", "least"), [(30, 0.98), (-90, 0.95), (-180, 0.85)])
-def test_a_forearm_keeps_its_volume_while_the_hand_turns(
+def test_forearm_keeps_its_volume_while_hand_turns(
     shapes: BodyShapes, side: str, twist_deg: float, least: float
 ) -> None:
     body = shape_body(shapes, adult_lengths_m())
@@ -131,7 +131,7 @@ def test_twist_joints_turn_by_share_of_hand(twist: TwistJoint) -> None:
 
 
 @pytest.mark.parametrize("seed", slow_but([6], [6, 3]))
-def test_standing_feet_are_on_the_floor(shapes: BodyShapes, seed: int) -> None:
+def test_standing_feet_are_on_floor(shapes: BodyShapes, seed: int) -> None:
     role = Role((0.0, 0.0), 0.3, (Stay(1.5), Walk((1.5, 0.5)), Stay(2.0)))
     person = perform(role, 6.0, np.random.default_rng(seed), BODY_FEET)
     truth_m = joints_at(person, np.arange(150) / 25.0)

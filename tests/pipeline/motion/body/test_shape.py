@@ -15,9 +15,7 @@ def volume_l(vertices_m: np.ndarray, triangles: np.ndarray) -> float:
 
 @pytest.mark.parametrize("num_joints", [len(SKELETON), len(WHOLE_SKELETON)])
 @pytest.mark.parametrize("stature_m", [0.8, 1.2, 1.45, 1.75, 2.05])
-def test_a_body_stands_on_the_floor_as_tall_as_its_skeleton(
-    shapes: BodyShapes, stature_m: float, num_joints: int
-) -> None:
+def test_body_stands_on_floor_as_tall_as_its_skeleton(shapes: BodyShapes, stature_m: float, num_joints: int) -> None:
     body = shape_body(shapes, adult_lengths_m(stature_m, num_joints))
     assert body.vertices_m[:, 2].min() == pytest.approx(0.0, abs=0.002)
     assert body.vertices_m[:, 2].max() == pytest.approx(stature_m, abs=0.01)
@@ -28,7 +26,7 @@ def test_a_body_stands_on_the_floor_as_tall_as_its_skeleton(
     assert 60.0 < volume_l(body.vertices_m, body.triangles) * (1.75 / stature_m) ** 3 < 95.0
 
 
-def test_skin_is_where_the_joints_are(shapes: BodyShapes) -> None:
+def test_skin_is_where_joints_are(shapes: BodyShapes) -> None:
     """The middle of the skin around each joint of a limb is near the joint, for people of any proportions."""
     rng = np.random.default_rng(4)
     for _ in range(5):
@@ -45,7 +43,7 @@ def test_skin_is_where_the_joints_are(shapes: BodyShapes) -> None:
                 assert np.abs(0.5 * (low_m + high_m) - place_m).max() < limit_m, (side, joint)
 
 
-def test_bones_have_the_person_s_lengths_and_the_head_its_size(shapes: BodyShapes) -> None:
+def test_bones_have_person_s_lengths_and_head_its_size(shapes: BodyShapes) -> None:
     lengths_m = adult_lengths_m(1.75)
     longer_m = lengths_m.copy()
     for side in ("Left", "Right"):
@@ -71,7 +69,7 @@ def test_children_have_larger_heads_for_their_stature(shapes: BodyShapes) -> Non
     assert breadth(1.55) == pytest.approx(breadth(1.75))
 
 
-def test_shapes_are_those_of_the_skeleton_at_rest(shapes: BodyShapes) -> None:
+def test_shapes_are_those_of_skeleton_at_rest(shapes: BodyShapes) -> None:
     assert shapes.joints_m.shape[1] == len(BODY_JOINTS)
     for joints_m in shapes.joints_m:
         for joint in WHOLE_SKELETON[1:]:

@@ -95,7 +95,7 @@ def test_other_bodies_cameras_and_rates(act: Act) -> None:
     assert figures.both["cadence_steps_per_min"].mean == pytest.approx(true_cadence(act), rel=0.01)
 
 
-def test_steps_divide_a_stride_and_feet_are_apart() -> None:
+def test_steps_divide_stride_and_feet_are_apart() -> None:
     act = walk(1.2)
     for stride in gait_of(act).strides:
         before_m, after_m = (
@@ -111,7 +111,7 @@ def test_steps_divide_a_stride_and_feet_are_apart() -> None:
         assert stride.stance_s + stride.swing_s == pytest.approx(stride.duration_s)
 
 
-def test_a_walk_of_ankles_alone_is_told_with_less_confidence() -> None:
+def test_walk_of_ankles_alone_is_told_with_less_confidence() -> None:
     act = body_only(walk(1.2))
     gait = gait_of(act)
     assert not gait.has_marks
@@ -120,7 +120,7 @@ def test_a_walk_of_ankles_alone_is_told_with_less_confidence() -> None:
     assert np.abs(length_errors_m(walk(1.2))).max() < 0.01
 
 
-def test_runs_have_a_flight_and_no_double_support() -> None:
+def test_runs_have_flight_and_no_double_support() -> None:
     act = Act((Walk((6.0, 0.0), 3.2),), (-6.0, 0.0), duration_s=5.5, seed=3)
     figures = gait_of(act).figures
     assert figures is not None
@@ -131,7 +131,7 @@ def test_runs_have_a_flight_and_no_double_support() -> None:
 
 
 @pytest.mark.parametrize("num_cameras", slow_but([0], [0, 6]))
-def test_strides_on_a_treadmill_are_those_on_its_belt(num_cameras: int) -> None:
+def test_strides_on_treadmill_are_those_on_its_belt(num_cameras: int) -> None:
     act, belt_m_s = treadmill(1.2, seed=6, num_cameras=num_cameras)
     gait = gait_of(act)
     assert gait.belt_m_s == pytest.approx(belt_m_s, rel=0.01)
@@ -177,7 +177,7 @@ def test_acrobats_neither_walk_nor_jump(name: str) -> None:
         assert {movement.kind for movement in gait.movements} == ({"squat"} if name == "squat" else set())
 
 
-def test_frames_without_the_person_are_no_steps() -> None:
+def test_frames_without_person_are_no_steps() -> None:
     xyz_m = joints_at(performed(walk(1.2)), np.arange(0.0, 6.0, 1 / 60))
     xyz_m[:] = np.nan
     xyz_m[5] = 1.0

@@ -61,7 +61,7 @@ def bend_rad(motion: SkeletonMotion, name: str) -> tuple[np.ndarray, np.ndarray]
 
 
 @pytest.mark.parametrize("smoothing", slow_but(["fit"], ["fit", "none", "butterworth"]))
-def test_elbows_and_knees_bend_within_the_extremes_of_people(smoothing: Smoothing) -> None:
+def test_elbows_and_knees_bend_within_extremes_of_people(smoothing: Smoothing) -> None:
     for motion in animated("room", 6.0, hard=True, smoothing=smoothing).motions:
         for name in ("LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg"):
             along, aside = bend_rad(motion, name)
@@ -70,7 +70,7 @@ def test_elbows_and_knees_bend_within_the_extremes_of_people(smoothing: Smoothin
             assert aside.max() < 1e-6
 
 
-def test_joints_are_where_the_skeleton_has_them() -> None:
+def test_joints_are_where_skeleton_has_them() -> None:
     animation = animated("room", 6.0, hard=True)
     for track, motion in zip(animation.tracks, animation.motions, strict=True):
         posed_m = forward_kinematics(motion)
@@ -92,7 +92,7 @@ def test_nothing_flips() -> None:
 
 
 @pytest.mark.parametrize("hard", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_feet_of_a_walk_stand_still(hard: bool) -> None:
+def test_feet_of_walk_stand_still(hard: bool) -> None:
     simulation, _ = recorded("walk", 10.0, hard)
     off, auto = (animated("walk", 10.0, hard, feet=feet) for feet in ("off", "auto"))
     before, after = (score_feet(one.tracks, one.motions, simulation, COCO_17) for one in (off, auto))
@@ -133,7 +133,7 @@ def test_holding_feet_makes_nothing_pop() -> None:
 
 
 @pytest.mark.parametrize("smoothing", slow_but(["one-euro"], ["none", "butterworth", "one-euro"]))
-def test_feet_are_held_whatever_the_smoothing(smoothing: Smoothing) -> None:
+def test_feet_are_held_whatever_smoothing(smoothing: Smoothing) -> None:
     animation = animated("walk", 10.0, smoothing=smoothing)
     contacts = [contact for motion in animation.motions for contact in motion.contacts if contact.pinned]
     before, after = (np.mean([getattr(one, f"slide_{when}_m") for one in contacts]) for when in ("before", "after"))
@@ -235,7 +235,7 @@ def test_every_window_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.diff([0.0, *shares]).max() < 0.2
 
 
-def test_observations_of_one_person_at_a_time_are_in_memory() -> None:
+def test_observations_of_one_person_at_time_are_in_memory() -> None:
     simulation, (tracks, observations) = recorded("room", 6.0, hard=True)
     assert len(tracks) > 2
     scores: list[ref[np.ndarray]] = []

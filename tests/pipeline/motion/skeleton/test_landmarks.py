@@ -47,7 +47,7 @@ def test_side_measured_wrong_gets_length_of_other_side(kind: str, factor: float)
     assert hanging[COCO_17.index(f"left_{UPPER_END[kind]}")] == pytest.approx(TRUE_M[kind], rel=0.01)
 
 
-def test_two_limbs_with_a_wrong_side_each_are_both_right() -> None:
+def test_two_limbs_with_wrong_side_each_are_both_right() -> None:
     xyz_m = stretched(stretched(walker(60), "left_wrist", 0.5), "right_knee", 0.72)
     lengths_m = limb_lengths_m(landmarks_of(xyz_m))
     assert lengths_m["wrist"] == pytest.approx(FOREARM_M, rel=0.01)
@@ -80,7 +80,7 @@ def test_shins_cut_by_table_get_length_by_proportions() -> None:
     assert limb_lengths_m(landmarks_of(xyz_m))["ankle"] == pytest.approx(SHIN_M, rel=0.15)
 
 
-def test_a_small_body_keeps_its_own_proportions() -> None:
+def test_small_body_keeps_its_own_proportions() -> None:
     """Legs that are a quarter shorter than usual beside the trunk and the arms."""
     xyz_m = walker(60)
     for kind in ("knee", "ankle"):
@@ -92,7 +92,7 @@ def test_a_small_body_keeps_its_own_proportions() -> None:
     assert limb_lengths_m(landmarks_of(xyz_m))["knee"] == pytest.approx(thigh_m)
 
 
-def test_sides_that_agree_have_the_median_of_all_frames() -> None:
+def test_sides_that_agree_have_median_of_all_frames() -> None:
     rng = np.random.default_rng(0)
     xyz_m = walker(99)
     for frame in range(99):
@@ -129,7 +129,7 @@ def test_positions_without_numbers_of_views_count_alike() -> None:
     assert limb_lengths_m(Landmarks(track.xyz_m, track.source, COCO_17))["knee"] == pytest.approx(THIGH_M, rel=0.01)
 
 
-def test_nobody_measured_has_the_bones_of_an_adult() -> None:
+def test_nobody_measured_has_bones_of_adult() -> None:
     landmarks = landmarks_of(np.full((3, 17, 3), np.nan))
     assert all(np.isnan(length_m) for length_m in limb_lengths_m(landmarks).values())
     assert bone_lengths_m(landmarks)[INDEX["LeftFoot"]] == pytest.approx(0.246 * 1.70)

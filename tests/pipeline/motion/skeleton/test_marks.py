@@ -50,7 +50,7 @@ def standing() -> np.ndarray:
     return np.array([[(mirrored | place)[name] for name in COCO_17.names]])
 
 
-def test_offsets_point_outwards_forward_and_up_from_the_body() -> None:
+def test_offsets_point_outwards_forward_and_up_from_body() -> None:
     found = mark_offsets_m(COCO_17, OFFSETS, 0.5)
     np.testing.assert_allclose(found["left_shoulder"], (-0.015, -0.01, 0.04))
     np.testing.assert_allclose(found["right_shoulder"], (0.015, -0.01, 0.04))
@@ -61,7 +61,7 @@ def test_offsets_point_outwards_forward_and_up_from_the_body() -> None:
     }
 
 
-def test_marks_of_a_standing_person_become_centres() -> None:
+def test_marks_of_standing_person_become_centres() -> None:
     true_m = standing()
     offsets_m = mark_offsets_m(COCO_17, {"shoulder": OFFSETS["shoulder"]}, 0.5)
     placed_m = true_m.copy()
@@ -105,7 +105,7 @@ def fitted(offsets: JointOffsets, smoothing: Smoothing = "fit") -> Animation:
     return animate([track], [observed(places_m)], CAMERAS, timebase, COCO_17, config, offsets=offsets)
 
 
-def test_the_fit_moves_joints_from_marks_to_centres() -> None:
+def test_fit_moves_joints_from_marks_to_centres() -> None:
     true_m, animation = truth()[1].tracks[0].xyz_m, fitted(OFFSETS)
 
     def error_m(one: Animation) -> np.ndarray:
@@ -130,7 +130,7 @@ def test_the_fit_moves_joints_from_marks_to_centres() -> None:
         assert abs(np.median(lengths_m[0]) - np.median(lengths_m[1])) < 0.005
 
 
-def test_errors_in_pixels_are_those_of_the_marks() -> None:
+def test_errors_in_pixels_are_those_of_marks() -> None:
     animation = fitted(OFFSETS)
     (track,), seen = animation.tracks, observed(marks_m(OFFSETS))
     assert track.error_px[:, SHOULDERS].mean() < 1.0
@@ -144,12 +144,12 @@ def test_errors_in_pixels_are_those_of_the_marks() -> None:
 
 
 @pytest.mark.parametrize("smoothing", ["none", "butterworth"])
-def test_only_the_fit_moves_joints(smoothing: Smoothing) -> None:
+def test_only_fit_moves_joints(smoothing: Smoothing) -> None:
     ours, theirs = (fitted(offsets, smoothing) for offsets in (OFFSETS, MARKED_AT_CENTERS))
     np.testing.assert_array_equal(ours.tracks[0].xyz_m, theirs.tracks[0].xyz_m)
 
 
-def test_somebody_without_a_trunk_is_fitted_without_offsets() -> None:
+def test_somebody_without_trunk_is_fitted_without_offsets() -> None:
     xyz_m, elbow = np.full((20, 17, 3), np.nan), COCO_17.index("left_elbow")
     xyz_m[:, elbow] = (0.3, 0.2, 1.0)
     points_px = np.full((20, len(CAMERAS), 17, 2), np.nan)

@@ -69,7 +69,7 @@ def test_other_numbers_of_joints_have_no_skeleton() -> None:
         rest_offsets_m(np.ones(25))
 
 
-def test_fingers_follow_the_joints_of_the_body() -> None:
+def test_fingers_follow_joints_of_body() -> None:
     assert WHOLE_SKELETON[: len(SKELETON)] == SKELETON
     assert len(WHOLE_SKELETON) == 64
     assert child_names(24)["LeftHand"] == ("LeftHandEnd",)
@@ -80,7 +80,7 @@ def test_fingers_follow_the_joints_of_the_body() -> None:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_each_joint_of_a_finger_has_its_landmark_and_bone(side: str) -> None:
+def test_each_joint_of_finger_has_its_landmark_and_bone(side: str) -> None:
     by_landmark = {joint.landmarks: joint for joint in WHOLE_SKELETON}
     fingers = [by_landmark[(name,)] for name in finger_joints(side)]
     assert [INDEX[joint.name] for joint in fingers] == list(range(24, 44) if side == "left" else range(44, 64))
@@ -88,7 +88,7 @@ def test_each_joint_of_a_finger_has_its_landmark_and_bone(side: str) -> None:
         assert by_landmark[(below,)].parent == by_landmark[(above,)].name
 
 
-def test_rest_pose_is_a_t_pose_that_faces_minus_y() -> None:
+def test_rest_pose_is_t_pose_that_faces_minus_y() -> None:
     at = positions_m(motion())
     assert at["HeadEnd"][2] - at["LeftFootEnd"][2] > 0.99 * STATURE_M
     assert at["HeadEnd"][2] - at["LeftFootEnd"][2] < 1.01 * STATURE_M
@@ -100,7 +100,7 @@ def test_rest_pose_is_a_t_pose_that_faces_minus_y() -> None:
     assert at["LeftUpLeg"][0] > 0 > at["RightUpLeg"][0]
 
 
-def test_a_rotation_moves_everything_below_it_and_nothing_else() -> None:
+def test_rotation_moves_everything_below_it_and_nothing_else() -> None:
     rest = positions_m(motion())
     # +X to -Z is a positive quarter turn about +Y.
     at = positions_m(motion(LeftArm=Rotation.from_euler("Y", 90, degrees=True)))
@@ -137,7 +137,7 @@ def test_hands_at_rest_have_palms_down_and_thumbs_forward() -> None:
     np.testing.assert_allclose(tips["Middle"], at["LeftHandEnd"][0], atol=0.005)
 
 
-def test_a_hand_carries_its_fingers() -> None:
+def test_hand_carries_its_fingers() -> None:
     bent = motion(WHOLE_SKELETON, LeftHand=Rotation.from_euler("Y", 90, degrees=True))
     rest, at = positions_m(motion(WHOLE_SKELETON)), positions_m(bent)
     length_m = rest["LeftHandMiddle3End"][0] - rest["LeftHandMiddle1"][0]
@@ -147,7 +147,7 @@ def test_a_hand_carries_its_fingers() -> None:
         np.testing.assert_allclose(joint_pose(bent, name)[0][0], position_m, atol=1e-12)
 
 
-def test_the_root_carries_the_whole_body() -> None:
+def test_root_carries_whole_body() -> None:
     quarter = Rotation.from_euler("Z", 90, degrees=True)
     rest, turned = forward_kinematics(motion()), forward_kinematics(motion(Hips=quarter))
     np.testing.assert_allclose(turned[0], quarter.apply(rest[0]), atol=1e-12)

@@ -67,7 +67,7 @@ def assert_sound(motion: SkeletonMotion) -> None:
     np.testing.assert_allclose(np.linalg.norm(motion.parent_from_joint, axis=-1), 1.0)
 
 
-def test_a_clean_walk_is_reproduced() -> None:
+def test_clean_walk_is_reproduced() -> None:
     truth_m = walker(60, turn_rad=1.5)
     motion = solve(truth_m)
     assert_sound(motion)
@@ -82,7 +82,7 @@ def test_a_clean_walk_is_reproduced() -> None:
     assert (motion.name, motion.track_id, motion.frame_rate_hz) == ("person-1", 1, 30.0)
 
 
-def test_the_body_faces_where_it_walks() -> None:
+def test_body_faces_where_it_walks() -> None:
     truth_m = walker(31, turn_rad=np.pi / 2)
     motion = solve(truth_m)
     np.testing.assert_allclose(
@@ -115,7 +115,7 @@ def test_elbows_and_knees_are_hinges() -> None:
         np.testing.assert_allclose(rotvec, np.outer(bend_rad, hinge), atol=0.06, err_msg=name)
 
 
-def test_noise_is_not_amplified_along_the_limbs() -> None:
+def test_noise_is_not_amplified_along_limbs() -> None:
     truth_m = walker(200, frame_rate_hz=29.97, turn_rad=2.0)
     noisy_m = truth_m + np.random.default_rng(0).normal(scale=0.02, size=truth_m.shape)
     motion = solve(noisy_m, 29.97)
@@ -129,7 +129,7 @@ def test_noise_is_not_amplified_along_the_limbs() -> None:
         )
 
 
-def test_a_full_turn_does_not_flip() -> None:
+def test_full_turn_does_not_flip() -> None:
     truth_m = walker(120, turn_rad=2 * np.pi)
     motion = solve(truth_m)
     assert steps_deg(motion).max() < 6.0
@@ -150,14 +150,14 @@ def test_straight_arms_don_t_spin(swing_rad: float) -> None:
     assert errors_m(clean, truth_m)["LeftHand"].max() < 1e-3
 
 
-def test_a_full_circle_of_a_straight_arm_does_not_flip() -> None:
+def test_full_circle_of_straight_arm_does_not_flip() -> None:
     truth_m = walker(120, elbow_rad=np.zeros_like, shoulder_rad=lambda phase: phase)
     motion = solve(truth_m)
     assert steps_deg(motion).max() < 10.0
     assert errors_m(motion, truth_m)["RightHand"].max() < 1e-3
 
 
-def test_gaps_travel_with_the_body() -> None:
+def test_gaps_travel_with_body() -> None:
     truth_m = walker(90, turn_rad=2 * np.pi, shoulder_rad=lambda phase: np.full_like(phase, 0.4))
     seen_m = without(truth_m, "left_wrist", "left_elbow", frames=slice(20, 60))
     seen_m = without(seen_m, "right_wrist", "right_elbow", frames=slice(70, 90))
@@ -169,7 +169,7 @@ def test_gaps_travel_with_the_body() -> None:
     assert steps_deg(motion).max() < 8.0
 
 
-def test_hips_travel_with_the_shoulders_while_unseen() -> None:
+def test_hips_travel_with_shoulders_while_unseen() -> None:
     truth_m = walker(90, turn_rad=1.0)
     seen_m = without(truth_m, "left_hip", "right_hip", frames=slice(30, 60))
     seen_m = without(seen_m, "left_hip", frames=slice(60, 75))
@@ -189,7 +189,7 @@ def test_joint_never_seen_takes_length_of_other_side() -> None:
 @pytest.mark.parametrize(
     "unseen", [("left_hip",), ("left_shoulder",), ("left_hip", "right_hip"), ("left_shoulder", "right_shoulder")]
 )
-def test_a_torso_is_completed(unseen: tuple[str, ...]) -> None:
+def test_torso_is_completed(unseen: tuple[str, ...]) -> None:
     truth_m = walker(40, turn_rad=2.0)
     motion = solve(without(truth_m, *unseen))
     assert_sound(motion)
@@ -200,7 +200,7 @@ def test_a_torso_is_completed(unseen: tuple[str, ...]) -> None:
     assert steps_deg(motion).max() < 20.0
 
 
-def test_a_face_may_come_and_go() -> None:
+def test_face_may_come_and_go() -> None:
     truth_m = walker(60)
     seen_m = without(truth_m, "nose", "left_eye", "right_eye", frames=slice(10, 20))
     seen_m = without(seen_m, "left_ear", frames=slice(25, 35))
@@ -219,7 +219,7 @@ def test_short_tracks(num_frames: int) -> None:
     assert max(error_m.max() for error_m in errors_m(motion, truth_m).values()) < 1e-3
 
 
-def test_nothing_seen_is_an_adult_in_rest_pose() -> None:
+def test_nothing_seen_is_adult_in_rest_pose() -> None:
     motion = solve(np.full((3, 17, 3), np.nan))
     assert_sound(motion)
     positions_m = forward_kinematics(motion)
@@ -229,7 +229,7 @@ def test_nothing_seen_is_an_adult_in_rest_pose() -> None:
     np.testing.assert_allclose(motion.parent_from_joint, np.tile([0, 0, 0, 1], (3, len(SKELETON), 1)), atol=1e-12)
 
 
-def test_a_detector_without_a_face_will_do() -> None:
+def test_detector_without_face_will_do() -> None:
     body = JointSet(COCO_17.names[5:], COCO_17.bones[4:])
     truth_m = walker(20)
     motion = SkeletonFit(track_of(truth_m[:, 5:]), body, timebase(20), "person-1").motion()
@@ -265,6 +265,6 @@ coordinates = st.one_of(st.just(np.nan), st.sampled_from([0.0, 1.0, -1.0]), st.f
 
 @settings(max_examples=80, deadline=None)
 @given(arrays(float, st.tuples(st.integers(1, 4), st.just(17), st.just(3)), elements=coordinates))
-def test_any_track_gives_a_sound_motion(xyz_m: np.ndarray) -> None:
+def test_any_track_gives_sound_motion(xyz_m: np.ndarray) -> None:
     xyz_m[~np.isfinite(xyz_m).all(-1)] = np.nan
     assert_sound(solve(xyz_m))

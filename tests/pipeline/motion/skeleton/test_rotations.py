@@ -52,7 +52,7 @@ def test_axes_keep_left_exact_and_up_close() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_align_finds_the_rotation_behind_noisy_vectors(seed: int) -> None:
+def test_align_finds_rotation_behind_noisy_vectors(seed: int) -> None:
     rng = np.random.default_rng(seed)
     start = rng.normal(size=(3, 6, 3))
     truth = Rotation.random(3, rng=rng)
@@ -63,7 +63,7 @@ def test_align_finds_the_rotation_behind_noisy_vectors(seed: int) -> None:
     np.testing.assert_allclose(np.linalg.det(align(start, -end).as_matrix()), 1.0)
 
 
-def test_filled_interpolates_inside_and_holds_at_the_ends() -> None:
+def test_filled_interpolates_inside_and_holds_at_ends() -> None:
     about_y = Rotation.from_euler("Y", [[0], [20], [0], [0], [80], [0]], degrees=True)
     result = filled(about_y, np.array([False, True, False, False, True, False]))
     np.testing.assert_allclose(result.as_euler("YXZ", degrees=True)[:, 0], [20, 20, 40, 60, 80, 80])
@@ -90,13 +90,13 @@ def lower_limb(twist_rad: np.ndarray, bend_rad: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("twist_deg", [-80.0, 0.0, 30.0, 90.0])
-def test_twist_of_a_bent_limb_is_found(twist_deg: float) -> None:
+def test_twist_of_bent_limb_is_found(twist_deg: float) -> None:
     truth = np.full(20, np.radians(twist_deg))
     twist = hinge_twist_rad(X, -Z, lower_limb(truth, np.full(20, 1.2)), 30.0)
     np.testing.assert_allclose(np.degrees(twist), twist_deg, atol=3.0)
 
 
-def test_twist_passes_evenly_through_a_straight_stretch() -> None:
+def test_twist_passes_evenly_through_straight_stretch() -> None:
     frames = np.arange(60)
     truth = np.radians(60.0) * frames / 59
     bend = np.where((frames > 20) & (frames < 40), 0.0, 1.3)

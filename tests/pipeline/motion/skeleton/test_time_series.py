@@ -28,7 +28,7 @@ from pipeline.validation.simulation.scenes import find_scene, record
 NAN = np.full(3, np.nan)
 
 
-def test_linear_inside_and_held_at_the_ends() -> None:
+def test_linear_inside_and_held_at_ends() -> None:
     points = np.array([NAN, [0.0, 1.0, 2.0], NAN, NAN, [3.0, 1.0, -1.0], NAN])
     expected = [[0, 1, 2], [0, 1, 2], [1, 1, 1], [2, 1, 0], [3, 1, -1], [3, 1, -1]]
     np.testing.assert_allclose(filled_linearly(points, np.zeros(3)), expected)
@@ -38,7 +38,7 @@ def test_default_where_nothing_is_known() -> None:
     np.testing.assert_allclose(filled_linearly(np.array([NAN, NAN]), np.array([1.0, 2.0, 3.0])), [[1, 2, 3]] * 2)
 
 
-def test_a_carried_point_keeps_its_offset() -> None:
+def test_carried_point_keeps_its_offset() -> None:
     reference = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 7.0, 0.0]])
     points = np.array([[0.0, 0.0, 1.0], NAN, [0.0, 7.0, 2.0]])
     np.testing.assert_allclose(
@@ -57,7 +57,7 @@ def test_windows_cover_all_frames_and_overlap(num_frames: int) -> None:
     assert max(one.stop - one.start for one in rows) <= 600
 
 
-def test_equal_windows_blend_to_the_same() -> None:
+def test_equal_windows_blend_to_same() -> None:
     values = np.random.default_rng(0).normal(size=(1500, 4, 3))
     result = np.empty((1500, 4, 3))
     blend = Blend(result)
@@ -76,7 +76,7 @@ def test_windows_that_differ_pass_evenly_into_each_other() -> None:
     assert steps.max() < 0.02
 
 
-def test_what_one_window_does_not_know_the_other_one_says() -> None:
+def test_window_fills_unknowns_of_other_window() -> None:
     result = np.empty((1100, 1))
     blend = Blend(result)
     first, second = windows(1100)
@@ -105,7 +105,7 @@ def gain(rate_hz: float, frequency_hz: float) -> float:
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 59.94, 119.88])
-def test_the_cutoff_is_in_hertz_and_that_of_both_passes(rate_hz: float) -> None:
+def test_cutoff_is_in_hertz_and_that_of_both_passes(rate_hz: float) -> None:
     assert gain(rate_hz, 1.0) == pytest.approx(1.0, abs=0.01)
     assert gain(rate_hz, 6.0) == pytest.approx(np.sqrt(0.5), abs=0.01)
     if rate_hz > 50:
@@ -170,7 +170,7 @@ def test_simulated_people_tremble_less_and_are_where_they_were(config: Reconstru
     assert after["switches"] == before["switches"]
 
 
-def test_the_reprojection_error_is_that_of_the_final_positions(ring: tuple[Camera, ...]) -> None:
+def test_reprojection_error_is_that_of_final_positions(ring: tuple[Camera, ...]) -> None:
     rng = np.random.default_rng(5)
     true_m = np.tile([[0.2, 0.1, 1.0]], (40, 1, 1))
     seen_px = np.stack([project(camera, true_m) for camera in ring], axis=1)
@@ -181,7 +181,7 @@ def test_the_reprojection_error_is_that_of_the_final_positions(ring: tuple[Camer
     np.testing.assert_allclose(smoothed.error_px, errors_px, rtol=1e-6)
 
 
-def test_none_gives_the_same_tracks() -> None:
+def test_none_gives_same_tracks() -> None:
     track = track_of(np.zeros((3, 1, 3)))
     assert (
         smooth_track(track, unseen(3, 1), [], Timebase(0.0, 25.0, 3), ReconstructionConfig(smoothing="none")) is track

@@ -37,7 +37,7 @@ def imported_by(path: Path) -> set[str]:
 
 
 @pytest.mark.slow
-def test_libraries_of_the_stages_all_count() -> None:
+def test_libraries_of_stages_all_count() -> None:
     folders = [ROOT / "pipeline/run/engine", ROOT / "pipeline/run/steps"]
     paths = [path for folder in folders for path in folder.glob("*.py") if path.stem not in {"__init__", "local"}]
     direct = {f"pipeline.run.{path.parent.name}.{path.stem}" for path in paths}
@@ -50,7 +50,7 @@ def test_libraries_of_the_stages_all_count() -> None:
     assert {distributions[name][0] for name in others - NOT_NUMERIC} == {*LIBRARIES}
 
 
-def test_other_version_of_a_library_is_other_code() -> None:
+def test_other_version_of_library_is_other_code() -> None:
     assert not {*digests_of_stages(ROOT, ("numpy",)).values()} & {*stage_codes().values()}
 
 
@@ -82,7 +82,7 @@ def test_changed_module_counts_for_stages_that_reach_it(sources: Path) -> None:
     assert not stages & {LOOK, DETECT, LENGTHS, POSES}
 
 
-def test_import_inside_a_function_counts(sources: Path) -> None:
+def test_import_inside_function_counts(sources: Path) -> None:
     """``detection.registry`` imports the conversions of networks where it needs them."""
     append(sources / "pipeline/detection/conversion/onnx_graph.py")
     assert DETECT in changed(sources)
@@ -95,7 +95,7 @@ def test_module_that_no_stage_imports_counts_for_none(sources: Path) -> None:
     assert changed(sources) == set()
 
 
-def test_module_of_a_stage_counts_for_it(sources: Path) -> None:
+def test_module_of_stage_counts_for_it(sources: Path) -> None:
     append(sources / "pipeline/run/steps/export.py")
     assert changed(sources) == {WRITE, EXPORT}
 
@@ -112,7 +112,7 @@ def test_module_of_all_stages_counts_for_all(sources: Path) -> None:
     assert changed(sources) == {stage.name for stage in STAGES}
 
 
-def test_prefix_of_the_wheel_counts_for_none(sources: Path) -> None:
+def test_prefix_of_wheel_counts_for_none(sources: Path) -> None:
     for path in (sources / "pipeline").rglob("*.py"):
         path.write_bytes(path.read_bytes().replace(b"from pipeline", b"from multicap.pipeline"))
     assert changed(sources) == set()

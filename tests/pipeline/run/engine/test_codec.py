@@ -81,7 +81,7 @@ def test_any_record_comes_back(**values: object) -> None:
     np.testing.assert_array_equal(back.rest, np.zeros(2))
 
 
-def test_a_default_costs_no_byte_and_is_told_from_another_type() -> None:
+def test_default_costs_no_byte_and_is_told_from_another_type() -> None:
     record = Whole(np.zeros(3), (), (), ("a", 1.0), None, {})
     assert "rest" not in np.load(io.BytesIO(encode(record))).files
     for other in (np.zeros(3), np.zeros(2, np.float32), np.array([0.0, -1.0])):
@@ -90,7 +90,7 @@ def test_a_default_costs_no_byte_and_is_told_from_another_type() -> None:
         assert back.rest.dtype == other.dtype
 
 
-def test_a_part_is_read_alone(tmp_path: Path) -> None:
+def test_part_is_read_alone(tmp_path: Path) -> None:
     floor = Floor(0.1, 0.01, -0.02)
     track = people_of_two_lengths().tracks[0]
     save(Animation((track,), (), floor), tmp_path / "animation")
@@ -100,7 +100,7 @@ def test_a_part_is_read_alone(tmp_path: Path) -> None:
     assert RecordArchive(encode(Animation((), (), None))).find(Floor, "floor") is None
 
 
-def test_the_entries_of_an_archive_are_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_of_archive_are_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thousands of people have ten thousands of entries: listing them again for each person took minutes."""
     write_people(tmp_path / "people", people_of_two_lengths())
     listed = Mock(wraps=open_archive)
@@ -110,7 +110,7 @@ def test_the_entries_of_an_archive_are_listed_once(tmp_path: Path, monkeypatch: 
     listed.assert_called_once_with(tmp_path / "people")
 
 
-def test_an_archive_with_a_pickle_is_refused() -> None:
+def test_archive_with_pickle_is_refused() -> None:
     file = io.BytesIO()
     np.savez(file, record=np.array([{"a": 1}], object))
     with pytest.raises(ValueError, match="allow_pickle"):

@@ -40,7 +40,7 @@ def used_offsets(session: Session, config: ReconstructionConfig) -> JointOffsets
         ("openpose-mobilenet-thin", "openpose-mobilenet-thin", "openpose-mobilenet-thin"),
     ],
 )
-def test_offsets_are_the_detector_s_or_chosen(
+def test_offsets_are_detector_s_or_chosen(
     choice: JointCenters, of_videos: str | None, of_keypoints: str | None
 ) -> None:
     config = ReconstructionConfig(joint_centers=choice)
@@ -54,7 +54,7 @@ def test_offsets_without_fit_or_of_bare_networks_are_empty() -> None:
     assert used_offsets(VIDEOS, ReconstructionConfig(detector="human-pose-estimation-0001")) == {}
 
 
-def test_offsets_without_crops_are_the_body_detector_s() -> None:
+def test_offsets_without_crops_are_body_detector_s() -> None:
     alone = ReconstructionConfig(detector="movenet-multipose")
     assert used_offsets(VIDEOS, alone) == REGISTRY["movenet-multipose"].offsets
     accurate = ReconstructionConfig(profile="accurate")
@@ -71,12 +71,12 @@ def test_offsets_without_crops_are_the_body_detector_s() -> None:
         (ReconstructionConfig(detector="openpose-mobilenet-thin"), COCO_18),
     ],
 )
-def test_detections_have_the_joints_that_are_asked_for(config: ReconstructionConfig, joints: JointSet) -> None:
+def test_detections_have_joints_that_are_asked_for(config: ReconstructionConfig, joints: JointSet) -> None:
     assert detection_source(context_of(VIDEOS, config)).joints(VIDEOS) is joints
     assert detection_source(context_of(KEYPOINTS, config)).joints(KEYPOINTS) is COCO_17
 
 
-def test_detections_of_keypoints_come_with_the_session() -> None:
+def test_detections_of_keypoints_come_with_session() -> None:
     config = ReconstructionConfig("clustering", "openpose-mobilenet-thin")
     videos, keypoints = detection_source(context_of(VIDEOS, config)), detection_source(context_of(KEYPOINTS, config))
     assert (videos.finds_fields, keypoints.finds_fields) == (True, False)
@@ -86,7 +86,7 @@ def test_detections_of_keypoints_come_with_the_session() -> None:
     assert keypoints.bodies(KEYPOINTS) is KEYPOINTS.detections
 
 
-def test_a_task_on_another_kind_of_session_than_planned_fails() -> None:
+def test_task_on_another_kind_of_session_than_planned_fails() -> None:
     with pytest.raises(PipelineError, match="planned for a CaptureSession, not for a KeypointSession"):
         captured_videos(context_of(KEYPOINTS))
     with pytest.raises(PipelineError, match="planned for a KeypointSession"):

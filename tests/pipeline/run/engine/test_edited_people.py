@@ -51,7 +51,7 @@ def same_motion(one: Reconstruction, number: int, other: Reconstruction, other_n
     )
 
 
-def test_an_exchange_changes_two_people_and_nobody_else(
+def test_exchange_changes_two_people_and_nobody_else(
     session: KeypointSession, cache: Path, plain: Reconstruction
 ) -> None:
     half = plain.timebase.num_frames // 2
@@ -81,7 +81,7 @@ def test_halves_are_merged_again(session: KeypointSession, cache: Path, plain: R
     assert all(same_motion(merged, number, plain, number) for number in range(len(plain.tracks)))
 
 
-def test_a_cut_keeps_the_motion_of_its_frames(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:
+def test_cut_keeps_motion_of_its_frames(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:
     take = edited(session, cache, Cut(start_frame=20, stop_frame=50))
     assert (take.timebase.num_frames, take.timebase.start_time_s) == (30, plain.timebase.time_s(20))
     for cut, whole in zip(take.motions, plain.motions, strict=True):

@@ -51,7 +51,7 @@ def run(session: KeypointSession, config: ReconstructionConfig, cache: Path | No
     return reconstruction, reused(steps)
 
 
-def test_another_smoothing_reuses_the_tracks(session: KeypointSession, tmp_path: Path) -> None:
+def test_another_smoothing_reuses_tracks(session: KeypointSession, tmp_path: Path) -> None:
     first, of_first = run(session, TRACKING, tmp_path / "cache")
     assert {name: units for name, (units, _) in of_first.items()} == NONE_REUSED
     again, of_again = run(session, TRACKING, tmp_path / "cache")
@@ -77,7 +77,7 @@ def test_paths_may_be_texts(session: KeypointSession, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_killed_process_left_beside_the_results_is_removed(session: KeypointSession, tmp_path: Path) -> None:
+def test_leftovers_beside_results_are_removed(session: KeypointSession, tmp_path: Path) -> None:
     cache, out = tmp_path / "cache", tmp_path / "out"
     reconstruct_to_files(session, out, TRACKING, cache=cache)
     files = {path.name for path in out.iterdir()}
@@ -91,7 +91,7 @@ def test_what_a_killed_process_left_beside_the_results_is_removed(session: Keypo
 
 
 @pytest.mark.slow
-def test_a_parameter_of_a_method_counts(session: KeypointSession, tmp_path: Path) -> None:
+def test_parameter_of_method_counts(session: KeypointSession, tmp_path: Path) -> None:
     run(session, TRACKING, tmp_path)
     _, units = run(session, replace(TRACKING, tracking={"alpha_3d_m": 0.3}), tmp_path)
     assert units[ASSOCIATE][0] == 0
@@ -119,7 +119,7 @@ def test_processes_and_ranges_change_no_byte(
 
 
 @pytest.mark.slow
-def test_a_damaged_output_is_computed_again(session: KeypointSession, tmp_path: Path) -> None:
+def test_damaged_output_is_computed_again(session: KeypointSession, tmp_path: Path) -> None:
     first, _ = run(session, TRACKING, tmp_path / "cache")
     for path in (tmp_path / "cache").iterdir():
         content = bytearray(path.read_bytes())
@@ -131,7 +131,7 @@ def test_a_damaged_output_is_computed_again(session: KeypointSession, tmp_path: 
     assert written(again, tmp_path / "again") == written(first, tmp_path / "first")
 
 
-def test_wrong_choices_are_refused_before_the_work(session: KeypointSession) -> None:
+def test_wrong_choices_are_refused_before_work(session: KeypointSession) -> None:
     steps: list[Progress] = []
     with pytest.raises(InputError, match="output frames 0 to"):
         reconstruct(session, replace(TRACKING, frame_range=(5, 100_000)), steps.append)
@@ -140,7 +140,7 @@ def test_wrong_choices_are_refused_before_the_work(session: KeypointSession) -> 
     assert not steps
 
 
-def test_the_table_of_stages() -> None:
+def test_table_of_stages() -> None:
     names = list(STAGE_BY_NAME)
     for number, stage in enumerate(STAGE_BY_NAME.values()):
         assert set(stage.follows) <= set(names[:number])

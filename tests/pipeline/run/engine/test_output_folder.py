@@ -18,7 +18,7 @@ def age(path: Path, seconds: float) -> None:
     os.utime(path, (used_s, used_s))
 
 
-def test_an_output_is_there_for_the_next_run(tmp_path: Path) -> None:
+def test_output_is_there_for_next_run(tmp_path: Path) -> None:
     with output_folder(tmp_path / "cache") as first:
         assert first.read(KEY) is None
         first.write(KEY, b"tracks")
@@ -27,7 +27,7 @@ def test_an_output_is_there_for_the_next_run(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "cache").stat().st_mode) == 0o700
 
 
-def test_without_a_cache_nothing_is_left() -> None:
+def test_without_cache_nothing_is_left() -> None:
     with output_folder(None) as outputs:
         outputs.write(KEY, b"tracks")
         folder = outputs.path
@@ -35,7 +35,7 @@ def test_without_a_cache_nothing_is_left() -> None:
 
 
 @pytest.mark.parametrize("position", [0, 31, 32, 37])
-def test_a_flipped_byte_is_noticed(tmp_path: Path, position: int) -> None:
+def test_flipped_byte_is_noticed(tmp_path: Path, position: int) -> None:
     outputs = OutputFolder(tmp_path)
     outputs.write(KEY, b"tracks")
     content = bytearray((tmp_path / KEY).read_bytes())
@@ -46,7 +46,7 @@ def test_a_flipped_byte_is_noticed(tmp_path: Path, position: int) -> None:
     assert outputs.read(KEY) == b"tracks"
 
 
-def test_a_cut_file_is_noticed(tmp_path: Path) -> None:
+def test_cut_file_is_noticed(tmp_path: Path) -> None:
     outputs = OutputFolder(tmp_path)
     outputs.write(KEY, b"tracks")
     os.truncate(tmp_path / KEY, 35)
@@ -64,14 +64,14 @@ def test_outputs_that_were_not_used_for_longest_go_first(tmp_path: Path) -> None
     assert {path.name for path in tmp_path.iterdir()} == {"0", "3", "lock"}
 
 
-def test_a_file_that_a_killed_run_left_is_removed(tmp_path: Path) -> None:
+def test_file_that_killed_run_left_is_removed(tmp_path: Path) -> None:
     (tmp_path / "new-half").write_bytes(b"half")
     with output_folder(tmp_path):
         pass
     assert not (tmp_path / "new-half").exists()
 
 
-def test_nothing_is_removed_while_another_run_uses_the_cache(tmp_path: Path) -> None:
+def test_nothing_is_removed_while_another_run_uses_cache(tmp_path: Path) -> None:
     with output_folder(tmp_path) as outputs:
         outputs.write(KEY, bytes(1000))
         with output_folder(tmp_path, max_bytes=0):
@@ -82,7 +82,7 @@ def test_nothing_is_removed_while_another_run_uses_the_cache(tmp_path: Path) -> 
     assert not (tmp_path / KEY).exists()
 
 
-def test_a_full_disk_leaves_no_half_output_and_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_leaves_no_half_output_and_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -93,13 +93,13 @@ def test_a_full_disk_leaves_no_half_output_and_says_what_to_do(tmp_path: Path, m
     assert not list(tmp_path.iterdir())
 
 
-def test_a_cache_that_is_a_file_is_refused(tmp_path: Path) -> None:
+def test_cache_that_is_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "cache").touch()
     with pytest.raises(PipelineError, match="file exists"), output_folder(tmp_path / "cache"):
         pass
 
 
-def test_the_folder_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_CACHE_HOME", str(tmp_path))
     assert default_cache() == tmp_path
     monkeypatch.delenv("MULTICAP_CACHE_HOME")
@@ -107,7 +107,7 @@ def test_the_folder_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert default_cache() == tmp_path / "multicap"
 
 
-def test_a_folder_that_can_not_be_made_is_not_usable(tmp_path: Path) -> None:
+def test_folder_that_can_not_be_made_is_not_usable(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     assert not is_usable(tmp_path / "file" / "cache")
     assert is_usable(tmp_path / "new" / "cache")

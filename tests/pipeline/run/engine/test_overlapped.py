@@ -16,7 +16,7 @@ def tasks(number: int) -> list[Task]:
     return [Task(DETECT, index, f"cam{index}", range(10), 10, 3, f"key{index}") for index in range(number)]
 
 
-def test_two_tasks_run_at_a_time() -> None:
+def test_two_tasks_run_at_time() -> None:
     both = threading.Barrier(2)
 
     def run(task: Task, on_unit: Callable[[], None]) -> None:
@@ -44,7 +44,7 @@ def test_no_third_task_runs_beside_them() -> None:
     assert max(most) <= 2
 
 
-def test_units_are_counted_in_the_thread_of_the_caller() -> None:
+def test_units_are_counted_in_thread_of_caller() -> None:
     counted: list[tuple[int, int]] = []
 
     def run(task: Task, on_unit: Callable[[], None]) -> None:
@@ -55,7 +55,7 @@ def test_units_are_counted_in_the_thread_of_the_caller() -> None:
     assert sorted(counted) == [(index, threading.get_ident()) for index in range(3) for _ in range(3)]
 
 
-def test_the_error_is_that_of_the_first_task_that_fails() -> None:
+def test_error_is_that_of_first_task_that_fails() -> None:
     """The second task fails before the first one does; its error would tell of another camera from run to run."""
     second_failed = threading.Event()
 
@@ -71,7 +71,7 @@ def test_the_error_is_that_of_the_first_task_that_fails() -> None:
         list(overlapped(tasks(5), run, lambda task: None))
 
 
-def test_an_error_ends_later_tasks_and_starts_no_more() -> None:
+def test_error_ends_later_tasks_and_starts_no_more() -> None:
     started: list[int] = []
 
     def run(task: Task, on_unit: Callable[[], None]) -> None:
@@ -86,7 +86,7 @@ def test_an_error_ends_later_tasks_and_starts_no_more() -> None:
     assert sorted(started) == [0, 1]
 
 
-def test_a_caller_that_stops_ends_the_tasks() -> None:
+def test_caller_that_stops_ends_tasks() -> None:
     ended: list[int] = []
 
     def run(task: Task, on_unit: Callable[[], None]) -> None:
@@ -102,7 +102,7 @@ def test_a_caller_that_stops_ends_the_tasks() -> None:
     assert not any("ThreadPool" in thread.name for thread in threading.enumerate())
 
 
-def test_an_interruption_while_a_unit_is_counted_ends_the_tasks() -> None:
+def test_interruption_while_unit_is_counted_ends_tasks() -> None:
     def run(task: Task, on_unit: Callable[[], None]) -> None:
         while True:
             on_unit()

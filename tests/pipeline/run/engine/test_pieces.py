@@ -134,7 +134,7 @@ def test_files_are_written_once_and_renamed_people_anew(
 
 
 @pytest.mark.slow
-def test_a_name_changes_no_report_and_no_motion_for_viewers(
+def test_name_changes_no_report_and_no_motion_for_viewers(
     session: KeypointSession, cache: Path, tmp_path: Path
 ) -> None:
     def figures(
@@ -173,7 +173,7 @@ def test_formats_say_whether_their_files_hold_names(session: KeypointSession, ca
     assert holds_name == find_writer(name).holds_name
 
 
-def test_names_change_the_keys_of_files_alone(session: KeypointSession) -> None:
+def test_names_change_keys_of_files_alone(session: KeypointSession) -> None:
     def keys(*edits: PeopleEdit) -> dict[str, list[str]]:
         config = dataclasses.replace(ReconstructionConfig(), edits=edits, report=True)
         stages = plan(session_facts(session, ("digest",)), config, dict.fromkeys(STAGE_BY_NAME, "code"))
@@ -192,7 +192,7 @@ def test_names_change_the_keys_of_files_alone(session: KeypointSession) -> None:
 
 
 @pytest.mark.slow
-def test_parts_of_the_people_are_written_ahead_at_any_rate(
+def test_parts_of_people_are_written_ahead_at_any_rate(
     session: KeypointSession, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take, pieces, rate_hz = edited(session, cache, Rename(person=2, name="Zoë")), KeptPieces(), 10.0
@@ -208,7 +208,7 @@ def test_parts_of_the_people_are_written_ahead_at_any_rate(
     assert files(take, tmp_path / "found", pieces, rate_hz) == fresh
 
 
-def test_stages_that_write_and_find_files_name_their_pieces_alike(session: KeypointSession) -> None:
+def test_stages_name_their_pieces_alike(session: KeypointSession) -> None:
     def piece_keys(**choices: Any) -> list[str]:
         config = dataclasses.replace(ReconstructionConfig(), **choices)
         stages = plan(session_facts(session, ("digest",)), config, dict.fromkeys(STAGE_BY_NAME, "code"))
@@ -223,7 +223,7 @@ def test_stages_that_write_and_find_files_name_their_pieces_alike(session: Keypo
     assert piece_keys(exports=(), timeline="person") == piece_keys(exports=())
 
 
-def test_a_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
+def test_key_depends_on_every_value(session: KeypointSession, cache: Path) -> None:
     one, other = list(take_people(edited(session, cache), "take", "capsules"))[:2]
     pieces = KeptPieces()
     moved = one.track.xyz_m.copy()

@@ -72,7 +72,7 @@ def furthest(true: Sequence[Camera], found: Sequence[Camera]) -> tuple[float, fl
 
 
 @pytest.mark.slow
-def test_a_disturbed_calibration_is_refined_reported_and_written(
+def test_disturbed_calibration_is_refined_reported_and_written(
     session: KeypointSession, disturbed: KeypointSession, refined: Reconstruction, tmp_path: Path
 ) -> None:
     given = reconstruct(disturbed, replace(CONFIG, refine_calibration="off", force=True))
@@ -96,7 +96,7 @@ def test_a_disturbed_calibration_is_refined_reported_and_written(
 
 
 @pytest.mark.slow
-def test_good_calibration_refined_gives_the_same_files(session: KeypointSession, tmp_path: Path) -> None:
+def test_good_calibration_refined_gives_same_files(session: KeypointSession, tmp_path: Path) -> None:
     off, auto = (reconstruct(session, replace(CONFIG, refine_calibration=choice)) for choice in ("off", "auto"))
     assert auto.refinement is not None
     assert not auto.refinement.refined
@@ -111,7 +111,7 @@ def test_good_calibration_refined_gives_the_same_files(session: KeypointSession,
 
 
 @pytest.mark.slow
-def test_a_tilted_world_is_levelled_reported_and_written(session: KeypointSession, tmp_path: Path) -> None:
+def test_tilted_world_is_levelled_reported_and_written(session: KeypointSession, tmp_path: Path) -> None:
     """Cameras agree with each other, so that none moves among them: the world alone does."""
     turn = Rotation.from_rotvec(np.radians([0.0, 6.0, 0.0])).as_matrix()
     tilted_from_true = Rigid3(turn, np.array([0.0, 0.0, 0.3]))
@@ -134,7 +134,7 @@ def test_a_tilted_world_is_levelled_reported_and_written(session: KeypointSessio
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("scene", "seed"), [("room", 1), ("comings-and-goings", 1)])
-def test_disturbed_cameras_in_a_tilted_world_come_back(scene: str, seed: int) -> None:
+def test_disturbed_cameras_in_tilted_world_come_back(scene: str, seed: int) -> None:
     """Cameras turned by a degree and shifted by 2 cm, in a world tilted by 5.8 degrees and lifted by 0.3 m."""
     simulation = record(replace(find_scene(scene), duration_s=20.0), seed)
     turn = Rotation.from_rotvec(np.radians([5.0, -3.0, 0.0])).as_matrix()
@@ -155,9 +155,7 @@ def test_disturbed_cameras_in_a_tilted_world_come_back(scene: str, seed: int) ->
 
 
 @pytest.mark.slow
-def test_refinement_is_reused_whatever_the_cut(
-    disturbed: KeypointSession, refined: Reconstruction, cache: Path
-) -> None:
+def test_refinement_is_reused_whatever_cut(disturbed: KeypointSession, refined: Reconstruction, cache: Path) -> None:
     seen: list[Progress] = []
     other = reconstruct(disturbed, replace(CONFIG, smoothing="butterworth"), seen.append, cache=cache)
     assert {one.stage for one in seen if one.reused == one.total} >= {REFINE, ASSOCIATE}
@@ -191,7 +189,7 @@ def test_reports_come_back_from_their_bytes(session: KeypointSession) -> None:
 
 
 @pytest.mark.slow
-def test_a_disturbed_calibration_is_refined_from_fields() -> None:
+def test_disturbed_calibration_is_refined_from_fields() -> None:
     simulation = record(replace(find_scene("room"), duration_s=4.0), seed=2)
     disturbed = disturb_calibration(simulation, 1.0, 0.0, seed=1)
 

@@ -38,7 +38,7 @@ def contents(instants: list[LiveInstant]) -> list[tuple[float, list[tuple[int, b
     ]
 
 
-def test_positions_are_those_of_the_finished_session(room: Simulation) -> None:
+def test_positions_are_those_of_finished_session(room: Simulation) -> None:
     """Cameras in step, before bones are learnt: positions need no later frame, except where views disagree."""
     instants = play(capture_of(room, LiveSettings(RATE_HZ, learn_s=60.0)), sent_frames(room))
     parameters = derive_parameters(room.cameras, RATE_HZ)
@@ -58,7 +58,7 @@ def test_positions_are_those_of_the_finished_session(room: Simulation) -> None:
     assert num_all > 0.9 * 3 * 17 * (room.timebase.num_frames - 3)
 
 
-def test_an_instant_is_final_with_the_last_camera(room: Simulation) -> None:
+def test_instant_is_final_with_last_camera(room: Simulation) -> None:
     """No instant waits for a later frame if all cameras send theirs."""
     capture = capture_of(room)
     for frame in sent_frames(room):
@@ -74,7 +74,7 @@ def shuffled(frames: list[DetectedFrame], within_s: float) -> list[DetectedFrame
     return sorted(frames, key=lambda frame: frame.time_s + rng.uniform(0.0, within_s))
 
 
-def test_frames_out_of_order_within_the_window_change_nothing(room: Simulation) -> None:
+def test_frames_out_of_order_within_window_change_nothing(room: Simulation) -> None:
     frames = sent_frames(room)
     expected = play(capture_of(room, LiveSettings(RATE_HZ, window_s=0.2, is_ordered=False)), frames)
     capture = capture_of(room, LiveSettings(RATE_HZ, window_s=0.2, is_ordered=False))
@@ -85,7 +85,7 @@ def test_frames_out_of_order_within_the_window_change_nothing(room: Simulation) 
     assert capture.counts.dropped == 0
 
 
-def test_camera_late_within_the_window_changes_nothing(room: Simulation) -> None:
+def test_camera_late_within_window_changes_nothing(room: Simulation) -> None:
     """Frames that are in the order of each camera are waited for no longer than needed."""
     frames = sent_frames(room)
     behind = sorted(frames, key=lambda frame: frame.time_s + (0.081 if frame.camera == 2 else 0.0))
@@ -96,7 +96,7 @@ def test_camera_late_within_the_window_changes_nothing(room: Simulation) -> None
     assert capture.counts.late > 0
 
 
-def test_frames_behind_the_window_are_dropped_and_counted(room: Simulation) -> None:
+def test_frames_behind_window_are_dropped_and_counted(room: Simulation) -> None:
     frames = sent_frames(room)
     late = next(frame for frame in frames if frame.camera == 1 and frame.time_s > 1.0)
     others = [frame for frame in frames if frame is not late]
@@ -108,7 +108,7 @@ def test_frames_behind_the_window_are_dropped_and_counted(room: Simulation) -> N
     assert contents(instants) == contents(play(capture_of(room), others))
 
 
-def test_a_frame_that_comes_twice_is_dropped(room: Simulation) -> None:
+def test_frame_that_comes_twice_is_dropped(room: Simulation) -> None:
     frames = sent_frames(room)
     capture = capture_of(room)
     instants = play(capture, [frame for frame in frames for _ in range(2)])
@@ -116,7 +116,7 @@ def test_a_frame_that_comes_twice_is_dropped(room: Simulation) -> None:
     assert capture.counts.dropped == len(frames)
 
 
-def test_a_silent_camera_is_not_waited_for(room: Simulation) -> None:
+def test_silent_camera_is_not_waited_for(room: Simulation) -> None:
     """After the window, the other three go on without lag; when it is back, it takes part again."""
     frames = [frame for frame in sent_frames(room) if frame.camera != 0 or not 1.0 < frame.time_s < 2.0]
     capture = capture_of(room)
@@ -163,7 +163,7 @@ def test_frames_that_wait_are_few(ring: tuple[Camera, ...], monkeypatch: pytest.
     assert max(kept) == 50
 
 
-def test_everything_wrong_with_a_frame_is_said_at_once(ring: tuple[Camera, ...]) -> None:
+def test_everything_wrong_with_frame_is_said_at_once(ring: tuple[Camera, ...]) -> None:
     capture = LiveCapture(ring, COCO_17, LiveSettings(RATE_HZ))
     with pytest.raises(InputError) as caught:
         capture.push("cam9", np.nan, np.zeros((1, 16, 2)), np.ones((1, 16)))
@@ -201,7 +201,7 @@ def test_cameras_have_names_of_their_own(ring: tuple[Camera, ...]) -> None:
         ((0, 0.0, np.full((1, 17, 2), -2e6), np.ones((1, 17))), ["points_px"]),
     ],
 )
-def test_what_is_no_frame_is_a_problem(ring: tuple[Camera, ...], frame: tuple[Any, ...], fields: list[str]) -> None:
+def test_no_frame_is_problem(ring: tuple[Camera, ...], frame: tuple[Any, ...], fields: list[str]) -> None:
     capture = LiveCapture(ring, COCO_17, LiveSettings(RATE_HZ))
     with pytest.raises(InputError) as caught:
         capture.push(*frame)

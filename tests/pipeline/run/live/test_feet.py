@@ -28,7 +28,7 @@ def standing(x_m: float, z_m: float, num_frames: int) -> np.ndarray:
     return np.tile([x_m, 0.0, z_m], (num_frames, 1))
 
 
-def test_a_foot_that_stands_has_a_steady_place_until_it_leaves(feet: StandingFeet) -> None:
+def test_foot_that_stands_has_steady_place_until_it_leaves(feet: StandingFeet) -> None:
     right_m = standing(0.3, 0.08, 50)
     places_m = send(feet, 0.0, standing(0.0, 0.08, 50), right_m)
     assert np.isnan(places_m[2]).all()
@@ -46,13 +46,13 @@ def test_a_foot_that_stands_has_a_steady_place_until_it_leaves(feet: StandingFee
     np.testing.assert_allclose(places_m[-1][0], [0.48, 0.0, 0.08], atol=NOISE_M)
 
 
-def test_a_raised_foot_does_not_stand(feet: StandingFeet) -> None:
+def test_raised_foot_does_not_stand(feet: StandingFeet) -> None:
     places_m = np.array(send(feet, 0.0, standing(0.0, 0.45, 40), standing(0.3, 0.08, 40)))
     assert np.isnan(places_m[:, 0]).all()
     assert np.isfinite(places_m[10:, 1]).all()
 
 
-def test_a_foot_that_nobody_sees_is_forgotten(feet: StandingFeet) -> None:
+def test_foot_that_nobody_sees_is_forgotten(feet: StandingFeet) -> None:
     send(feet, 0.0, standing(0.0, 0.08, 20), standing(0.3, 0.08, 20))
     unseen_m = np.full((2, 3), np.nan)
     feet.update(1.0, unseen_m)

@@ -76,7 +76,7 @@ def test_people_of_one_build_keep_their_numbers_by_their_clothes(twins: Simulati
     assert back == ({0: there[1], 1: there[0]} if are_exchanged else there)
 
 
-def test_people_of_one_build_in_the_same_clothes_get_new_numbers(twins: Simulation) -> None:
+def test_people_of_one_build_in_same_clothes_get_new_numbers(twins: Simulation) -> None:
     there, back, instants = numbers_around_a_break(dress(twins, lambda person, time_s: SHIRTS[0]))
     assert set(there.values()) == {1, 2}
     assert set(back.values()) == {3, 4}
@@ -259,7 +259,7 @@ def test_people_who_come_back_get_their_numbers_and_bones_again(room: Simulation
         assert len({person.id for person in each.people}) == len(each.people)
 
 
-def test_people_of_an_earlier_take_have_first_numbers(
+def test_people_of_earlier_take_have_first_numbers(
     room: Simulation, instants: list[LiveInstant], tmp_path: Path
 ) -> None:
     before = next(each for each in reversed(instants) if each.time_s < LEAVE_S)
@@ -301,7 +301,7 @@ def located_m(length_m: np.ndarray, identities: Identities) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("factor", "is_same"), [(1.0, True), (1.12, False)])
-def test_only_the_same_proportions_are_the_same_person(room: Simulation, factor: float, is_same: bool) -> None:
+def test_only_same_proportions_are_same_person(room: Simulation, factor: float, is_same: bool) -> None:
     identities = Identities(room.joints, len(room.cameras), [scaled(1.0), scaled(0.88)])
     standing_m = located_m(scaled(factor), identities)
     bodies = [identities.see(1, time_s, standing_m, {}) for time_s in np.arange(0.0, 3.1, 0.04)]
@@ -344,7 +344,7 @@ def test_whoever_was_located_too_seldom_is_not_recognised(room: Simulation) -> N
     assert identities.number_of(70) == 70
 
 
-def test_bodies_are_read_from_a_result(room: Simulation, tmp_path: Path) -> None:
+def test_bodies_are_read_from_result(room: Simulation, tmp_path: Path) -> None:
     truth_m = room.truth_m[0]
     positions_m = [[point.tolist() for point in frame_m] for frame_m in truth_m]
     positions_m[3][5] = None

@@ -18,7 +18,7 @@ from tests.pipeline.run.live.streams import sent_frames
 
 
 @pytest.mark.parametrize("name", ["coco-17", "body-25b", "mediapipe-33"])
-def test_points_of_a_layout_are_the_same_joints_in_the_session(tmp_path: Path, name: str) -> None:
+def test_points_of_layout_are_same_joints_in_session(tmp_path: Path, name: str) -> None:
     room = record(replace(SCENES["room"], duration_s=0.4), 0, 3)
     layout = LAYOUTS[name]
     shared = [joint for joint in room.joints.names if joint in layout.points]

@@ -12,9 +12,7 @@ from tests.pipeline.simulations import write_simulation
 PAGE = Path(__file__).parents[4] / "docs/live.md"
 
 
-def test_examples_of_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_examples_of_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     write_simulation(record(replace(SCENES["room"], duration_s=1.0), 0), tmp_path)
     monkeypatch.chdir(tmp_path)
     page = PAGE.read_text(encoding="utf-8")

@@ -50,9 +50,7 @@ def errors_m(xyz_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
     return min((np.linalg.norm(person_m - xyz_m, axis=-1) for person_m in truth_m), key=np.nanmean)
 
 
-def test_error_is_near_that_of_the_finished_fit(
-    room: Simulation, instants: list[LiveInstant], finished: Animation
-) -> None:
+def test_error_is_near_that_of_finished_fit(room: Simulation, instants: list[LiveInstant], finished: Animation) -> None:
     """The same joints at the same instants; a skeleton cannot be as good as one that knows what follows."""
     live_m, finished_m = [], []
     for frame, instant in enumerate(instants):
@@ -69,7 +67,7 @@ def test_error_is_near_that_of_the_finished_fit(
     assert live[is_known].mean() < 1.6 * fit[is_known].mean()
 
 
-def test_skeletons_come_after_the_time_of_learning(instants: list[LiveInstant]) -> None:
+def test_skeletons_come_after_time_of_learning(instants: list[LiveInstant]) -> None:
     """Bones are learnt in three steps, one an instant and one person after the other, so that no instant waits long."""
     first_s: dict[int, float] = {}
     for instant in instants:
@@ -81,7 +79,7 @@ def test_skeletons_come_after_the_time_of_learning(instants: list[LiveInstant]) 
     assert np.diff(sorted(first_s.values())) == pytest.approx([3 / RATE_HZ] * 2)
 
 
-def test_a_skeleton_is_a_pose_of_the_animation_skeleton(instants: list[LiveInstant]) -> None:
+def test_skeleton_is_pose_of_animation_skeleton(instants: list[LiveInstant]) -> None:
     """Forward kinematics of root, rotations and lengths gives the joints; lengths stay, rotations are continuous."""
     lengths_m: dict[int, np.ndarray] = {}
     before: dict[int, np.ndarray] = {}
@@ -101,7 +99,7 @@ def test_a_skeleton_is_a_pose_of_the_animation_skeleton(instants: list[LiveInsta
     assert set(before) == {1, 2, 3}
 
 
-def test_lengths_are_those_of_the_finished_fit(instants: list[LiveInstant], finished: Animation) -> None:
+def test_lengths_are_those_of_finished_fit(instants: list[LiveInstant], finished: Animation) -> None:
     lengths_m = {p.id: p.skeleton.bone_length_m for i in instants for p in i.people if p.skeleton is not None}
     fitted_m = [motion.bone_length_m for motion in finished.motions]
     limbs = [INDEX[f"{side}{bone}"] for side in ("Left", "Right") for bone in ("ForeArm", "Hand", "Leg", "Foot")]
@@ -120,7 +118,7 @@ def test_quaternions_are_those_of_scipy() -> None:
     assert (again * rotations.inv()).magnitude().max() < 1e-7
 
 
-def test_steps_are_those_of_the_finished_fit(room: Simulation) -> None:
+def test_steps_are_those_of_finished_fit(room: Simulation) -> None:
     """One frame without accelerations: the same energy, so the same pose after the same number of steps."""
     rng = np.random.default_rng(4)
     length_m = np.array([1.7 * joint.stature_share for joint in SKELETON])
@@ -156,7 +154,7 @@ def test_feet_that_stand_hardly_slide(room: Simulation, instants: list[LiveInsta
     assert np.mean(speeds_m_s) < 0.15
 
 
-def test_marks_beside_joints_give_the_joints_centres(room: Simulation) -> None:
+def test_marks_beside_joints_give_joints_centres(room: Simulation) -> None:
     """A detector that marks hips 5 cm outside; without its offsets they stay there."""
     offsets = {"hip": JointOffset(outwards=0.1)}
     hips = room.joints.indices(("left_hip", "right_hip"))
@@ -183,7 +181,7 @@ def test_marks_beside_joints_give_the_joints_centres(room: Simulation) -> None:
     assert errors_mm[False] > 30.0
 
 
-def test_a_skeleton_keeps_still_in_memory(room: Simulation) -> None:
+def test_skeleton_keeps_still_in_memory(room: Simulation) -> None:
     """Kept arrays are the same after learning, however long people stay."""
     capture = LiveCapture(room.cameras, room.joints, LiveSettings(RATE_HZ, learn_s=1.0))
     kept = []

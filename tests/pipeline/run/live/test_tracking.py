@@ -91,7 +91,7 @@ def live_numbers(simulation: Simulation, frames: Frames) -> np.ndarray:
     seed=st.integers(0, 50),
     most=st.sampled_from([0, 1024]),
 )
-def test_confirmed_people_are_those_of_the_finished_session(scene: str, seed: int, most: int) -> None:
+def test_confirmed_people_are_those_of_finished_session(scene: str, seed: int, most: int) -> None:
     """A person has one number live; targets that ended are forgotten at once, or never."""
     simulation = simulate(scene, seed)
     frames = frames_of(simulation)

@@ -57,12 +57,12 @@ def test_matrices_agree_with_quaternions() -> None:
     np.testing.assert_allclose(unity_position(points), points @ UNITY_FROM_WORLD.T, atol=1e-12)
 
 
-def test_rest_pose_faces_forward_with_the_left_side_at_the_left() -> None:
+def test_rest_pose_faces_forward_with_left_side_at_left() -> None:
     left, front, up = unity_position(np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]))
     assert (left.tolist(), front.tolist(), up.tolist()) == ([-1.0, 0.0, -0.0], [-0.0, 0.0, 1.0], [-0.0, 1.0, -0.0])
 
 
-def test_receiver_gets_every_bone_of_a_person() -> None:
+def test_receiver_gets_every_bone_of_person() -> None:
     pose = skeleton()
     instant = LiveInstant(12.25, (LivePerson(1, np.zeros((17, 3)), pose),), 0.1)
 
@@ -85,7 +85,7 @@ def test_receiver_gets_every_bone_of_a_person() -> None:
     np.testing.assert_allclose(bones["LeftLowerArm"][:3], [-pose.bone_length_m[place], 0.0, 0.0], atol=1e-6)
 
 
-def test_chain_of_the_messages_is_the_pose_in_the_mirror() -> None:
+def test_chain_of_messages_is_pose_in_mirror() -> None:
     """Joints that a receiver computes from local positions and rotations are ours in Unity's axes."""
     pose = skeleton(3)
     places = {joint.name: place for place, joint in enumerate(SKELETON)}
@@ -103,7 +103,7 @@ def test_chain_of_the_messages_is_the_pose_in_the_mirror() -> None:
     np.testing.assert_allclose(world_m, expected_m @ UNITY_FROM_WORLD.T, atol=1e-9)
 
 
-def test_people_without_a_skeleton_are_not_available() -> None:
+def test_people_without_skeleton_are_not_available() -> None:
     instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), None), LivePerson(2, np.zeros((17, 3)), None)), 0.0)
 
     def send(port: int) -> None:

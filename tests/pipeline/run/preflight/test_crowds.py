@@ -37,7 +37,7 @@ def moved_camera(session: CrowdedSession, cameras: Sequence[Camera]) -> str:
 
 # 4 cameras and 20 people, 12 and 18, 5 and 9; behind shelves or in small pictures.
 @pytest.mark.parametrize("seed", [7, pytest.param(3, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
-def test_crowds_find_a_moved_camera_only(seed: int) -> None:
+def test_crowds_find_moved_camera_only(seed: int) -> None:
     session = crowded_session(seed)
     assert wrong(session.cameras, session.sightings) == []
     cameras = disturbed(session, seed)
@@ -51,7 +51,7 @@ def test_sixteen_people_among_shelves_are_no_finding() -> None:
 
 
 @pytest.mark.parametrize("degrees", [pytest.param(2.0, marks=pytest.mark.slow), 5.0, 20.0])
-def test_a_camera_that_was_turned_far_is_an_error_in_a_crowd(degrees: float) -> None:
+def test_camera_that_was_turned_far_is_error_in_crowd(degrees: float) -> None:
     session = crowded_session(9)
     cameras = [*session.cameras[:2], bumped(session.cameras[2], degrees), *session.cameras[3:]]
     errors = [finding for finding in wrong(cameras, session.sightings) if finding.severity == "error"]

@@ -84,7 +84,7 @@ def test_all_cameras_in_another_order() -> None:
 
 
 @pytest.mark.parametrize("move", ["90", slow("180"), slow("270"), "mirrored"])
-def test_a_turned_or_mirrored_picture(move: Move) -> None:
+def test_turned_or_mirrored_picture(move: Move) -> None:
     moved = SEEN.moved(2, lambda points: move_points(points, move, CAMERAS[2].size_px, SEEN.joints))
     (finding,) = checked(CAMERAS, moved)
     assert finding.camera == CAMERAS[2].name
@@ -108,7 +108,7 @@ def test_check_people_exchanged_coordinates_are_named(cameras: Sequence[int]) ->
 
 
 @pytest.mark.parametrize("move", MOVES)
-def test_moving_points_back_is_the_inverse(move: Move) -> None:
+def test_moving_points_back_is_inverse(move: Move) -> None:
     points = np.arange(2.0 * 17 * 3).reshape(3, 17, 2)
     back: dict[Move, Move] = {"90": "270", "180": "180", "270": "90", "mirrored": "mirrored"}
     again = move_points(move_points(points, move, (640, 480), SEEN.joints), back[move], (640, 480), SEEN.joints)
@@ -116,12 +116,12 @@ def test_moving_points_back_is_the_inverse(move: Move) -> None:
 
 
 @pytest.mark.parametrize("degrees", [slow(3.0), 10.0, slow(60.0)])
-def test_a_moved_camera_is_the_only_one_that_is_named(degrees: float) -> None:
+def test_moved_camera_is_only_one_that_is_named(degrees: float) -> None:
     cameras = (*CAMERAS[:1], bumped(CAMERAS[1], degrees), *CAMERAS[2:])
     assert found(cameras) == [("camera_disagrees", CAMERAS[1].name)]
 
 
-def test_the_calibration_of_another_rig() -> None:
+def test_calibration_of_another_rig() -> None:
     turns = np.random.default_rng(5).uniform(0.0, 360.0, NUM)
     cameras = [bumped(camera, turn) for camera, turn in zip(CAMERAS, turns, strict=True)]
     assert found(cameras) == [("calibration_of_another_rig", None)]
@@ -137,13 +137,13 @@ def test_the_calibration_of_another_rig() -> None:
         (lambda camera: in_other_world(camera, lift_m=1.5), "floor_not_at_zero"),
     ],
 )
-def test_a_wrong_world_is_one_finding(change: Callable[[Camera], Camera], expected: str) -> None:
+def test_wrong_world_is_one_finding(change: Callable[[Camera], Camera], expected: str) -> None:
     (finding,) = checked([change(camera) for camera in CAMERAS])
     severity = "warning" if expected == "floor_not_at_zero" else "error"
     assert (finding.code, finding.camera, finding.severity) == (expected, None, severity)
 
 
-def test_the_unit_is_guessed_and_the_height_measured() -> None:
+def test_unit_is_guessed_and_height_measured() -> None:
     (unit,) = checked([in_other_world(camera, scale=1000.0) for camera in CAMERAS], SEEN)
     assert unit.hint is not None
     assert "mm" in unit.hint
@@ -152,7 +152,7 @@ def test_the_unit_is_guessed_and_the_height_measured() -> None:
     assert floor.evidence["height_m"] == pytest.approx(1.5, abs=0.1)
 
 
-def test_a_mirrored_world() -> None:
+def test_mirrored_world() -> None:
     """Left and right of everybody are exchanged, as in a capture whose videos and board are mirrored."""
     names = SEEN.joints.names
     other = [names.index(_other(name)) for name in names]
@@ -191,7 +191,7 @@ def test_nobody() -> None:
     assert found(seen=without(1)) == [("camera_sees_nobody", CAMERAS[1].name)]
 
 
-def test_a_camera_that_sees_people_at_other_instants() -> None:
+def test_camera_that_sees_people_at_other_instants() -> None:
     halves = [tuple(one[:0] if k % 2 else one for k, one in enumerate(of) if one is not None) for of in SEEN.points_px]
     late = tuple(one[:0] if not k % 2 else one for k, one in enumerate(SEEN.points_px[0]) if one is not None)
     seen = replace(SEEN, points_px=(late, *halves[1:]))
@@ -200,14 +200,14 @@ def test_a_camera_that_sees_people_at_other_instants() -> None:
     assert (finding.code, finding.camera, finding.severity) == ("no_common_people", CAMERAS[0].name, "warning")
 
 
-def test_instants_are_in_the_middle_of_recorded_parts() -> None:
+def test_instants_are_in_middle_of_recorded_parts() -> None:
     assert choose_instants([range(0, 8)], 4) == [1, 3, 5, 7]
     assert choose_instants([range(0, 4), range(100, 104)], 4) == [1, 3, 101, 103]
     assert choose_instants([range(5, 7)], 12) == [5, 6]
     assert choose_instants([], 12) == []
 
 
-def test_a_camera_has_no_frame_before_it_starts() -> None:
+def test_camera_has_no_frame_before_it_starts() -> None:
     simulation: Simulation = SCENE
     times = next(iter(simulation.times.values()))
     late = replace(times, time_s=times.time_s + 4.0)
@@ -251,7 +251,7 @@ def test_people_on_their_hands_are_no_error() -> None:
     assert "upside down" in finding.message
 
 
-def test_a_small_child_is_no_error_and_another_unit_is() -> None:
+def test_small_child_is_no_error_and_another_unit_is() -> None:
     child_m = posed(SCENE, Rotation.identity(), scale=0.5, height_m=0.45)
     (finding,) = checked(seen=seen_by(CAMERAS, [child_m] * NUM, SCENE.joints, noise_px=1.0))
     assert (finding.code, finding.severity) == ("stature_out_of_range", "warning")
@@ -321,7 +321,7 @@ def test_instants_that_follow_each_other_at_once_are_no_error(cameras: Sequence[
     assert levels(checked(cameras, short)) == [(code, "warning") for code, _ in expected]
 
 
-def test_a_picture_of_a_person_has_no_left_and_right() -> None:
+def test_picture_of_person_has_no_left_and_right() -> None:
     """The nose of a cut-out is 5 mm behind the ears by the errors of the calibration, that of a person 10 cm before."""
     sides = {"ear": (0.08, 1.65), "eye": (0.03, 1.66), "shoulder": (0.19, 1.45), "elbow": (0.25, 1.15)}
     sides |= {"wrist": (0.27, 0.9), "hip": (0.14, 0.95), "knee": (0.13, 0.5), "ankle": (0.13, 0.1)}

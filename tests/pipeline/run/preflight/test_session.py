@@ -40,7 +40,7 @@ def findings(take: Take) -> list[Finding]:
 
 
 @pytest.mark.parametrize("frames", slow_but([0.8], [0.8, -0.8]))
-def test_a_camera_that_is_late_is_named_with_its_offset(take: Take, frames: float) -> None:
+def test_camera_that_is_late_is_named_with_its_offset(take: Take, frames: float) -> None:
     (found,) = findings(shifted(take, frames))
     assert (found.code, found.severity, found.camera) == ("clocks_disagree", "warning", take.cameras[1].name)
     assert found.evidence["late_frames"] == pytest.approx(-frames, abs=0.1)
@@ -59,7 +59,7 @@ def test_good_times_and_people_at_rest_are_no_findings(take: Take) -> None:
 
 
 @pytest.mark.slow
-def test_a_reconstruction_says_so(take: Take) -> None:
+def test_reconstruction_says_so(take: Take) -> None:
     late = session_of(shifted(take, 1.0))
     codes = {}
     for sync in ("declared", "auto"):
@@ -82,7 +82,7 @@ def test_times_are_compared_with_cameras_that_agree(late_frames: list[float], ag
     assert _agreed_s(late_s, np.full(len(late_s), PERIOD_S)) == pytest.approx(agreed * PERIOD_S)
 
 
-def test_crowds_are_looked_at_for_a_shorter_time_or_not_at_all(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crowds_are_looked_at_for_shorter_time_or_not_at_all(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     late = shifted(take, 0.8)
     spent: list[int] = []
 
@@ -104,7 +104,7 @@ def test_crowds_are_looked_at_for_a_shorter_time_or_not_at_all(take: Take, monke
     assert part == pytest.approx(0.8 * whole, rel=0.05)
 
 
-def test_a_minute_of_a_long_take_is_looked_at() -> None:
+def test_minute_of_long_take_is_looked_at() -> None:
     assert _spans([range(0, 700), range(900, 1600)], 25.0) == [range(0, 700), range(900, 1600)]
     assert _spans([range(6000)], 25.0) == [range(750, 1250), range(2750, 3250), range(4750, 5250)]
     assert _spans([range(2900), range(3100, 6200)], 25.0) == [

@@ -20,7 +20,7 @@ def test_pictures_judge_no_world_while_somebody_moves() -> None:
     np.testing.assert_array_equal(select_movers(instants, poses_m), poses_m[36:60])
 
 
-def test_people_at_one_place_judge_the_world_alone() -> None:
+def test_people_at_one_place_judge_world_alone() -> None:
     poses_m = poster(1)[INSTANTS]
     np.testing.assert_array_equal(select_movers(range(12), poses_m), poses_m)
     assert len(select_movers([], np.zeros((0, 17, 3)))) == 0

@@ -95,7 +95,7 @@ def arrays_in(folder: Path) -> set[str]:
     return names
 
 
-def test_colours_reach_the_tracker_and_stay_in_no_cache(
+def test_colours_reach_tracker_and_stay_in_no_cache(
     session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D], tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
@@ -148,7 +148,7 @@ def test_damaged_output_is_detected_again_with_colours(
 
 
 @pytest.mark.slow
-def test_the_cut_into_chunks_changes_no_byte(
+def test_cut_into_chunks_changes_no_byte(
     session: CaptureSession, network: CountingNetwork, tracked: list[Detections2D]
 ) -> None:
     for chunk_frames in (5, 10, 100):

@@ -94,7 +94,7 @@ def test_people_are_found_without_neighbours_in_time(
 
 @pytest.mark.slow
 @METHODS
-def test_pauses_of_a_minute_leave_the_people_between_them(
+def test_pauses_of_minute_leave_people_between_them(
     simulation: Simulation, filmed: Path, tmp_path: Path, method: Method
 ) -> None:
     frames = range(0, 200, 5)

@@ -60,7 +60,7 @@ def checks(take: Reconstruction) -> Mapping[str, Mapping[str, Any]]:
     return {check.code: check.evidence for check in all_checks(quality_report(take))}
 
 
-def test_a_picture_is_named_and_is_no_floor(with_poster: KeypointSession) -> None:
+def test_picture_is_named_and_is_no_floor(with_poster: KeypointSession) -> None:
     take = reconstruct(with_poster, ReconstructionConfig(smoothing="none"))
     assert [track.start_frame for track in take.tracks] == [0, CAME]
     found = checks(take)
@@ -74,7 +74,7 @@ def test_a_picture_is_named_and_is_no_floor(with_poster: KeypointSession) -> Non
 
 
 @pytest.mark.slow
-def test_of_one_person_to_keep_the_one_who_moves_is_kept(with_poster: KeypointSession) -> None:
+def test_of_one_person_to_keep_one_who_moves_is_kept(with_poster: KeypointSession) -> None:
     take = reconstruct(with_poster, ReconstructionConfig(smoothing="none", people=1))
     (track,) = take.tracks
     assert track.start_frame == CAME
@@ -85,14 +85,14 @@ def test_of_one_person_to_keep_the_one_who_moves_is_kept(with_poster: KeypointSe
 
 
 @pytest.mark.slow
-def test_a_picture_moves_no_world(with_poster: KeypointSession) -> None:
+def test_picture_moves_no_world(with_poster: KeypointSession) -> None:
     take = reconstruct(with_poster, ReconstructionConfig(smoothing="none", refine_calibration="auto"))
     assert take.refinement is not None
     assert take.refinement.world is None
 
 
 @pytest.mark.slow
-def test_a_mirror_image_is_named_with_its_plane() -> None:
+def test_mirror_image_is_named_with_its_plane() -> None:
     normal, offset_m = np.array([0.8, 0.6, 0.0]), 2.0
     before = [number for number, camera in enumerate(CAMERAS) if center_in_world(camera) @ normal < offset_m]
     assert len(before) == 3

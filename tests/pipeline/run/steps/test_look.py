@@ -65,7 +65,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> WidthKeepingNetwork:
     return fake
 
 
-def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, network: WidthKeepingNetwork) -> None:
+def test_detection_takes_size_that_look_chose(session: CaptureSession, network: WidthKeepingNetwork) -> None:
     reconstruct(session, CONFIG)
     looked, detected = network.widths[: 2 * LOOKED_AT_FRAMES], network.widths[2 * LOOKED_AT_FRAMES :]
     assert set(looked) == {512}
@@ -74,7 +74,7 @@ def test_detection_takes_the_size_that_the_look_chose(session: CaptureSession, n
 
 
 @pytest.mark.slow
-def test_another_part_and_cut_of_the_session_reuse_the_look(
+def test_another_part_and_cut_of_session_reuse_look(
     session: CaptureSession, network: WidthKeepingNetwork, tmp_path: Path
 ) -> None:
     reconstruct(session, CONFIG, cache=tmp_path / "cache")
@@ -85,6 +85,6 @@ def test_another_part_and_cut_of_the_session_reuse_the_look(
     assert steps[DETECT].reused == 0
 
 
-def test_a_network_alone_has_its_usual_size(session: CaptureSession, network: WidthKeepingNetwork) -> None:
+def test_network_alone_has_its_usual_size(session: CaptureSession, network: WidthKeepingNetwork) -> None:
     reconstruct(session, replace(CONFIG, detector="movenet-multipose"))
     assert network.widths == [512] * 40

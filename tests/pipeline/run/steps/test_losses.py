@@ -32,7 +32,7 @@ def without_person(simulation: Simulation) -> Simulation:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "clustering"])
-def test_somebody_whom_no_camera_detects_any_more_is_a_finding(
+def test_somebody_whom_no_camera_detects_any_more_is_finding(
     method: Literal["tracking", "clustering"], tmp_path: Path
 ) -> None:
     simulation = record(replace(find_scene("room"), duration_s=3.6), seed=4)

@@ -31,7 +31,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv")
 
 
-def test_each_person_has_an_archive_and_figures(session: Any, tmp_path: Path) -> None:
+def test_each_person_has_archive_and_figures(session: Any, tmp_path: Path) -> None:
     written = reconstruct_to_files(session, tmp_path, CONFIG)
     people = written.metrics["people"]
     assert len(people) > 1
@@ -49,7 +49,7 @@ def test_each_person_has_an_archive_and_figures(session: Any, tmp_path: Path) ->
     assert "opensim_failed" not in {finding.code for finding in all_checks(written.metrics)}
 
 
-def test_a_person_whom_opensim_can_t_follow_is_a_warning(
+def test_person_whom_opensim_can_t_follow_is_warning(
     session: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = "Inverse kinematics failed after 0.5 s, where the marker RKnee was 300 mm off: AssemblySolver"

@@ -17,7 +17,7 @@ from tests.pipeline.export.recording.test_rerun_file import joints_of, rows
 from tests.pipeline.simulations import write_simulation
 
 
-def test_a_recording_has_what_was_seen_and_what_was_made_of_it(tmp_path: Path) -> None:
+def test_recording_has_what_was_seen_and_what_was_made_of_it(tmp_path: Path) -> None:
     simulation = record(replace(find_scene("room"), duration_s=2.0), seed=6)
     write_simulation(simulation, tmp_path)
     session = open_keypoints(tmp_path / "keypoints", tmp_path / "calibration.json", tmp_path / "timestamps.csv")

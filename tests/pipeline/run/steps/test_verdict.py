@@ -64,13 +64,13 @@ def metrics_of(session: KeypointSession, folder: Path, config: ReconstructionCon
     return metrics
 
 
-def test_all_errors_refuse_a_session_before_people_are_associated(session: KeypointSession) -> None:
+def test_all_errors_refuse_session_before_people_are_associated(session: KeypointSession) -> None:
     assert refused(exchanged(session), CONFIG) == (["cameras_exchanged"] * 2, CHECK)
     assert refused(exchanged(session), replace(CONFIG, method="clustering"))[1] == CHECK
 
 
 @pytest.mark.slow
-def test_a_forced_session_goes_on_and_its_metrics_say_so(session: KeypointSession, tmp_path: Path) -> None:
+def test_forced_session_goes_on_and_its_metrics_say_so(session: KeypointSession, tmp_path: Path) -> None:
     metrics = metrics_of(exchanged(session), tmp_path, FORCED)
     assert metrics["forced"] == ["cameras_exchanged"]
     checks = metrics["session_checks"]
@@ -78,7 +78,7 @@ def test_a_forced_session_goes_on_and_its_metrics_say_so(session: KeypointSessio
     assert [check["severity"] for check in checks if check["code"] == "cameras_exchanged"] == ["error"] * 2
 
 
-def test_a_refused_session_leaves_no_folder_of_results(session: KeypointSession, tmp_path: Path) -> None:
+def test_refused_session_leaves_no_folder_of_results(session: KeypointSession, tmp_path: Path) -> None:
     with pytest.raises(SessionRefused):
         reconstruct_to_files(exchanged(session), tmp_path / "new", CONFIG)
     assert not (tmp_path / "new").exists()
@@ -98,7 +98,7 @@ def test_force_changes_nothing_without_errors(session: KeypointSession, tmp_path
 
 
 @pytest.mark.slow
-def test_a_refused_session_is_refused_again_after_it_was_forced(session: KeypointSession, tmp_path: Path) -> None:
+def test_refused_session_is_refused_again_after_it_was_forced(session: KeypointSession, tmp_path: Path) -> None:
     reconstruct(exchanged(session), FORCED, cache=tmp_path)
     assert refused(exchanged(session), CONFIG, tmp_path)[1] == CHECK
 
@@ -110,7 +110,7 @@ def test_cameras_without_poses_are_refused_before_any_work(session: KeypointSess
 
 
 @pytest.mark.slow
-def test_error_mended_by_refinement_lets_the_job_run(session: KeypointSession) -> None:
+def test_error_mended_by_refinement_lets_job_run(session: KeypointSession) -> None:
     bumped = turned(session, 3.0)
     assert refused(bumped, CONFIG) == (["camera_disagrees"], CHECK)
     refinement = reconstruct(bumped, REFINING).refinement
@@ -120,11 +120,11 @@ def test_error_mended_by_refinement_lets_the_job_run(session: KeypointSession) -
 
 
 @pytest.mark.slow
-def test_an_error_that_refinement_leaves_refuses_the_job_after_it(session: KeypointSession) -> None:
+def test_error_that_refinement_leaves_refuses_job_after_it(session: KeypointSession) -> None:
     assert refused(turned(session, 40.0), REFINING) == (["camera_disagrees"], REFINE)
 
 
-def test_error_beyond_refinement_refuses_the_job_before(session: KeypointSession) -> None:
+def test_error_beyond_refinement_refuses_job_before(session: KeypointSession) -> None:
     assert refused(exchanged(session), REFINING) == (["cameras_exchanged"] * 2, CHECK)
 
 
@@ -140,7 +140,7 @@ def test_work_on_results_that_are_there_is_not_refused(session: KeypointSession)
         judge(CHECKED, session.cameras, CONFIG)
 
 
-def test_problems_have_the_words_of_the_findings(session: KeypointSession) -> None:
+def test_problems_have_words_of_findings(session: KeypointSession) -> None:
     unit = Finding(STATURE_OUT_OF_RANGE, "People are 5.6 m tall.", None, "error", "State the unit.")
     both = replace(CHECKED, findings=(ERROR, unit, replace(ERROR, camera="b", severity="warning")))
     for config in (CONFIG, REFINING):

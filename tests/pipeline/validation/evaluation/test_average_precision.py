@@ -25,14 +25,14 @@ def test_perfect_poses() -> None:
     assert (scores.mean_ap, scores.recall_500, scores.mpjpe_500_mm) == (1.0, 1.0, 0.0)
 
 
-def test_an_error_counts_from_the_threshold_above_it() -> None:
+def test_error_counts_from_threshold_above_it() -> None:
     scores = score_poses([instant((0.06, 0.9))], [np.array([person(0.0)])])
     assert scores.ap == {25: 0.0, 50: 0.0, 75: 1.0, 100: 1.0, 125: 1.0, 150: 1.0}
     assert scores.mean_ap == pytest.approx(4 / 6)
     assert scores.mpjpe_500_mm == pytest.approx(60.0)
 
 
-def test_a_false_pose_of_a_higher_score_lowers_the_precision() -> None:
+def test_false_pose_of_higher_score_lowers_precision() -> None:
     truth_m = [np.array([person(0.0), person(2.0)])]
     # By falling score: right, false, right. Precision is 1 up to half of the people, then 2/3.
     scores = score_poses([instant((0.0, 0.9), (9.0, 0.8), (2.0, 0.7))], truth_m)
@@ -41,7 +41,7 @@ def test_a_false_pose_of_a_higher_score_lowers_the_precision() -> None:
     assert score_poses([instant((0.0, 0.9), (9.0, 0.1), (2.0, 0.7))], truth_m).ap[25] == pytest.approx(1.0)
 
 
-def test_a_second_pose_of_a_person_is_false() -> None:
+def test_second_pose_of_person_is_false() -> None:
     scores = score_poses([instant((0.1, 0.9), (0.0, 0.8), (2.0, 0.7))], [np.array([person(0.0), person(2.0)])])
     assert scores.ap[150] == pytest.approx(0.5 + 0.5 * 2 / 3)
     # At 25 mm the first one is false.
@@ -57,7 +57,7 @@ def test_people_at_other_instants_are_others() -> None:
     assert scores.ap[25] == pytest.approx(0.5)
 
 
-def test_few_joints_are_no_pose_of_a_person() -> None:
+def test_few_joints_are_no_pose_of_person() -> None:
     truth_m = person(0.0)
     truth_m[4:] = np.nan
     poses = instant((0.0, 0.9))

@@ -18,7 +18,7 @@ def seen_px(points_m: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", Triangulation)
-def test_views_that_agree_give_the_point(kind: Triangulation) -> None:
+def test_views_that_agree_give_point(kind: Triangulation) -> None:
     points_px = seen_px(POINTS_M)
     points_px[0, 0] = np.nan
     points_px[:3, 2] = np.nan
@@ -27,7 +27,7 @@ def test_views_that_agree_give_the_point(kind: Triangulation) -> None:
     assert np.isnan(found_m[2]).all()
 
 
-def test_an_old_view_pulls_less_than_a_new_one() -> None:
+def test_old_view_pulls_less_than_new_one() -> None:
     points_px = seen_px(POINTS_M)
     points_px[3] = seen_px(POINTS_M + np.array([0.2, 0.0, 0.0]))[3]
     penalty = np.array([1.0, 1.0, 1.0, 0.05])

@@ -12,7 +12,7 @@ from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_
 from pipeline.validation.simulation.scenes import find_scene, record
 
 
-def test_disturbed_cameras_are_off_by_the_given_amounts() -> None:
+def test_disturbed_cameras_are_off_by_given_amounts() -> None:
     simulation = record(replace(find_scene("room"), duration_s=0.2), seed=0)
     disturbed = disturb_calibration(simulation, 1.0, 0.02, seed=4)
     for true, camera in zip(simulation.cameras, disturbed.cameras, strict=True):
@@ -24,7 +24,7 @@ def test_disturbed_cameras_are_off_by_the_given_amounts() -> None:
     assert errors["rotation_deg"] > 0.4
 
 
-def test_another_world_is_no_error_of_the_cameras() -> None:
+def test_another_world_is_no_error_of_cameras() -> None:
     cameras = record(replace(find_scene("room"), duration_s=0.2), seed=0).cameras
 
     def shifted(camera: Camera) -> Camera:

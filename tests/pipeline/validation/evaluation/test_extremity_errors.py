@@ -45,7 +45,7 @@ def tracks_of(simulation: Simulation, move_m: np.ndarray) -> list[Track3D]:
     return tracks
 
 
-def test_the_truth_has_no_error() -> None:
+def test_truth_has_no_error() -> None:
     scores = score_heels_and_toes(tracks_of(WALK, np.zeros((21, 3))), WALK, WALK.joints)
     slides_cm = [scores.pop(name) for name in ("heel_slide_cm", "toe_slide_cm")]
     assert all(one is not None and 0.0 <= one < 0.2 for one in slides_cm)
@@ -54,7 +54,7 @@ def test_the_truth_has_no_error() -> None:
     )
 
 
-def test_a_lifted_heel_is_an_error_of_the_heel_and_of_the_pitch() -> None:
+def test_lifted_heel_is_error_of_heel_and_of_pitch() -> None:
     move_m = np.zeros((21, 3))
     move_m[WALK.joints.indices(("left_heel", "right_heel"))] = [0.0, 0.0, 0.02]
     scores = score_heels_and_toes(tracks_of(WALK, move_m), WALK, WALK.joints)
@@ -65,7 +65,7 @@ def test_a_lifted_heel_is_an_error_of_the_heel_and_of_the_pitch() -> None:
     assert scores["foot_heading_deg"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_heel_that_trembles_slides() -> None:
+def test_heel_that_trembles_slides() -> None:
     move_m = np.zeros((WALK.truth_m.shape[1], 21, 3))
     # To and fro, so that the median position is the true one.
     move_m[:, WALK.joints.indices(("left_heel", "right_heel")), 0] = np.resize(
@@ -119,7 +119,7 @@ def feet_m(motion: SkeletonMotion) -> np.ndarray:
 TRUTH_M = np.stack([feet_m(standing(np.zeros(NUM_FRAMES), x_m)) for x_m in (5.0, 0.0)])
 
 
-def test_a_constant_difference_is_definition() -> None:
+def test_constant_difference_is_definition() -> None:
     scores = score_foot_directions(
         [standing(np.full(NUM_FRAMES, 8.0))], TIMEBASE, np.arange(NUM_FRAMES) / 25.0, TRUTH_M
     )
@@ -127,7 +127,7 @@ def test_a_constant_difference_is_definition() -> None:
     assert scores["foot_pitch_spread_90_deg"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_spread_is_that_around_the_median() -> None:
+def test_spread_is_that_around_median() -> None:
     outwards_deg = np.tile([-6.0, -4.0, 0.0, 4.0, 6.0], NUM_FRAMES // 5)
     motions = [standing(outwards_deg[10:], 0.02, 10), standing(outwards_deg, 5.02)]
     scores = score_foot_directions(motions, TIMEBASE, np.arange(NUM_FRAMES) / 25.0, TRUTH_M)
@@ -171,7 +171,7 @@ def bent(**angles_deg: float) -> np.ndarray:
     return np.concatenate([wrists_m[:, :, None], points_m.reshape(1, 2, 20, 3)], axis=2).swapaxes(0, 1)
 
 
-def test_the_truth_has_no_error_and_bends_nowhere_backwards() -> None:
+def test_truth_has_no_error_and_bends_nowhere_backwards() -> None:
     scores = score_hands(tracks(), HANDS, WHOLE_BODY)
     assert scores["finger_mm"] == pytest.approx(0.0, abs=1e-6)
     assert scores["hands_measured"] == 1.0
@@ -179,7 +179,7 @@ def test_the_truth_has_no_error_and_bends_nowhere_backwards() -> None:
     assert set(scores["finger_by_joint_mm"]) == {"cmc", "mcp", "ip", "pip", "dip", "tip"}
 
 
-def test_errors_are_relative_to_the_wrist() -> None:
+def test_errors_are_relative_to_wrist() -> None:
     move_m = np.full((61, 3), [0.03, 0.0, 0.0])
     assert score_hands(tracks(move_m), HANDS, WHOLE_BODY)["finger_mm"] == pytest.approx(0.0, abs=1e-6)
     move_m[LEFT] += [0.0, 0.01, 0.0]
@@ -211,7 +211,7 @@ def test_tracks_without_hands_have_no_figures() -> None:
     assert scores["hands_measured"] == 0.0
 
 
-def test_bends_are_the_angles_of_the_hinges() -> None:
+def test_bends_are_angles_of_hinges() -> None:
     both_m = bent(thumb_radial=35.0, thumb_palmar=20.0, thumb_mcp=20.0, thumb_ip=30.0, ring_mcp=25.0, ring_pip=40.0)
     sides: tuple[Side, Side] = ("left", "right")
     for hand_m, side in zip(both_m, sides, strict=True):

@@ -50,7 +50,7 @@ def capture(start_frame: int = 0, away_m: float = 0.0) -> tuple[Reconstruction, 
 
 
 @pytest.mark.parametrize("start_frame", [0, 7])
-def test_offsets_are_found_in_the_axes_of_the_body(start_frame: int) -> None:
+def test_offsets_are_found_in_axes_of_body(start_frame: int) -> None:
     (person,) = marked_people(*capture(start_frame))
     assert person.trunk_m == pytest.approx(TRUNK_M)
     assert len(person.offset_m["hip"]) == 2 * NUM_FRAMES - 1  # without the mistake
@@ -59,7 +59,7 @@ def test_offsets_are_found_in_the_axes_of_the_body(start_frame: int) -> None:
     assert len(person.offset_m["nose"]) == NUM_FRAMES - 1
 
 
-def test_a_track_far_from_everybody_tells_nothing() -> None:
+def test_track_far_from_everybody_tells_nothing() -> None:
     assert marked_people(*capture(away_m=0.9)) == []
 
 
@@ -67,7 +67,7 @@ def person_with(trunk_m: float, **offset_m: tuple[float, float, float]) -> Marke
     return MarkedPerson({kind: np.tile(offset, (9, 1)) for kind, offset in offset_m.items()}, trunk_m)
 
 
-def test_offsets_scale_with_the_trunk_between_the_joints() -> None:
+def test_offsets_scale_with_trunk_between_joints() -> None:
     # The marks of the shoulders are 4 cm higher, those of the hips 1 cm: between the joints 0.50 m are left of 0.53 m.
     marked = person_with(0.53, shoulder=(0.0, 0.0, 0.04), hip=(0.0, 0.02, 0.01))
     assert learn_offsets([marked]) == {
@@ -77,7 +77,7 @@ def test_offsets_scale_with_the_trunk_between_the_joints() -> None:
     assert set(learn_offsets([marked], ("hip",))) == {"hip"}
 
 
-def test_each_person_is_corrected_by_the_others() -> None:
+def test_each_person_is_corrected_by_others() -> None:
     people = [person_with(0.5, hip=(0.0, 0.03, 0.0))] * 2 + [person_with(0.5, hip=(0.0, -0.03, 0.0))]
     rows = cross_validate(people)
     assert [(row.person, row.kind) for row in rows] == [(0, "hip"), (1, "hip"), (2, "hip")]
@@ -86,12 +86,12 @@ def test_each_person_is_corrected_by_the_others() -> None:
     assert [row.corrected_mm for row in rows] == pytest.approx([30.0, 30.0, 60.0])
 
 
-def test_a_taller_person_is_corrected_by_more() -> None:
+def test_taller_person_is_corrected_by_more() -> None:
     small, tall = person_with(0.4, hip=(0.0, 0.02, 0.0)), person_with(0.6, hip=(0.0, 0.03, 0.0))
     assert [row.corrected_mm for row in cross_validate([small, tall])] == pytest.approx([0.0, 0.0], abs=0.1)
 
 
-def test_a_joint_of_one_person_alone_stays() -> None:
+def test_joint_of_one_person_alone_stays() -> None:
     people = [person_with(0.5, nose=(0.0, 0.03, 0.0), hip=(0.0, 0.0, 0.0)), person_with(0.5, hip=(0.0, 0.0, 0.0))]
     (nose,) = (row for row in cross_validate(people) if row.kind == "nose")
     assert nose.corrected_mm == nose.marked_mm == pytest.approx(30.0)

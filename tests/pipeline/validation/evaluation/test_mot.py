@@ -16,7 +16,7 @@ def test_all_right() -> None:
     assert (scores.mota, scores.idf1, scores.switches) == (1.0, 1.0, 0)
 
 
-def test_a_miss_a_ghost_and_a_switch() -> None:
+def test_miss_ghost_and_switch() -> None:
     right = frame([1], [7], [(1, 7)])
     scores = score_mot([right, frame([1], [], []), frame([1], [7, 8], [(1, 7)]), *[frame([1], [9], [(1, 9)])] * 2])
     assert (scores.missed, scores.false_positives, scores.switches) == (1, 1, 1)

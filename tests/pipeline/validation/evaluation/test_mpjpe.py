@@ -37,7 +37,7 @@ def test_perfect_tracks_are_perfect_whatever_their_order() -> None:
     assert (scores.switches, scores.ghost_rate) == (0, 0.0)
 
 
-def test_an_offset_is_the_error() -> None:
+def test_offset_is_error() -> None:
     truth = people(0.0, 3.0)
     predicted = truth.copy()
     predicted[0] += [0.03, 0.04, 0.0]
@@ -46,7 +46,7 @@ def test_an_offset_is_the_error() -> None:
     assert scores.pck150 == 1.0
 
 
-def test_a_swap_is_one_switch_a_person() -> None:
+def test_swap_is_one_switch_person() -> None:
     truth = people(0.0, 2.0, 4.0)
     predicted = truth.copy()
     predicted[[0, 1], 3:] = truth[[1, 0], 3:]
@@ -55,13 +55,13 @@ def test_a_swap_is_one_switch_a_person() -> None:
     assert scores.mpjpe_mm == 0.0
 
 
-def test_a_gap_is_no_switch_but_a_new_track_is_one() -> None:
+def test_gap_is_no_switch_but_new_track_is_one() -> None:
     assert count_switches(np.array([[0, UNMATCHED, UNMATCHED, 0, 0]])) == 0
     assert count_switches(np.array([[0, UNMATCHED, 1, 1, 0]])) == 2
     assert count_switches(np.array([[UNMATCHED, UNMATCHED, 3]])) == 0
 
 
-def test_ghosts_are_a_share_of_what_was_predicted() -> None:
+def test_ghosts_are_share_of_what_was_predicted() -> None:
     truth = people(0.0)
     ghost = people(5.0)
     ghost[:, 2:] = np.nan
@@ -70,7 +70,7 @@ def test_ghosts_are_a_share_of_what_was_predicted() -> None:
     assert scores.recall == 1.0
 
 
-def test_a_duplicate_is_a_ghost() -> None:
+def test_duplicate_is_ghost() -> None:
     truth = people(0.0)
     scores = accuracy(np.concatenate([truth + 0.05, truth]), truth)
     assert scores.ghost_rate == 0.5
@@ -107,7 +107,7 @@ def test_absent_people_are_neither_missed_nor_matched() -> None:
     assert scores.pck150 == pytest.approx(6 / 8)
 
 
-def test_the_assignment_is_the_best_of_all_not_the_greedy_one() -> None:
+def test_assignment_is_best_of_all_not_greedy_one() -> None:
     truth = people(0.0, 0.3, num_frames=1)
     # Track 0 is nearest to person 1, but person 0 would then be left with a track out of reach.
     predicted = people(0.2, 0.55, num_frames=1)
@@ -154,6 +154,6 @@ def test_joints_are_selected_by_name_and_output_frame() -> None:
     assert np.isnan(taken[:, :, 1]).all()
 
 
-def test_twelve_joints_without_a_face() -> None:
+def test_twelve_joints_without_face() -> None:
     assert len(BODY_JOINTS) == 12
     assert set(COCO_17.names) - set(BODY_JOINTS) == {"nose", "left_eye", "right_eye", "left_ear", "right_ear"}

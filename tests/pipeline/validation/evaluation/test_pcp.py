@@ -17,7 +17,7 @@ def test_perfect_predictions_get_full_marks() -> None:
     np.testing.assert_array_equal(scores.chosen, [[1], [0]])
 
 
-def test_a_part_is_right_up_to_half_its_length() -> None:
+def test_part_is_right_up_to_half_its_length() -> None:
     """Move the right wrist by just under, then just over the forearm's length; the mean error is half of it."""
     length_m = np.linalg.norm(POSE[6] - POSE[7])
     for factor, percent in ((0.99, 100.0), (1.01, 50.0)):
@@ -38,7 +38,7 @@ def test_missing_joints_and_missing_people_are_wrong() -> None:
     np.testing.assert_array_equal(scores.chosen, [[0, -1]])
 
 
-def test_an_actor_who_is_never_annotated_has_no_score() -> None:
+def test_actor_who_is_never_annotated_has_no_score() -> None:
     truth = np.stack([POSE, np.full((14, 3), np.nan)])[:, None]
     scores = score_pcp([POSE[None]], truth)
     assert scores.actors[0] == 100.0
@@ -46,7 +46,7 @@ def test_an_actor_who_is_never_annotated_has_no_score() -> None:
 
 
 @pytest.mark.parametrize("rule", HEAD_RULES)
-def test_limbs_come_by_name_and_heads_lie_above_the_neck(rule: str) -> None:
+def test_limbs_come_by_name_and_heads_lie_above_neck(rule: str) -> None:
     coco = RNG.uniform(-0.3, 0.3, (17, 3))
     coco[COCO_17.indices(("left_shoulder", "right_shoulder")), 2] = 1.45
     coco[COCO_17.indices(("nose", "left_ear", "right_ear")), 2] = 1.65

@@ -65,7 +65,7 @@ def test_truth_is_read(tmp_path: Path) -> None:
     assert not truth.xyz_m.flags.writeable
 
 
-def test_scores_have_the_documented_keys_and_values(tmp_path: Path) -> None:
+def test_scores_have_documented_keys_and_values(tmp_path: Path) -> None:
     arrays = truth_arrays()
     truth = load_rendered(write_capture(tmp_path, arrays))
     tracks = tracks_of(arrays)
@@ -75,7 +75,7 @@ def test_scores_have_the_documented_keys_and_values(tmp_path: Path) -> None:
     assert (scores["pck150"], scores["recall"], scores["switches"], scores["ghost_rate"]) == (0.5, 0.5, 0, 0.0)
 
 
-def test_the_face_does_not_count(tmp_path: Path) -> None:
+def test_face_does_not_count(tmp_path: Path) -> None:
     arrays = truth_arrays()
     truth = load_rendered(write_capture(tmp_path, arrays))
     arrays["joints"][:, :, :5] += 3.0
@@ -125,7 +125,7 @@ def test_bad_truth_is_named(tmp_path: Path, change: Callable[[Arrays], Arrays], 
 BONE_NAMES = np.array(["Hips", "LeftFoot", "RightFoot", "LeftToeBase", "RightToeBase"])
 
 
-def test_feet_are_read_from_the_bones(tmp_path: Path) -> None:
+def test_feet_are_read_from_bones(tmp_path: Path) -> None:
     assert load_rendered(write_capture(tmp_path, truth_arrays())).feet_m is None
     bones = np.random.default_rng(1).uniform(-1, 1, (2, 10, 5, 3)).astype(np.float32)
     np.savez(tmp_path / "gt.npz", allow_pickle=False, **truth_arrays(), bones=bones, bone_names=BONE_NAMES)
@@ -176,7 +176,7 @@ def test_broken_archives_are_refused(tmp_path: Path, content: bytes) -> None:
         load_rendered(folder)
 
 
-def test_a_header_that_promises_more_than_memory_is_refused(tmp_path: Path) -> None:
+def test_header_that_promises_more_than_memory_is_refused(tmp_path: Path) -> None:
     folder = write_capture(tmp_path, truth_arrays())
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000, 17, 3), }\n"
     with zipfile.ZipFile(folder / "gt.npz", "w") as archive:
@@ -204,7 +204,7 @@ def test_each_head_counts(num_found: int, share: float) -> None:
     assert score_covered_heads(found, {"front": FrameTimes(TIME_S)}, TRUTH)["heads_covered"] == pytest.approx(share)
 
 
-def test_only_heads_in_the_picture_at_known_times_count() -> None:
+def test_only_heads_in_picture_at_known_times_count() -> None:
     found = take(WALK_M)
     far = replace(TRUTH, xyz_m=np.stack([WALK_M, WALK_M + np.array([9.0, 0.0, 0.0])]))
     assert score_covered_heads(found, {"front": FrameTimes(TIME_S)}, far)["heads_covered"] == 1.0

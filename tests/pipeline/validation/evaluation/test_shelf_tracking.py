@@ -45,7 +45,7 @@ def tracks(simulation: Simulation) -> list[Track3D]:
     return [track(k, xyz_m) for k, xyz_m in enumerate(simulation.truth_m, start=1)]
 
 
-def test_the_truth_is_right(tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark) -> None:
+def test_truth_is_right(tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark) -> None:
     scores = score_tracking(tracks, benchmark)
     assert set(association_accuracy(simulation.identities, benchmark).values()) == {1.0}
     assert set(scores["mota"].values()) == set(scores["idf1"].values()) == {1.0}
@@ -64,7 +64,7 @@ def test_identities_swapped_halfway_are_wrong_for_shorter_half(
     assert association_accuracy(nobody, benchmark)["all"] == 0.0
 
 
-def test_a_duplicate_costs_and_somebody_elsewhere_does_not(
+def test_duplicate_costs_and_somebody_elsewhere_does_not(
     tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
 ) -> None:
     elsewhere = track(9, simulation.truth_m[0] + [50.0, 0.0, 0.0])
@@ -79,7 +79,7 @@ def test_a_duplicate_costs_and_somebody_elsewhere_does_not(
     assert scores["ghost_tracks"] == 0
 
 
-def test_person_behind_actor_with_own_track_is_not_the_actor(
+def test_person_behind_actor_with_own_track_is_not_actor(
     tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
 ) -> None:
     actor_m, camera = simulation.truth_m[0], simulation.cameras[0]
@@ -93,7 +93,7 @@ def test_person_behind_actor_with_own_track_is_not_the_actor(
     assert score_tracking([wide], alone)["missed"][camera.name] > 0.5 * simulation.timebase.num_frames
 
 
-def test_a_person_who_is_lost_and_a_switch(
+def test_person_who_is_lost_and_switch(
     tracks: list[Track3D], simulation: Simulation, benchmark: ShelfBenchmark
 ) -> None:
     half = simulation.timebase.num_frames // 2
@@ -118,7 +118,7 @@ def test_groups_of_one_frame_are_matched_frame_by_frame(simulation: Simulation, 
     assert whole < 0.1
 
 
-def test_a_single_view_tracker_loses_people_that_are_hidden(benchmark: ShelfBenchmark) -> None:
+def test_single_view_tracker_loses_people_that_are_hidden(benchmark: ShelfBenchmark) -> None:
     scores = score_single_view(benchmark)
     assert set(scores) == {"mota", "idf1", "switches"}
     assert all(0.3 < value <= 1.0 for value in scores["mota"].values())

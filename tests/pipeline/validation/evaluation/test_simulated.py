@@ -24,7 +24,7 @@ def tracks_of(simulation: Simulation, *people: int) -> list[Track3D]:
     return tracks
 
 
-def test_the_truth_scores_full_marks(simulation: Simulation) -> None:
+def test_truth_scores_full_marks(simulation: Simulation) -> None:
     scores = score_simulated(tracks_of(simulation, 2, 0, 1), simulation, COCO_17)
     assert scores["mpjpe_mm"] == 0.0
     assert scores["mota"] == scores["idf1"] == scores["people_correct"] == scores["recall"] == 1.0
@@ -37,7 +37,7 @@ def test_the_truth_scores_full_marks(simulation: Simulation) -> None:
     }
 
 
-def test_a_missing_person_and_an_offset(simulation: Simulation) -> None:
+def test_missing_person_and_offset(simulation: Simulation) -> None:
     one, two = tracks_of(simulation, 0, 1)
     scores = score_simulated([one, replace(two, xyz_m=two.xyz_m + np.array([0.03, 0.0, 0.0]))], simulation, COCO_17)
     assert scores["mpjpe_mm"] == pytest.approx(15.0)

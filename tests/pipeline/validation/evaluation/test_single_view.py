@@ -11,7 +11,7 @@ def test_boxes_that_overlap_are_one_track() -> None:
     assert found.tolist() == [0, 1, 1, 0]
 
 
-def test_a_missed_frame_or_a_leap_ends_a_track() -> None:
+def test_missed_frame_or_leap_ends_track() -> None:
     assert track_boxes(np.array([0, 2]), np.array([LEFT, LEFT])).tolist() == [0, 1]
     assert track_boxes(np.array([0, 1]), np.array([LEFT, RIGHT])).tolist() == [0, 1]
 

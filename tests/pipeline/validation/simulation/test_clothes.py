@@ -10,7 +10,7 @@ from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.scenes import SCENES, record
 
 
-def test_detections_have_the_colours_of_their_person() -> None:
+def test_detections_have_colours_of_their_person() -> None:
     room = record(replace(SCENES["noisy"], duration_s=2.0), 1)
     dressed = dress(room, lambda person, time_s: person if time_s < 1.0 else 0)
     num_false = 0

@@ -21,7 +21,7 @@ def person_of(joints: Joints) -> tuple[Simulation, dict[str, np.ndarray]]:
     return simulation, {name: np.reshape(values, (-1, 3)) for name, values in people[0].items()}
 
 
-def test_bodies_have_the_joints_of_coco() -> None:
+def test_bodies_have_joints_of_coco() -> None:
     simulation, person = person_of("body")
     assert list(person) == ["pose_keypoints_2d"]
     np.testing.assert_allclose(person["pose_keypoints_2d"][:, :2], simulation.detections["cam_00"].keypoints_px[0])
@@ -40,7 +40,7 @@ def test_feet_are_those_of_body_25(joints: Joints) -> None:
     np.testing.assert_array_equal(body["left_small_toe"], 0.0)
 
 
-def test_hands_begin_at_the_wrist() -> None:
+def test_hands_begin_at_wrist() -> None:
     simulation, person = person_of("whole")
     found_px = simulation.detections["cam_00"].keypoints_px[0]
     assert list(person) == ["pose_keypoints_2d", "hand_left_keypoints_2d", "hand_right_keypoints_2d"]
@@ -50,7 +50,7 @@ def test_hands_begin_at_the_wrist() -> None:
     assert list(person_of("feet")[1]) == ["pose_keypoints_2d"]
 
 
-def test_a_neck_needs_both_shoulders() -> None:
+def test_neck_needs_both_shoulders() -> None:
     simulation = record(replace(SCENES["hands"], duration_s=0.2), 1, 2, "feet")
     found = simulation.detections["cam_00"]
     without = replace(found, score=np.where(np.arange(21) == 5, 0.0, found.score))

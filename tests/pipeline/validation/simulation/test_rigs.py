@@ -14,7 +14,7 @@ RIGS = {
 
 
 @pytest.mark.parametrize("kind", RIGS)
-def test_all_cameras_see_the_middle_upright(kind: str) -> None:
+def test_all_cameras_see_middle_upright(kind: str) -> None:
     cameras = build_cameras(RIGS[kind], np.random.default_rng(1))
     assert len({camera.name for camera in cameras}) == RIGS[kind].num_cameras
     for camera in cameras:
@@ -41,7 +41,7 @@ def test_places() -> None:
         assert distance_m.min() > 0.5
 
 
-def test_look_at_puts_the_target_on_the_axis() -> None:
+def test_look_at_puts_target_on_axis() -> None:
     cam_from_world = look_at(np.array([3.0, -1.0, 2.0]), np.array([0.5, 0.5, 1.0]))
     x, y, z = cam_from_world.apply(np.array([0.5, 0.5, 1.0]))
     assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-12)
@@ -57,6 +57,6 @@ def test_chosen_views_differ_and_spread(num_cameras: int, num_views: int) -> Non
     assert gaps.max() <= (num_cameras if num_views == 2 else num_cameras // num_views + 1)
 
 
-def test_two_views_stand_at_a_right_angle() -> None:
+def test_two_views_stand_at_right_angle() -> None:
     assert choose_views(4, 2) == [0, 1]
     assert choose_views(12, 2) == [0, 3]

@@ -68,7 +68,7 @@ def test_records_fit_together(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["comings-and-goings", "squat", "kick"])
-def test_true_angles_are_those_of_the_true_joints(name: str) -> None:
+def test_true_angles_are_those_of_true_joints(name: str) -> None:
     """Angles come from rotations; hinges can be measured at the joints too."""
     simulation = record(replace(SCENES[name], duration_s=4.0), 1, 2, "feet")
     present = simulation.present
@@ -89,7 +89,7 @@ def test_true_angles_are_those_of_the_true_joints(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["handshake", "noisy", "unsynchronised", pytest.param("roll", marks=pytest.mark.slow)])
-def test_a_seed_gives_the_same_bytes(name: str) -> None:
+def test_seed_gives_same_bytes(name: str) -> None:
     assert everything(short(name, 7)) == everything(short(name, 7))
     assert everything(short(name, 7)) != everything(short(name, 8))
 
@@ -119,7 +119,7 @@ def test_bodies_of_seeds_are_those_of_version_0_1(name: str, expected: str) -> N
 
 
 @pytest.mark.parametrize("joints", ["feet", "whole"])
-def test_acrobats_move_the_same_whatever_joints_are_asked_for(joints: Joints) -> None:
+def test_acrobats_move_same_whatever_joints_are_asked_for(joints: Joints) -> None:
     scene = replace(SCENES["kneel"], duration_s=0.6)
     body, more = record(scene, 3), record(scene, 3, joints=joints)
     assert more.truth_m.shape[2] == len(more.joints.names)
@@ -151,7 +151,7 @@ def test_perfect_detections_of_extremities_project_truth() -> None:
         np.testing.assert_allclose(detections.keypoints_px[seen], expected[seen], atol=1e-9)
 
 
-def test_a_camera_records_the_same_whatever_the_others() -> None:
+def test_camera_records_same_whatever_others() -> None:
     few, all_of_them = short("noisy", num_views=2), short("noisy", num_views=5)
     for camera in few.cameras:
         np.testing.assert_array_equal(
@@ -160,7 +160,7 @@ def test_a_camera_records_the_same_whatever_the_others() -> None:
     np.testing.assert_array_equal(few.truth_m, all_of_them.truth_m)
 
 
-def test_perfect_detections_are_projections_of_the_truth() -> None:
+def test_perfect_detections_are_projections_of_truth() -> None:
     simulation = record(replace(SCENES["room"], duration_s=4.0, detector=PERFECT), 3)
     for camera in simulation.cameras:
         detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]
@@ -213,7 +213,7 @@ def test_people_keep_their_distance(name: str) -> None:
     assert np.nanmin(distance_m) > 0.5
 
 
-def test_a_crowd_is_close() -> None:
+def test_crowd_is_close() -> None:
     simulation = short("crowd", num_views=1)
     hips_m = simulation.truth_m[:, :, HIPS, :2].mean(2)
     distance_m = np.linalg.norm(hips_m[:, None] - hips_m, axis=-1) + np.diag(np.full(7, np.inf))[..., None]
@@ -247,7 +247,7 @@ def test_hands_are_shaken() -> None:
 @pytest.mark.parametrize(
     "name", slow_but(["comings-and-goings"], ["room", "outdoor", "crowd", "handshake", "comings-and-goings"])
 )
-def test_everybody_is_seen_by_two_cameras_most_of_the_time(name: str) -> None:
+def test_everybody_is_seen_by_two_cameras_most_of_time(name: str) -> None:
     simulation = short(name, duration_s=10.0, num_views=SCENES[name].rig.num_cameras if name != "crowd" else 6)
     views = np.zeros(simulation.present.shape, dtype=int)
     for camera in simulation.cameras:

@@ -64,7 +64,7 @@ def refused(path: Path) -> Problem:
         *(pytest.param(as_zip, ending, marks=pytest.mark.slow) for ending in (".jpg", ".bmp", ".tiff")),
     ],
 )
-def test_ranges_of_images_are_slices_of_the_whole(tmp_path: Path, write: Write, ending: str) -> None:
+def test_ranges_of_images_are_slices_of_whole(tmp_path: Path, write: Write, ending: str) -> None:
     names = {f"IMG_{980 + k}{ending}": image(k, ending) for k in range(30)}  # three digits, then four
     (video,) = probe_in_children([write(tmp_path / "cam", names | {"readme.txt": b"no image"})])
     assert isinstance(video, VideoInfo), video
@@ -98,7 +98,7 @@ def test_names_without_numbers_of_frames_are_in_order(tmp_path: Path, names: lis
     assert video.pts.tolist() == list(range(len(names)))
 
 
-def test_an_image_that_can_not_be_decoded_is_a_damaged_frame(tmp_path: Path) -> None:
+def test_image_that_can_not_be_decoded_is_damaged_frame(tmp_path: Path) -> None:
     images = {f"{k}.jpg": image(k, ".jpg") for k in range(30)} | {
         "12.jpg": b"no image",
         "15.jpg": b"\xff\xd8\xff\xe0cut",
@@ -108,7 +108,7 @@ def test_an_image_that_can_not_be_decoded_is_a_damaged_frame(tmp_path: Path) -> 
     assert damaged == [12, 15]
 
 
-def test_what_is_no_sequence_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_sequence_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = {f"{k}.png": image(k) for k in range(3)}
     assert refused(as_folder(tmp_path / "empty", {"a.txt": b""})).code == "no_images"
     assert refused(as_zip(tmp_path / "none", {"a.txt": b""})).code == "no_images"
@@ -127,7 +127,7 @@ def test_what_is_no_sequence_is_refused(tmp_path: Path, monkeypatch: pytest.Monk
     assert refused(as_zip(tmp_path / "many", good)).code == "images_archive"
 
 
-def test_the_digest_of_a_folder_is_that_of_its_images(tmp_path: Path) -> None:
+def test_digest_of_folder_is_that_of_its_images(tmp_path: Path) -> None:
     images = {f"{k}.png": image(k) for k in range(3)}
     folder = as_folder(tmp_path / "a", images)
     digest = files.folder_sha256(folder)
@@ -137,7 +137,7 @@ def test_the_digest_of_a_folder_is_that_of_its_images(tmp_path: Path) -> None:
     assert files.folder_sha256(folder) != digest
 
 
-def test_a_size_that_changes_later_is_refused_when_it_is_seen(tmp_path: Path) -> None:
+def test_size_that_changes_later_is_refused_when_it_is_seen(tmp_path: Path) -> None:
     images = {f"{k}.png": image(k, size_px=(80, 48) if k == 20 else SIZE_PX) for k in range(30)}
     video = found(as_zip(tmp_path / "cam", images))
     with pytest.raises(InputError) as raised:
@@ -146,7 +146,7 @@ def test_a_size_that_changes_later_is_refused_when_it_is_seen(tmp_path: Path) ->
     assert (problem.code, problem.file) == ("video_changes_size", "cam.zip")
 
 
-def test_an_image_that_expands_beyond_its_stated_size_is_not_read(tmp_path: Path) -> None:
+def test_image_that_expands_beyond_its_stated_size_is_not_read(tmp_path: Path) -> None:
     """A directory that states a small size of a large entry."""
     path = as_zip(tmp_path / "cam", {f"{k}.png": image(k) for k in range(3)} | {"3.png": bytes(5000)})
     content = bytearray(path.read_bytes())

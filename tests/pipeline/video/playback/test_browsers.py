@@ -47,7 +47,7 @@ def test_sizes(size_px: tuple[int, int], media_type: str | None) -> None:
     assert browser_media_type(VideoFormat(MP4, "isom", "h264", "High", "yuv420p", size_px)) == media_type
 
 
-def test_the_clock_of_the_file_is_told(tmp_path: Path) -> None:
+def test_clock_of_file_is_told(tmp_path: Path) -> None:
     found = probe(write_video(tmp_path / "a.mp4", 5, stamps=[400, 440, 480, 520, 560]))
     assert isinstance(found, VideoInfo)
     assert found.media_start_s == pytest.approx(0.4)

@@ -45,7 +45,7 @@ def squares(video: VideoInfo) -> list[int]:
         ("a.mp4", {"pix_fmt": "yuv420p10le", "options": {"bf": "3"}}),
     ],
 )
-def test_what_browsers_do_not_play_becomes_what_they_do(tmp_path: Path, name: str, choices: dict[str, Any]) -> None:
+def test_unplayable_video_becomes_playable(tmp_path: Path, name: str, choices: dict[str, Any]) -> None:
     video = probed(write_video(tmp_path / name, 40, SIZE_PX, **choices))
     assert video.browser_media_type is None
     proxy, num_reported = make(video, tmp_path / "proxy.mp4")
@@ -63,13 +63,13 @@ def test_true_times_are_kept(tmp_path: Path) -> None:
     assert squares(proxy) == squares(video)
 
 
-def test_times_that_a_client_has_stated_take_the_place_of_wrong_ones(tmp_path: Path) -> None:
+def test_times_that_client_has_stated_take_place_of_wrong_ones(tmp_path: Path) -> None:
     video = probed(write_video(tmp_path / "a.mp4", 20))
     proxy, _ = make(video, tmp_path / "proxy.mp4", 7.5 + np.arange(20) / 120.0)
     np.testing.assert_allclose(proxy.time_s, np.arange(20) / 120.0, atol=1e-5)
 
 
-def test_keyframes_have_a_constant_distance_and_the_index_comes_first(tmp_path: Path) -> None:
+def test_keyframes_have_constant_distance_and_index_comes_first(tmp_path: Path) -> None:
     video = probed(write_video(tmp_path / "a.mkv", 100, options={"g": "250"}))
     proxy, _ = make(video, tmp_path / "proxy.mp4")
     assert np.diff(np.searchsorted(proxy.pts, proxy.keyframe_pts)).tolist() == [12] * 8
@@ -106,7 +106,7 @@ def test_pictures_are_mirrored_and_turned(tmp_path: Path, rotation_deg: int, is_
     assert np.mean(np.abs(shown.astype(float) - made)) < 4.0
 
 
-def test_a_file_that_is_damaged_is_named(tmp_path: Path) -> None:
+def test_file_that_is_damaged_is_named(tmp_path: Path) -> None:
     video = probed(write_video(tmp_path / "a.mkv", 30))
     video.path.write_bytes(b"\x1aE\xdf\xa3" + bytes(1000))
     with pytest.raises(InputError) as caught:
@@ -114,7 +114,7 @@ def test_a_file_that_is_damaged_is_named(tmp_path: Path) -> None:
     assert [(problem.code, problem.file) for problem in caught.value.problems] == [("video_damaged", "a.mkv")]
 
 
-def test_the_child_ends_with_the_caller_s_interest(tmp_path: Path) -> None:
+def test_child_ends_with_caller_s_interest(tmp_path: Path) -> None:
     video = probed(write_video(tmp_path / "a.mkv", 200))
     frames: list[None] = []
 
@@ -128,7 +128,7 @@ def test_the_child_ends_with_the_caller_s_interest(tmp_path: Path) -> None:
     assert len(frames) == 3
 
 
-def test_proxy_above_a_mebibyte_is_written_whole(tmp_path: Path) -> None:
+def test_proxy_above_mebibyte_is_written_whole(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (20, 480, 640, 3), np.uint8)
     path = tmp_path / "noise.mkv"
     with av.open(str(path), "w") as container:

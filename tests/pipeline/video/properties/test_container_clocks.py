@@ -74,7 +74,7 @@ def found(path: Path) -> VideoInfo:
 
 
 @pytest.mark.parametrize("name", ["a.mov", "a.mp4", "a.mkv"])
-def test_drop_frame_timecode_and_creation_time_of_a_file(tmp_path: Path, name: str) -> None:
+def test_drop_frame_timecode_and_creation_time_of_file(tmp_path: Path, name: str) -> None:
     path = write(tmp_path / name, NTSC, timecode="01:00:00;02", creation_time="2024-05-01T10:00:03Z")
     video = found(path)
     assert video.timecode is not None
@@ -83,7 +83,7 @@ def test_drop_frame_timecode_and_creation_time_of_a_file(tmp_path: Path, name: s
     assert video.created_s == 1_714_557_603.0
 
 
-def test_a_file_without_clocks(tmp_path: Path) -> None:
+def test_file_without_clocks(tmp_path: Path) -> None:
     video = found(write(tmp_path / "a.mp4", Fraction(25)))
     assert (video.timecode, video.created_s) == (None, None)
     assert timecode_rate(tmp_path / "a.mp4") is None
@@ -98,7 +98,7 @@ def edited(path: Path, target: Path, change: Any) -> Path:
     return target
 
 
-def test_the_rate_of_the_timecode_may_be_half_the_rate_of_the_video(tmp_path: Path) -> None:
+def test_rate_of_timecode_may_be_half_rate_of_video(tmp_path: Path) -> None:
     """A camera of 59.94 Hz whose timecode counts at 29.97 Hz."""
 
     def halve(content: bytearray, entry: int) -> None:

@@ -23,7 +23,7 @@ REACHED_S, AMPLE_S = 0.6, 20.0
         (b"SSH-2.0-OpenSSH\r\n\r\n", AMPLE_S, "The connection failed."),
     ],
 )
-def test_attempt_has_a_time_limit(
+def test_attempt_has_time_limit(
     dripping: Callable[[bytes], str], first: bytes, try_s: float, problem: str | None
 ) -> None:
     assert Sender(allow_private=True, try_s=try_s).send(message(dripping(first)), secret()) == problem
@@ -51,13 +51,13 @@ class TestBadReceivers:
         address = silent.replace("http:", "https:")
         assert self.problem_after_attempt(bench, address, REACHED_S) == "The answer took too long."
 
-    def test_drips_a_handshake(self, bench: RunnerBench, dripping: Callable[[bytes], str]) -> None:
+    def test_drips_handshake(self, bench: RunnerBench, dripping: Callable[[bytes], str]) -> None:
         # Header of a TLS record; its 16,384 bytes follow one at a time.
         address = dripping(b"\x16\x03\x03\x40\x00").replace("http:", "https:")
         assert self.problem_after_attempt(bench, address, REACHED_S) == "The answer took too long."
 
     @pytest.mark.parametrize("first", [b"", b"HTTP/1.1 200 OK\r\nX-", b"HTTP/1.1 20"])
-    def test_drips_an_answer(self, bench: RunnerBench, dripping: Callable[[bytes], str], first: bytes) -> None:
+    def test_drips_answer(self, bench: RunnerBench, dripping: Callable[[bytes], str], first: bytes) -> None:
         assert self.problem_after_attempt(bench, dripping(first), REACHED_S) == "The answer took too long."
 
     @pytest.mark.parametrize("piece", [b"X-More: " + b"x" * 8000 + b"\r\n", b"HTTP/1.1 100 Continue\r\n\r\n"])
@@ -83,7 +83,7 @@ class TestBadReceivers:
         assert self.problem_after_attempt(bench, receiver.url) == "It was answered with 302."
         assert receiver.paths == ["/hook?x=1"]
 
-    def test_is_given_up_after_the_last_try(self, bench: RunnerBench, silent: str) -> None:
+    def test_is_given_up_after_last_try(self, bench: RunnerBench, silent: str) -> None:
         bench.store.webhook_secrets.rotate("default", HOUR_S)
         end_job(bench, silent)
         for _ in range(MAX_TRIES):

@@ -89,7 +89,7 @@ class TestPrivateAddresses:
         assert problem == "The answer took too long."
         assert time.monotonic() - started_s < 5
 
-    def test_proxies_of_the_environment_are_not_used(
+    def test_proxies_of_environment_are_not_used(
         self, receiver: Receiver, connected: list[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         for name in ("http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"):
@@ -114,7 +114,7 @@ def certify(folder: Path, name: str) -> tuple[Path, Path]:
     return folder / "certificate.pem", folder / "key.pem"
 
 
-def test_certificate_must_match_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificate_must_match_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     certificate, key = certify(tmp_path, "localhost")
     serving = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     serving.load_cert_chain(certificate, key)

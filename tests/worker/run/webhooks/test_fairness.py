@@ -33,7 +33,7 @@ def test_hanging_receiver_delays_no_other_receiver(
     assert [one.problem for one in bench.store.webhooks.pending()] == ["The answer took too long."]
 
 
-def test_slow_receivers_of_a_tenant_do_not_delay_other_tenants(
+def test_slow_receivers_of_tenant_do_not_delay_other_tenants(
     bench: RunnerBench, receiver: Receiver, silent: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One tenant has forty messages to a hanging receiver; then another tenant has one, in the service's loop."""

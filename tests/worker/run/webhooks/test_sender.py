@@ -22,7 +22,7 @@ from worker.store.repositories.webhooks import MAX_TRIES
 from worker.store.spec import JobSpec
 
 
-def test_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> None:
+def test_end_of_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> None:
     key = bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
     assert deliver(bench) == 1
@@ -39,14 +39,14 @@ def test_end_of_a_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> 
     assert bench.store.webhooks.pending() == []
 
 
-def test_job_without_a_callback_url_sends_nothing(bench: RunnerBench) -> None:
+def test_job_without_callback_url_sends_nothing(bench: RunnerBench) -> None:
     bench.create_job()
     bench.runner().work(60.0)
     assert bench.store.webhooks.pending() == []
 
 
 @pytest.mark.parametrize(("end", "state"), [("cancel", "canceled"), ("fail", "failed")])
-def test_every_end_sends_a_message(bench: RunnerBench, receiver: Receiver, end: str, state: str) -> None:
+def test_every_end_sends_message(bench: RunnerBench, receiver: Receiver, end: str, state: str) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     spec = JobSpec(callback_url=receiver.url)
     stages = plan_job(replace(bench.session, chunk_frames=1000), spec)
@@ -65,7 +65,7 @@ def test_every_end_sends_a_message(bench: RunnerBench, receiver: Receiver, end: 
 
 
 @pytest.mark.parametrize("status", slow_but([301, 500], [301, 302, 307, 400, 404, 429, 500, 503]))
-def test_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, receiver: Receiver, status: int) -> None:
+def test_refused_message_is_sent_again_with_same_id(bench: RunnerBench, receiver: Receiver, status: int) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [status]
@@ -80,7 +80,7 @@ def test_refused_message_is_sent_again_with_the_same_id(bench: RunnerBench, rece
     assert receiver.paths == ["/hook?x=1"] * 2  # redirects are not followed
 
 
-def test_answer_410_ends_the_attempts(bench: RunnerBench, receiver: Receiver) -> None:
+def test_answer_410_ends_attempts(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [410]
@@ -88,7 +88,7 @@ def test_answer_410_ends_the_attempts(bench: RunnerBench, receiver: Receiver) ->
     assert bench.store.webhooks.pending() == []
 
 
-def test_attempts_end_after_about_a_day(bench: RunnerBench, receiver: Receiver) -> None:
+def test_attempts_end_after_about_day(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     receiver.statuses = [500] * 100
@@ -104,7 +104,7 @@ def test_attempts_end_after_about_a_day(bench: RunnerBench, receiver: Receiver) 
     assert 20 * HOUR_S < sum(waits_s) < 30 * HOUR_S
 
 
-def test_sender_killed_before_recording_sends_the_message_again(bench: RunnerBench, receiver: Receiver) -> None:
+def test_sender_killed_before_recording_sends_message_again(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, receiver.url)
     assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # claimed, and never recorded
@@ -112,13 +112,13 @@ def test_sender_killed_before_recording_sends_the_message_again(bench: RunnerBen
     assert len(receiver.received) == 1
 
 
-def test_two_senders_share_the_work(bench: RunnerBench, receiver: Receiver) -> None:
+def test_two_senders_share_work(bench: RunnerBench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     assert len(bench.store.webhooks.claim(10, 60.0)) == 1
     assert bench.store.webhooks.claim(10, 60.0) == []
 
 
-def test_after_a_rotation_both_secrets_sign_for_a_while(bench: RunnerBench, receiver: Receiver) -> None:
+def test_after_rotation_both_secrets_sign_for_while(bench: RunnerBench, receiver: Receiver) -> None:
     old = bench.store.webhook_secrets.rotate("default", HOUR_S)
     other = bench.store.webhook_secrets.rotate("other", HOUR_S)
     new = bench.store.webhook_secrets.rotate("default", HOUR_S)
@@ -134,7 +134,7 @@ def test_after_a_rotation_both_secrets_sign_for_a_while(bench: RunnerBench, rece
     assert newest not in repr(bench.store.webhook_secrets.valid("default"))
 
 
-def test_failing_store_does_not_end_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failing_store_does_not_end_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing:
         looks = 0
 
@@ -157,7 +157,7 @@ class Exploding(Sender):
         raise LookupError(delivery.url)
 
 
-def test_unforeseen_exception_counts_as_an_attempt(bench: RunnerBench) -> None:
+def test_unforeseen_exception_counts_as_attempt(bench: RunnerBench) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     end_job(bench, "https://hook.example/")
     assert deliver(bench, Exploding(allow_private=False)) == 1
@@ -169,7 +169,7 @@ def test_unforeseen_exception_counts_as_an_attempt(bench: RunnerBench) -> None:
     assert bench.store.webhooks.pending() == []
 
 
-def test_unrecorded_attempts_have_an_end(bench: RunnerBench, receiver: Receiver) -> None:
+def test_unrecorded_attempts_have_end(bench: RunnerBench, receiver: Receiver) -> None:
     end_job(bench, receiver.url)
     for _ in range(MAX_TRIES):
         assert len(bench.store.webhooks.claim(10, -1.0)) == 1  # the sender is killed

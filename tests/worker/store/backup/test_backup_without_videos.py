@@ -11,7 +11,7 @@ def videos(folder: Path) -> list[Path]:
     return [path for path in (folder / "artifacts").rglob("*.mp4") if path.is_file()]
 
 
-def test_backup_after_the_deletion_lacks_nothing(tmp_path: Path) -> None:
+def test_backup_after_deletion_lacks_nothing(tmp_path: Path) -> None:
     with opened_data(tmp_path / "data") as data:
         session_id = data.add_session()
         data.add_job(session_id)
@@ -30,7 +30,7 @@ def test_backup_after_the_deletion_lacks_nothing(tmp_path: Path) -> None:
         again.store.sessions.delete_videos(session_id)
 
 
-def test_backup_before_the_deletion_has_the_videos(
+def test_backup_before_deletion_has_videos(
     tmp_path: Path,
 ) -> None:
     with opened_data(tmp_path / "data") as data:

@@ -26,7 +26,7 @@ else:
 
 
 @pytest.mark.parametrize("what", ["create", "restore"])
-def test_killed_backup_leaves_nothing_and_the_next_try_works(data: Data, tmp_path: Path, what: str) -> None:
+def test_killed_backup_leaves_nothing_and_next_try_works(data: Data, tmp_path: Path, what: str) -> None:
     for _ in range(6):
         data.add_session(5_000_000)
     archive, there = tmp_path / "backup.tar", tmp_path / "there"
@@ -72,7 +72,7 @@ def test_restore_that_was_killed_at_its_end_can_be_done_again(busy: Data, archiv
         assert opened.tree() == busy.tree()
 
 
-def test_links_of_a_killed_backup_go_when_the_service_starts(data: Data) -> None:
+def test_links_of_killed_backup_go_when_service_starts(data: Data) -> None:
     data.add_session()
     (path,) = (path for path in data.tree() if "/0-" in path)
     left = data.folder / ".backup" / "7"

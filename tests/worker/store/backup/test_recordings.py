@@ -95,7 +95,7 @@ def test_restored_recordings_are_unchanged_and_continue(data: Data, room: Filmed
         assert len(there.store.sessions.page()) == 1
 
 
-def test_upload_that_a_backup_lacks_is_a_note(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
+def test_upload_that_backup_lacks_is_note(data: Data, room: FilmedRoom, tmp_path: Path) -> None:
     (data.folder / "uploads" / room.whole).unlink()
     report = data.back_up(tmp_path / "backup.tar")
     assert [(problem.path, problem.needed) for problem in report.problems] == [(f"uploads/{room.whole}", False)]

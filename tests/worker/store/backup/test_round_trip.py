@@ -21,7 +21,7 @@ from worker.store.files.artifacts import record_key, result_key, stage_key
 from worker.store.model.states import JobState
 
 
-def test_copy_of_the_file_alone_loses_rows_and_a_backup_none(data: Data, tmp_path: Path) -> None:
+def test_copy_of_file_alone_loses_rows_and_backup_none(data: Data, tmp_path: Path) -> None:
     # What the documentation said: "Copy all of them, the database first".
     for _ in range(5):
         data.add_job(data.add_session(100))
@@ -54,7 +54,7 @@ def test_restored_service_is_unchanged_and_continues(busy: Data, archive: Path, 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["backup.tar", "data", "there"]
 
 
-def test_other_programs_read_the_archive(busy: Data, archive: Path, tmp_path: Path) -> None:
+def test_other_programs_read_archive(busy: Data, archive: Path, tmp_path: Path) -> None:
     with tarfile.open(archive) as opened:
         assert opened.getnames()[:2] == [MANIFEST, DATABASE]
         opened.extractall(tmp_path / "by-hand", filter="data")
@@ -80,7 +80,7 @@ def test_backup_is_consistent_while_others_write_and_delete(data: Data, tmp_path
         assert len(there.store.sessions.page(limit=1000)) == found[-1].rows.sessions
 
 
-def test_file_deleted_while_it_is_copied_is_in_the_backup(data: Data, tmp_path: Path) -> None:
+def test_file_deleted_while_it_is_copied_is_in_backup(data: Data, tmp_path: Path) -> None:
     sessions = [data.add_session(3_000_000) for _ in range(3)]
     deleted = threading.Event()
 
@@ -156,7 +156,7 @@ print(peak_mib() - before)
 """
 
 
-def test_memory_does_not_grow_with_the_files(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_files(tmp_path: Path) -> None:
     for name, num_bytes in (("small", 1000), ("large", 60_000_000)):
         with opened_data(tmp_path / name) as data:
             data.add_session(num_bytes)

@@ -15,7 +15,7 @@ from worker.store.outages import Outage, find_outage
 from worker.store.store import JobStore
 
 
-def test_migrations_lead_to_the_tables(jobs: StoreBench) -> None:
+def test_migrations_lead_to_tables(jobs: StoreBench) -> None:
     engine = sa.create_engine(jobs.url)
     with engine.connect() as connection:
         assert schema_differences(connection) == []
@@ -37,7 +37,7 @@ def test_several_may_migrate_at_once(empty_database_url: str) -> None:
         store.close()
 
 
-def test_ping_wants_the_schema(empty_database_url: str) -> None:
+def test_ping_wants_schema(empty_database_url: str) -> None:
     store = JobStore(empty_database_url)
     assert not store.ping()
     store.migrate()
@@ -45,7 +45,7 @@ def test_ping_wants_the_schema(empty_database_url: str) -> None:
     store.close()
 
 
-def test_ping_of_a_database_that_is_away(tmp_path: Path) -> None:
+def test_ping_of_database_that_is_away(tmp_path: Path) -> None:
     assert not JobStore(f"sqlite:///{tmp_path / 'missing' / 'jobs.db'}").ping()
 
 
@@ -98,7 +98,7 @@ def test_transaction_with_error_is_undone(jobs: StoreBench) -> None:
     assert jobs.store.outputs.find(jobs.session_id, "k") == ("1", 1)
 
 
-def test_readers_see_a_state_while_another_writes(jobs: StoreBench) -> None:
+def test_readers_see_state_while_another_writes(jobs: StoreBench) -> None:
     database = Database(jobs.url)
     with database.writing() as connection:
         upsert(connection, artifacts, {"session_id": jobs.session_id, "output_key": "k", "sha256": "0", "num_bytes": 1})

@@ -78,7 +78,7 @@ def test_revisions_in_file_names_are_those_of_alembic() -> None:
     assert schema_revisions() == tuple(reversed(REVISIONS))
 
 
-def test_first_release_has_a_row_in_every_table(first_release: JobStore, engine: sa.Engine) -> None:
+def test_first_release_has_row_in_every_table(first_release: JobStore, engine: sa.Engine) -> None:
     assert [table for table, rows in stored_rows(engine).items() if not rows] == []
 
 

@@ -30,7 +30,7 @@ def make(jobs: StoreBench, tenant: str) -> tuple[TenantRecords, str, str]:
     return records, session_id, job_id
 
 
-def test_lists_hold_the_tenant_s_own(jobs: StoreBench) -> None:
+def test_lists_hold_tenant_s_own(jobs: StoreBench) -> None:
     (mine, my_session, my_job), (theirs, their_session, their_job) = make(jobs, "mine"), make(jobs, "theirs")
     assert [one.session.id for one in mine.sessions.page()] == [my_session]
     assert [one.session.id for one in theirs.sessions.page()] == [their_session]

@@ -148,5 +148,5 @@ def test_job_moves_along_table_alone(jobs: StoreBench) -> None:
         ("done failed canceled", "failed"),
     ],
 )
-def test_state_of_a_stage(states: str, expected: str) -> None:
+def test_state_of_stage(states: str, expected: str) -> None:
     assert stage_state(ChunkState(state) for state in states.split()) == expected

@@ -44,7 +44,7 @@ def test_bytes_come_back(artifacts: ArtifactStore) -> None:
     assert artifacts.size(KEY) == 6
 
 
-def test_empty_file_is_a_file(artifacts: ArtifactStore) -> None:
+def test_empty_file_is_file(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, b"")
     assert artifacts.exists(KEY)
     assert (artifacts.size(KEY), read(artifacts, KEY)) == (0, b"")
@@ -82,7 +82,7 @@ def test_open_files_can_be_sought(artifacts: ArtifactStore) -> None:
         assert file.read(3) == b"456"
 
 
-def test_local_path_holds_the_file(artifacts: ArtifactStore) -> None:
+def test_local_path_holds_file(artifacts: ArtifactStore) -> None:
     artifacts.put_bytes(KEY, b"pose")
     with artifacts.local_path(KEY, sha256(b"pose")) as path:
         assert path.read_bytes() == b"pose"
@@ -171,7 +171,7 @@ def test_many_writers_of_one_key_leave_one_whole_file(artifacts: ArtifactStore) 
     assert read(artifacts, KEY) in contents
 
 
-def test_ping_tells_whether_the_store_answers(artifacts: ArtifactStore) -> None:
+def test_ping_tells_whether_store_answers(artifacts: ArtifactStore) -> None:
     assert artifacts.ping()
 
 
@@ -237,7 +237,7 @@ class TestS3:
         assert (answer.status_code, answer.content) == (200, b"HIERARCHY")
         assert answer.headers["content-disposition"] == 'attachment; filename="person-1.bvh"'
 
-    def test_server_that_is_away_is_an_error_of_its_own(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_server_that_is_away_is_error_of_its_own(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         with running_s3() as server:
             for name, value in server.environment.items():
                 monkeypatch.setenv(name, value)
@@ -318,7 +318,7 @@ class TestS3:
 
 
 class TestLocal:
-    def test_reader_keeps_an_opened_file(self, tmp_path: Path) -> None:
+    def test_reader_keeps_opened_file(self, tmp_path: Path) -> None:
         artifacts = LocalArtifacts(tmp_path)
         artifacts.put_bytes(KEY, b"first")
         with artifacts.open(KEY) as file:
@@ -348,7 +348,7 @@ class TestLocal:
         assert not path.exists()
         assert read(artifacts, KEY) == b"video"
 
-    def test_full_disk_leaves_the_previous_file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_full_disk_leaves_previous_file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         artifacts = LocalArtifacts(tmp_path)
         artifacts.put_bytes(KEY, b"first")
 
@@ -364,7 +364,7 @@ class TestLocal:
         assert read(artifacts, KEY) == b"first"
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / KEY]
 
-    def test_files_of_a_killed_process_are_removed_in_time(self, tmp_path: Path) -> None:
+    def test_files_of_killed_process_are_removed_in_time(self, tmp_path: Path) -> None:
         LocalArtifacts(tmp_path).put_bytes(KEY, b"pose")
         old, new = tmp_path / ".incoming" / "old", tmp_path / ".incoming" / "new"
         for path in (old, new, tmp_path / KEY):
@@ -384,7 +384,7 @@ class TestLocal:
 
 
 @given(name=st.text(max_size=150), number=st.integers(0, 99))
-def test_any_name_makes_a_key(name: str, number: int, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_any_name_makes_key(name: str, number: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     key = input_key("0190", number, name)
     assert not LocalArtifacts(tmp_path_factory.getbasetemp()).exists(key)
     assert len(key) < 150

@@ -172,7 +172,7 @@ def test_file_that_has_just_changed_is_not_remembered(
     assert computed == [SHA256, SHA256]
 
 
-def test_no_block_is_read_of_a_file_that_is_damaged_meanwhile(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_no_block_is_read_of_file_that_is_damaged_meanwhile(folder: LocalArtifacts, tmp_path: Path) -> None:
     with folder.open(KEY, SHA256) as file:
         assert file.read(2**20) == CONTENT[: 2**20]
         overwrite(tmp_path / KEY, flipped(CONTENT))
@@ -180,7 +180,7 @@ def test_no_block_is_read_of_a_file_that_is_damaged_meanwhile(folder: LocalArtif
             file.read(2**20)
 
 
-def test_bytes_stored_after_the_time_of_their_write_are_seen(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_bytes_stored_after_time_of_their_write_are_seen(folder: LocalArtifacts, tmp_path: Path) -> None:
     path = tmp_path / KEY
     with path.open("r+b") as writer, mmap.mmap(writer.fileno(), 0) as memory:
         memory[-1] = memory[-1]  # the page may be written now: further bytes leave its times
@@ -204,7 +204,7 @@ def test_hard_link_is_no_damage(folder: LocalArtifacts, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs a file of the system that can't be read")
-def test_disk_that_can_not_read_a_file_has_damaged_it(folder: LocalArtifacts, tmp_path: Path) -> None:
+def test_disk_that_can_not_read_file_has_damaged_it(folder: LocalArtifacts, tmp_path: Path) -> None:
     (tmp_path / KEY).unlink()
     (tmp_path / KEY).symlink_to("/proc/self/mem")  # whose first byte nobody can read: EIO
     with pytest.raises(DamagedArtifact):
@@ -263,7 +263,7 @@ class TestCopies:
                 assert path.read_bytes() == CONTENT
         assert self.copy_of(distant).read_bytes() == CONTENT
 
-    def test_copy_is_not_kept_of_a_file_that_is_damaged_itself(self, distant: S3Artifacts) -> None:
+    def test_copy_is_not_kept_of_file_that_is_damaged_itself(self, distant: S3Artifacts) -> None:
         distant.put_bytes(KEY, flipped(CONTENT))
         for _ in range(2):
             with pytest.raises(DamagedArtifact), distant.local_path(KEY, SHA256):

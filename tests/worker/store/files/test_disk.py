@@ -20,7 +20,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         yield folder
 
 
-def test_headroom_is_a_part_of_the_disk_unless_it_is_set(disk: Path) -> None:
+def test_headroom_is_part_of_disk_unless_it_is_set(disk: Path) -> None:
     assert DiskSpace(disk).headroom_bytes == 16 * 2**20 // 20
     assert DiskSpace(disk, 5).headroom_bytes == 5
     assert DiskSpace(disk, 16 * 2**20).has_room(0)
@@ -80,7 +80,7 @@ def test_other_errors_cost_no_reserve(tmp_path: Path) -> None:
     assert (tmp_path / "reserve").exists()
 
 
-def test_sqlite_s_words_for_a_full_disk_are_known(disk: Path) -> None:
+def test_sqlite_s_words_for_full_disk_are_known(disk: Path) -> None:
     fill(disk / "filler")
     engine = create_engine(f"sqlite:///{disk / 'multicap.db'}")
     with pytest.raises(OperationalError) as raised, engine.begin() as connection:

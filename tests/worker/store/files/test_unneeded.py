@@ -14,7 +14,7 @@ def id_of(hours_ago: float) -> str:
     return str(uuid.UUID(int=(milliseconds << 80) | (0x7 << 76) | (0x2 << 62) | uuid.uuid4().int % 2**62))
 
 
-def test_files_without_a_row_are_found_after_a_day(jobs: StoreBench, artifacts: ArtifactStore) -> None:
+def test_files_without_row_are_found_after_day(jobs: StoreBench, artifacts: ArtifactStore) -> None:
     gone, arriving = id_of(hours_ago=25.0), id_of(hours_ago=23.0)
     for session_id in (jobs.session_id, gone, arriving):
         artifacts.put_bytes(record_key(session_id), b"pose")

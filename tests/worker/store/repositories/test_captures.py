@@ -72,7 +72,7 @@ def test_captures_have_their_newest_reconstruction(jobs: StoreBench, records: Te
         records.sessions.delete(first)
 
 
-def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: StoreBench, records: TenantRecords) -> None:
+def test_proxies_are_of_session_and_nobody_s_reconstruction(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "take")
     job = records.jobs.add(session_id, JobSpec(), stages(1))
     making = ProxyChoices(("cam one", "cam two"))
@@ -100,7 +100,7 @@ def test_proxies_are_of_a_session_and_nobody_s_reconstruction(jobs: StoreBench, 
     assert jobs.store.tenant("other").results.proxy(session_id, "proxy-0.mp4") is None
 
 
-def test_unfinished_proxies_do_not_keep_a_session(jobs: StoreBench, records: TenantRecords) -> None:
+def test_unfinished_proxies_do_not_keep_session(jobs: StoreBench, records: TenantRecords) -> None:
     session_id = add(jobs, records, "take")
     plan = (StagePlan("make_proxy", (ChunkPlan(0, {}, UNITS, "proxy-0"),), CODE),)
     records.jobs.add(session_id, JobSpec(), plan, making=ProxyChoices(("cam one",)))
@@ -111,7 +111,7 @@ def test_unfinished_proxies_do_not_keep_a_session(jobs: StoreBench, records: Ten
     assert records.sessions.page() == []
 
 
-def test_pages_of_a_search(jobs: StoreBench, records: TenantRecords) -> None:
+def test_pages_of_search(jobs: StoreBench, records: TenantRecords) -> None:
     ids = [add(jobs, records, f"{kind} {number}") for number in range(3) for kind in ("walk", "run")]
     page = records.sessions.page(limit=2, name="walk")
     assert [one.session.id for one in page] == [ids[4], ids[2]]

@@ -47,7 +47,7 @@ def test_character_of_other_tenant_is_unknown(jobs: StoreBench) -> None:
     assert theirs.characters.get(made.id) == made
 
 
-def test_pages_go_on_after_an_id(jobs: StoreBench) -> None:
+def test_pages_go_on_after_id(jobs: StoreBench) -> None:
     made = [add(jobs.store.tenant("mine")).id for _ in range(3)]
     mine = jobs.store.tenant("mine")
     assert [listed.id for listed in mine.characters.page(limit=2)] == [made[2], made[1]]
@@ -70,7 +70,7 @@ def test_changes_are_noted(jobs: StoreBench) -> None:
     ]
 
 
-def test_bytes_count_for_the_quota(jobs: StoreBench) -> None:
+def test_bytes_count_for_quota(jobs: StoreBench) -> None:
     mine = jobs.store.tenant("mine", Quotas(stored_bytes=1000), Actor())
     made = add(mine, 700)
     used = mine.usage().stored_bytes
@@ -134,7 +134,7 @@ def test_job_keeps_copy_of_character(tmp_path: Path) -> None:
             data.store.jobs.add(session_id, JobSpec(), stages, moved=moved)
 
 
-def test_backups_have_the_files(tmp_path: Path) -> None:
+def test_backups_have_files(tmp_path: Path) -> None:
     with opened_data(tmp_path / "data") as data:
         made = add(data.store)
         data.artifacts.put_bytes(made.file.key, CONTENT)

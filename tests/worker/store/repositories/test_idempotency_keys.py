@@ -48,7 +48,7 @@ def test_key_sent_again_gets_first_answer(jobs: StoreBench) -> None:
     assert len(records.jobs.page()) == 1
 
 
-def test_another_request_under_the_key_is_refused(jobs: StoreBench) -> None:
+def test_another_request_under_key_is_refused(jobs: StoreBench) -> None:
     records = of(jobs)
     claimed = claim(records)
     for _ in ("while it runs", "and when it was answered"):
@@ -106,7 +106,7 @@ def test_tenants_have_keys_of_their_own(jobs: StoreBench) -> None:
     assert isinstance(theirs.idempotency_keys.claim("key", "e" * 64, 60.0), KeyClaim)
 
 
-def test_after_a_day_it_is_forgotten(jobs: StoreBench) -> None:
+def test_after_day_it_is_forgotten(jobs: StoreBench) -> None:
     records = of(jobs)
     make(jobs, records, claim(records))
     jobs.execute(idempotency_keys.update().values(expires_at=0.0))

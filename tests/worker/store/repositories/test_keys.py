@@ -55,7 +55,7 @@ def test_key_revoked_ends_with_browser_sessions(jobs: StoreBench) -> None:
         jobs.store.keys.revoke("nobody")
 
 
-def test_there_are_keys_from_the_first_one_on(jobs: StoreBench) -> None:
+def test_there_are_keys_from_first_one_on(jobs: StoreBench) -> None:
     assert not jobs.store.keys.exist()
     key, _ = jobs.store.keys.add("studio", "portal", READ)
     assert jobs.store.keys.exist()

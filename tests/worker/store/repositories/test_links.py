@@ -106,7 +106,7 @@ def test_link_without_key_ends_with_first_key(jobs: StoreBench) -> None:
     assert find(jobs, secret) is None
 
 
-def test_links_of_a_job_are_limited(jobs: StoreBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_of_job_are_limited(jobs: StoreBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(links, "MAX_LINKS", 2)
     records, job_id = make_job(jobs, "mine")
     records.links.add(job_id, LinkScope.JOB, None, -1.0)

@@ -37,7 +37,7 @@ def file_of(upload_id: str, part: int = 1) -> ClipFile:
     return ClipFile(part, upload_id, 5, 1000.5, 0.002, 2.4, {"mime_type": "video/webm"})
 
 
-def test_link_of_recording_ends_with_the_next_one(jobs: StoreBench) -> None:
+def test_link_of_recording_ends_with_next_one(jobs: StoreBench) -> None:
     records, recording_id, secret = opened(jobs)
     link = jobs.store.join_secrets.find(secret)
     assert link is not None

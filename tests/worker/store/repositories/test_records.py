@@ -34,7 +34,7 @@ def test_session_is_read_as_written(jobs: StoreBench) -> None:
     assert session.preflight == PREFLIGHT
 
 
-def test_lists_are_paged_from_the_newest(jobs: StoreBench) -> None:
+def test_lists_are_paged_from_newest(jobs: StoreBench) -> None:
     session_ids = [jobs.session_id, *(new_session(jobs.store) for _ in range(4))][::-1]
     job_ids = [jobs.queue(1).id for _ in range(5)][::-1]
 
@@ -124,7 +124,7 @@ def test_thousands_of_chunks(jobs: StoreBench) -> None:
     assert [one.key for one in jobs.store.outputs.list_stage(job.id, "detect")] == [f"detect-{k}" for k in range(2500)]
 
 
-def test_places_in_the_queue(jobs: StoreBench) -> None:
+def test_places_in_queue(jobs: StoreBench) -> None:
     first, second, third = jobs.queue(), jobs.queue(), jobs.queue()
     assert [jobs.store.jobs.get(job.id).queue_position for job in (first, second, third)] == [1, 2, 3]
     jobs.claim()
@@ -170,7 +170,7 @@ def test_stage_is_reused_if_all_chunks_were(jobs: StoreBench) -> None:
     assert [stage.reused for stage in jobs.store.jobs.get(job_id).stages] == [False, True]
 
 
-def test_cancel_of_a_queued_job_is_immediate(jobs: StoreBench) -> None:
+def test_cancel_of_queued_job_is_immediate(jobs: StoreBench) -> None:
     job = jobs.store.jobs.cancel(jobs.queue().id)
     assert job.state == JobState.CANCELED
     assert job.finished_at is not None
@@ -178,7 +178,7 @@ def test_cancel_of_a_queued_job_is_immediate(jobs: StoreBench) -> None:
     assert jobs.store.leases.claim("worker", 60) is None
 
 
-def test_cancel_of_a_running_job_waits_for_its_workers(jobs: StoreBench) -> None:
+def test_cancel_of_running_job_waits_for_its_workers(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=3).id
     first, second = jobs.claim(), jobs.claim()
     assert jobs.store.jobs.cancel(job_id).state == JobState.CANCELING
@@ -230,14 +230,14 @@ def test_attempts_say_what_became_of_each(jobs: StoreBench) -> None:
     assert (len(moments), moments) == (6, sorted(moments))
 
 
-def test_retry_goes_to_the_end_of_the_queue(jobs: StoreBench) -> None:
+def test_retry_goes_to_end_of_queue(jobs: StoreBench) -> None:
     first, second = jobs.queue(1), jobs.queue(1)
     jobs.store.jobs.cancel(first.id)
     jobs.store.jobs.retry(first.id, stages(1))
     assert [jobs.claim().job_id for _ in range(2)] == [second.id, first.id]
 
 
-def test_outputs_are_in_the_order_of_the_chunks(jobs: StoreBench) -> None:
+def test_outputs_are_in_order_of_chunks(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=12).id
     assert [one.key for one in jobs.store.outputs.list_stage(job_id, "detect")] == [f"detect-{k}" for k in range(12)]
     assert [one.key for one in jobs.store.outputs.list_stage(job_id, "export")] == ["export"]
@@ -282,7 +282,7 @@ def due(jobs: StoreBench) -> list[str]:
     return [removal.prefix for removal in jobs.store.removals.due()]
 
 
-def test_delete_job_leaves_the_session(jobs: StoreBench) -> None:
+def test_delete_job_leaves_session(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=1).id
     with pytest.raises(Conflict):
         jobs.store.jobs.delete(job_id)

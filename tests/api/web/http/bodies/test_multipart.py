@@ -66,9 +66,7 @@ def received(folder: Path, blocks: list[bytes], hangs_up: bool = False) -> Form:
 
 
 @given(cuts=st.lists(st.integers(0, len(BODY)), max_size=20).map(sorted))
-def test_form_is_the_same_wherever_the_network_cuts_it(
-    tmp_path_factory: pytest.TempPathFactory, cuts: list[int]
-) -> None:
+def test_form_is_same_wherever_network_cuts_it(tmp_path_factory: pytest.TempPathFactory, cuts: list[int]) -> None:
     ends = [*cuts, len(BODY)]
     blocks = [BODY[start:end] for start, end in zip([0, *cuts], ends, strict=True)]
     found = received(tmp_path_factory.mktemp("spool"), blocks)
@@ -132,7 +130,7 @@ def mutations(count: int) -> Iterator[bytes]:
 
 
 @pytest.mark.slow
-def test_damaged_bodies_are_the_clients_fault_or_harmless(live: Live) -> None:
+def test_damaged_bodies_are_clients_fault_or_harmless(live: Live) -> None:
     refused = 0
     for body in mutations(1500):
         answer = live.client.post(
@@ -189,7 +187,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 @pytest.mark.parametrize("chunked", [False, True])
-def test_nothing_is_left_of_an_upload_that_breaks_off(make_settings: Callable[..., Settings], chunked: bool) -> None:
+def test_nothing_is_left_of_upload_that_breaks_off(make_settings: Callable[..., Settings], chunked: bool) -> None:
     megabyte = os.urandom(2**20)
     length = "Transfer-Encoding: chunked" if chunked else "Content-Length: 9000000"
     content_type = "Content-Type: multipart/form-data; boundary=xyz"
@@ -222,9 +220,7 @@ def small_disk(folder: Path) -> Iterator[None]:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def test_full_disk_refuses_the_session_and_keeps_nothing(
-    make_settings: Callable[..., Settings], tmp_path: Path
-) -> None:
+def test_full_disk_refuses_session_and_keeps_nothing(make_settings: Callable[..., Settings], tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk"):
         settings = make_settings(
             data_dir=tmp_path / "disk" / "data",

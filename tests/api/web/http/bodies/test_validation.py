@@ -104,7 +104,7 @@ def test_each_field_once_with_all_that_is_allowed(
     assert len({found[0] for found in wrong}) == 1
 
 
-def test_parts_of_a_form(live: Live) -> None:
+def test_parts_of_form(live: Live) -> None:
     manifest = {"cameras": [{"offset_s": "x"}, 3], "units": "inch", "name": "a\0"}
     parts = [*form(), ("manifest", (None, json.dumps(manifest))), ("spec", (None, "{"))]
     answer = live.client.post("/v1/jobs", files=parts)
@@ -180,7 +180,7 @@ def test_body_that_is_missing(live: Live) -> None:
     assert found["message"] == "The body is missing. It must be an object with some of the fields key."
 
 
-def test_answer_is_not_many_times_the_request(live: Live) -> None:
+def test_answer_is_not_many_times_request(live: Live) -> None:
     found: list[Any] = wrong_fields(live, {f"a{number}": 1 for number in range(105)})
     assert len(found) == 81
     assert found[-1] == (None, "more_problems", "25 more problems are not listed.")
@@ -266,7 +266,7 @@ def test_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
     assert (found["pointer"], found["code"], found["hint"]) == ("/edits/0/other", "unknown_field", None)
 
 
-def test_codes_are_in_the_contract(live: Live) -> None:
+def test_codes_are_in_contract(live: Live) -> None:
     spec = {
         "people": 0,
         "method": 3,
@@ -299,13 +299,13 @@ def test_codes_are_in_the_contract(live: Live) -> None:
         ("/v1/browser-session", ["application/json"]),
     ],
 )
-def test_refused_content_type_names_the_accepted_ones(live: Live, path: str, types: list[str]) -> None:
+def test_refused_content_type_names_accepted_ones(live: Live, path: str, types: list[str]) -> None:
     answer = live.client.post(path, content=b"name: x", headers={"Content-Type": "application/yaml"})
     detail = problem_of(answer, 415, "unsupported_media_type")["detail"]
     assert {name for name in ("multipart/form-data", "application/json") if name in detail} == set(types)
 
 
-def test_manifest_has_the_limits_of_the_pipeline() -> None:
+def test_manifest_has_limits_of_pipeline() -> None:
     camera = CameraManifest.model_json_schema()["properties"]
     rates = [camera["rate"]["anyOf"][0], Manifest.model_json_schema()["properties"]["frame_rate_hz"]["anyOf"][0]]
     assert all((rate["minimum"], rate["maximum"]) == (FRAME_RATE_HZ.low, FRAME_RATE_HZ.high) for rate in rates)

@@ -40,7 +40,7 @@ def without(candidates: Candidates, view: int, body: int) -> Candidates:
     return candidates.where((candidates.view != view) | (candidates.body != body))
 
 
-def test_bodies_of_a_person_are_matched_in_all_views(ring: tuple[Camera, ...]) -> None:
+def test_bodies_of_person_are_matched_in_all_views(ring: tuple[Camera, ...]) -> None:
     candidates = candidates_of(ring, two_people(0.2), noise_px=2.0)
     assert people_of(candidates, ring) == [[0, 0, 0, 0], [1, 1, 1, 1]]
     assert people_of(without(candidates, 2, 0), ring) == [[0, 0, -1, 0], [1, 1, 1, 1]]
@@ -52,7 +52,7 @@ def test_bodies_of_different_people_are_nobody(ring: tuple[Camera, ...]) -> None
     assert people_of(without(without(candidates, 0, 1), 1, 0), ring[:2]) == []
 
 
-def test_a_body_that_is_found_twice_is_matched_once(ring: tuple[Camera, ...]) -> None:
+def test_body_that_is_found_twice_is_matched_once(ring: tuple[Camera, ...]) -> None:
     candidates = candidates_of(ring, two_people(0.2))
     again = candidates.where((candidates.view == 1) & (candidates.body == 0))
     copy = again._replace(body=np.full(len(again.body), 7), score=0.5 * again.score)
@@ -77,7 +77,7 @@ def test_bone_lengths_tell_bodies_apart(ring: tuple[Camera, ...]) -> None:
     assert agreement(lengths) == pytest.approx(agreement(UNKNOWN) - 2 * 0.9 * 4, abs=1e-6)
 
 
-def test_joints_behind_a_camera_speak_against_a_pair(ring: tuple[Camera, ...]) -> None:
+def test_joints_behind_camera_speak_against_pair(ring: tuple[Camera, ...]) -> None:
     people_m = two_people(0.2)[:1]
     behind = replace(ring[0], cam_from_world=replace(ring[0].cam_from_world))
     turned = np.diag([1.0, -1.0, -1.0]) @ behind.cam_from_world.rotation  # half a turn about the image's x axis
@@ -94,7 +94,7 @@ def symmetric(values: list[float]) -> np.ndarray:
     return total + total.T
 
 
-def test_all_pairs_of_a_group_count() -> None:
+def test_all_pairs_of_group_count() -> None:
     """The second body agrees with both of its neighbours, who contradict each other."""
     chain = symmetric([9.0, -20.0, 0.0, 8.0, 0.0, 0.0])
     assert join_bodies(chain, 1.5).tolist() == [0, 0, 2, 3]
@@ -106,7 +106,7 @@ def test_all_pairs_of_a_group_count() -> None:
     views=st.lists(st.integers(0, 2), min_size=4, max_size=4),
     order=st.permutations(range(4)),
 )
-def test_groups_keep_views_apart_and_do_not_depend_on_the_order(
+def test_groups_keep_views_apart_and_do_not_depend_on_order(
     values: list[float], views: list[int], order: list[int]
 ) -> None:
     view = np.array(views)
@@ -119,7 +119,7 @@ def test_groups_keep_views_apart_and_do_not_depend_on_the_order(
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.3])
-def test_joints_count_as_much_as_the_views_score(ring: tuple[Camera, ...], scale: float) -> None:
+def test_joints_count_as_much_as_views_score(ring: tuple[Camera, ...], scale: float) -> None:
     """Bodies of three joints each, by detectors of different scales."""
     candidates = candidates_of(ring[:3], two_people(0.2), noise_px=1.0)
     few = candidates.where(np.isin(candidates.joint, SKELETON.indices(("left_hip", "left_knee", "left_ankle"))))

@@ -71,7 +71,7 @@ def chain(num_points: int, step_m: float) -> np.ndarray:
     return np.column_stack([step_m * np.arange(num_points), np.zeros((num_points, 2))])
 
 
-def test_a_chain_of_neighbours_is_a_cluster() -> None:
+def test_chain_of_neighbours_is_cluster() -> None:
     together = chain(30, 0.99 * EPS_M)
     assert clusters_of(together, np.zeros(30, int)) == [list(range(30))]
     assert clusters_of(chain(30, 1.01 * EPS_M), np.zeros(30, int)) == [[row] for row in range(30)]

@@ -6,7 +6,7 @@ from pipeline.association.clustering.skeleton import LimbLengths, clustering_ske
 from pipeline.core.joints import COCO_17
 
 
-def test_membership_is_the_share_of_views_that_agree() -> None:
+def test_membership_is_share_of_views_that_agree() -> None:
     evidence = Membership(clustering_skeleton(COCO_17), 0.6)
     parents = places(np.array([[0, 1, 2, -1], [3, -1, -1, 5]]))
     points = places(np.array([[0, 1, -1, -1], [0, 7, -1, -1], [-1, -1, -1, 5], [-1, 1, -1, -1]]))
@@ -32,7 +32,7 @@ def places(body: np.ndarray) -> JointPoints:
     return JointPoints(np.ones(len(body), int), np.zeros((len(body), 3)), body)
 
 
-def test_a_length_fits_the_nearest_of_the_known() -> None:
+def test_length_fits_nearest_of_known() -> None:
     skeleton = clustering_skeleton(COCO_17)
     shoulder, elbow, wrist = skeleton.indices(("left_shoulder", "left_elbow", "left_wrist"))
     known_m = np.full((len(skeleton.names), 2), np.nan)
@@ -51,7 +51,7 @@ def test_a_length_fits_the_nearest_of_the_known() -> None:
     np.testing.assert_array_equal(unknown, [[0.0, 0.0, 0.0, np.inf]])
 
 
-def test_lengths_are_a_persons_medians() -> None:
+def test_lengths_are_persons_medians() -> None:
     skeleton = clustering_skeleton(COCO_17)
     elbow = skeleton.names.index("left_elbow")
     poses_m = np.full((5, len(skeleton.names), 3), np.nan)
@@ -63,7 +63,7 @@ def test_lengths_are_a_persons_medians() -> None:
     assert unknown_lengths(skeleton).known_m.size == 0
 
 
-def test_the_error_is_that_of_the_best_of_many_lengths() -> None:
+def test_error_is_that_of_best_of_many_lengths() -> None:
     skeleton = clustering_skeleton(COCO_17)
     shoulder, elbow = skeleton.names.index("left_shoulder"), skeleton.names.index("left_elbow")
     rng = np.random.default_rng(0)

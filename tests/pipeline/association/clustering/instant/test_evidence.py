@@ -34,7 +34,7 @@ def field_towards(camera: Camera, strength: float) -> ViewFields:
     return ViewFields(camera, quantise(fields), GRID)
 
 
-def test_the_score_is_the_mean_over_views(ring: tuple[Camera, ...]) -> None:
+def test_score_is_mean_over_views(ring: tuple[Camera, ...]) -> None:
     strengths = (0.9, 0.5, -0.3, 0.0)
     views = [field_towards(camera, strength) for camera, strength in zip(ring, strengths, strict=True)]
     evidence = AffinityFields(views, LIMBS, SKELETON, tau2=0.3)
@@ -45,7 +45,7 @@ def test_the_score_is_the_mean_over_views(ring: tuple[Camera, ...]) -> None:
     assert np.isnan(evidence.connect(places(ELBOW, ELBOW_M, 4), places(WRIST, WRIST_M, 4), ~wanted)).all()
 
 
-def test_a_view_that_does_not_show_both_ends_says_nothing(ring: tuple[Camera, ...]) -> None:
+def test_view_that_does_not_show_both_ends_says_nothing(ring: tuple[Camera, ...]) -> None:
     far = replace(ring[0], matrix=ring[0].matrix + np.array([[0, 0, 5000.0], [0, 0, 0], [0, 0, 0]]))
     views = [field_towards(ring[1], 0.8), ViewFields(far, field_towards(ring[0], 1.0).fields, GRID)]
     evidence = AffinityFields(views, LIMBS, SKELETON, tau2=0.3)
@@ -56,7 +56,7 @@ def test_a_view_that_does_not_show_both_ends_says_nothing(ring: tuple[Camera, ..
     assert np.isnan(score).all()
 
 
-def test_every_limb_of_the_skeleton_has_its_field() -> None:
+def test_every_limb_of_skeleton_has_its_field() -> None:
     numbers = number_limbs(SKELETON, LIMBS)
     assert numbers[0] == -1  # the root hangs on nothing
     assert (numbers[1:] >= 0).all()
@@ -67,7 +67,7 @@ def test_every_limb_of_the_skeleton_has_its_field() -> None:
     assert AffinityFields([], LIMBS, SKELETON, tau2=0.3).least[SKELETON.names.index("nose")] == pytest.approx(0.15)
 
 
-def test_a_segment_through_half_a_limb_scores_half() -> None:
+def test_segment_through_half_limb_scores_half() -> None:
     fields = np.zeros((1, 2, 20, 40))
     fields[0, 0, 9:12, 5:15] = 1.0  # to the right
     begin, end = (
@@ -82,7 +82,7 @@ def test_a_segment_through_half_a_limb_scores_half() -> None:
     assert connectivity(quantise(fields), np.zeros(1, int), np.ones((1, 2)), np.ones((1, 2)))[0] == [0.0]
 
 
-def test_quantised_fields_are_within_half_a_step() -> None:
+def test_quantised_fields_are_within_half_step() -> None:
     values = np.linspace(-1.3, 1.3, 1001)
     back = (quantise(values).astype(float) - 128) / 127
     np.testing.assert_allclose(back, np.clip(values, -1, 1), atol=0.5 / 127 + 1e-9)

@@ -23,7 +23,7 @@ def candidates_of(projections: np.ndarray, points_m: np.ndarray) -> Candidates:
     )
 
 
-def test_every_pair_of_views_meets_at_the_points(ring: tuple[Camera, ...]) -> None:
+def test_every_pair_of_views_meets_at_points(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(projections, POINTS_M)
     hypotheses = meet(projections, candidates, 8.0, WorkLimits())
@@ -40,7 +40,7 @@ def test_joints_of_different_kinds_never_meet(ring: tuple[Camera, ...]) -> None:
     assert len(meet(projections, candidates, 8.0, WorkLimits()).pair) == 0
 
 
-def test_a_hypothesis_fits_both_views_within_tau1(ring: tuple[Camera, ...]) -> None:
+def test_hypothesis_fits_both_views_within_tau1(ring: tuple[Camera, ...]) -> None:
     projections = np.array([image_from_world(camera) for camera in ring])
     candidates = candidates_of(projections, POINTS_M)
     shifted = candidates._replace(points_px=candidates.points_px + np.where(candidates.view == 0, 30.0, 0.0)[:, None])
@@ -53,7 +53,7 @@ def test_a_hypothesis_fits_both_views_within_tau1(ring: tuple[Camera, ...]) -> N
     assert len(meet(projections, shifted, 100.0, WorkLimits()).pair) > len(found.pair)
 
 
-def test_points_behind_a_camera_have_no_reprojection(ring: tuple[Camera, ...]) -> None:
+def test_points_behind_camera_have_no_reprojection(ring: tuple[Camera, ...]) -> None:
     projection = image_from_world(ring[0])
     behind_m = np.array([12.0, 2.0, 2.0])
     assert reprojection_px(projection, behind_m, np.zeros(2)) == np.inf

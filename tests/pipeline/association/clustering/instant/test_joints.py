@@ -11,7 +11,7 @@ def reprojection_sum(projections: np.ndarray, xyz_m: np.ndarray, points_px: np.n
     return float((weight * np.linalg.norm(in_cam[:, :2] / in_cam[:, 2:] - points_px, axis=-1)).sum())
 
 
-def test_the_sum_of_reprojection_errors_is_least(ring: tuple[Camera, ...]) -> None:
+def test_sum_of_reprojection_errors_is_least(ring: tuple[Camera, ...]) -> None:
     rng = np.random.default_rng(2)
     projections = np.array([image_from_world(camera) for camera in ring])
     truth_m = rng.uniform([-0.5, -0.5, 0.5], [0.5, 0.5, 1.5], (6, 3))

@@ -56,7 +56,7 @@ def merged(candidates: Candidates, view: int) -> Candidates:
 
 
 @pytest.mark.parametrize("num_cameras", [3, 4])
-def test_a_merged_body_is_split(ring: tuple[Camera, ...], num_cameras: int) -> None:
+def test_merged_body_is_split(ring: tuple[Camera, ...], num_cameras: int) -> None:
     candidates = merged(candidates_of(ring[:num_cameras], PEOPLE_M, noise_px=0.5), view=1)
     poses = poses_of(candidates, ring[:num_cameras])
     assert len(poses.xyz_m) == 2
@@ -71,7 +71,7 @@ def test_a_merged_body_is_split(ring: tuple[Camera, ...], num_cameras: int) -> N
 
 @pytest.mark.parametrize("part", ["arms", "legs"])
 @pytest.mark.parametrize("view", [0, 1, 2])
-def test_left_and_right_that_a_view_exchanges_are_put_right(ring: tuple[Camera, ...], part: str, view: int) -> None:
+def test_left_and_right_that_view_exchanges_are_put_right(ring: tuple[Camera, ...], part: str, view: int) -> None:
     names = ("shoulder", "elbow", "wrist") if part == "arms" else ("hip", "knee", "ankle")
     left, right = (SKELETON.indices(tuple(f"{side}_{name}" for name in names)) for side in ("left", "right"))
     candidates = candidates_of(ring[:3], PEOPLE_M, noise_px=0.5)
@@ -84,7 +84,7 @@ def test_left_and_right_that_a_view_exchanges_are_put_right(ring: tuple[Camera, 
     assert (poses.candidate != NOWHERE).all()
 
 
-def test_three_joints_in_two_views_are_a_person_and_two_are_none(ring: tuple[Camera, ...]) -> None:
+def test_three_joints_in_two_views_are_person_and_two_are_none(ring: tuple[Camera, ...]) -> None:
     candidates = candidates_of(ring[:2], PEOPLE_M, noise_px=0.5)
     leg = SKELETON.indices(("left_hip", "left_knee", "left_ankle"))
     is_hidden = (candidates.body == 1) & ~np.isin(candidates.joint, leg)
@@ -95,7 +95,7 @@ def test_three_joints_in_two_views_are_a_person_and_two_are_none(ring: tuple[Cam
     assert len(poses_of(candidates.where(~is_hidden), ring[:2]).xyz_m) == 1
 
 
-def test_a_person_without_a_neck_in_three_views_is_found(ring: tuple[Camera, ...]) -> None:
+def test_person_without_neck_in_three_views_is_found(ring: tuple[Camera, ...]) -> None:
     """Each view lacks a shoulder, and with it the neck, from which the paper's steps start."""
     left, right = ([0, joint] for joint in SKELETON.shoulders)
     candidates = candidates_of(ring[:3], PEOPLE_M)
@@ -109,7 +109,7 @@ def test_a_person_without_a_neck_in_three_views_is_found(ring: tuple[Camera, ...
     np.testing.assert_allclose(poses.xyz_m[1], PEOPLE_M[1], atol=1e-4)
 
 
-def test_the_papers_steps_find_who_has_no_bodies_to_match(ring: tuple[Camera, ...]) -> None:
+def test_papers_steps_find_who_has_no_bodies_to_match(ring: tuple[Camera, ...]) -> None:
     """Every joint of the second person is a body of its own."""
     candidates = candidates_of(ring, PEOPLE_M)
     alone = np.where(candidates.body == 1, 100 + candidates.joint, 0)
@@ -123,7 +123,7 @@ def test_the_papers_steps_find_who_has_no_bodies_to_match(ring: tuple[Camera, ..
     np.testing.assert_allclose(poses.xyz_m[poses.xyz_m[:, 0, 1].argmax()], PEOPLE_M[1], atol=1e-4)
 
 
-def test_candidates_without_bodies_are_left_to_the_papers_steps(ring: tuple[Camera, ...]) -> None:
+def test_candidates_without_bodies_are_left_to_papers_steps(ring: tuple[Camera, ...]) -> None:
     candidates = candidates_of(ring, PEOPLE_M)
     candidates = candidates._replace(body=np.full(len(candidates.body), NOWHERE))
     projections = np.array([image_from_world(camera) for camera in ring])
@@ -131,7 +131,7 @@ def test_candidates_without_bodies_are_left_to_the_papers_steps(ring: tuple[Came
     assert len(whole.joint_of) == len(whole.joints.points.joint) == 0
 
 
-def test_repairs_beyond_the_limit_are_left_out(ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repairs_beyond_limit_are_left_out(ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     candidates = merged(candidates_of(ring, PEOPLE_M), view=1)
     projections = np.array([image_from_world(camera) for camera in ring])
     for most, is_exact in ((MAX_REPAIRS, True), (4, False)):

@@ -100,7 +100,7 @@ def listed_pairs(tracker: Tracker, num_detections: int) -> set[tuple[int, int]]:
     number=st.integers(0, len(RING) - 1),
     weights=st.sampled_from([(0.4, 0.6), (0.5, 0.5), (0.8, 0.2), (1.0, 0.0), (0.0, 1.0)]),
 )
-def test_no_skipped_pair_has_a_positive_affinity(
+def test_no_skipped_pair_has_positive_affinity(
     seed: int,
     num_people: int,
     side_m: float,
@@ -123,7 +123,7 @@ def test_no_skipped_pair_has_a_positive_affinity(
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_target_is_skipped_only_out_of_reach(axis: int) -> None:
+def test_target_is_skipped_only_out_of_reach(axis: int) -> None:
     """A narrow body, seen where the camera saw it last, while the target moves sideways or up in steps of 1 cm."""
     camera, parameters = RING[0], replace(PARAMETERS, weight_2d=0.5, weight_3d=0.5)
     person_m = 0.02 * body() + np.array([0.0, 0.0, 1.0])
@@ -144,7 +144,7 @@ def test_a_target_is_skipped_only_out_of_reach(axis: int) -> None:
     assert not is_listed[-1]
 
 
-def test_most_pairs_of_a_hall_are_skipped() -> None:
+def test_most_pairs_of_hall_are_skipped() -> None:
     rng, camera = np.random.default_rng(0), RING[0]
     people_m = crowd(rng, 12, 3.0)
     seen_px = project(camera, people_m)
@@ -157,7 +157,7 @@ def test_most_pairs_of_a_hall_are_skipped() -> None:
 @pytest.mark.parametrize(
     ("scene", "seed", "duration_s"), slow_but([("crowd", 1, 3.0)], [("crowd", 1, 3.0), ("store-large", 0, 2.0)])
 )
-def test_people_are_those_of_the_reference_without_pruning(scene: str, seed: int, duration_s: float) -> None:
+def test_people_are_those_of_reference_without_pruning(scene: str, seed: int, duration_s: float) -> None:
     simulation = record(replace(SCENES[scene], duration_s=duration_s), seed, 8)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     bodies = gather(simulation.cameras, simulation.times, simulation.detections)

@@ -29,7 +29,7 @@ from tests.pipeline.association.tracking import reference
     ("scene", "seed"),
     slow_but([("comings-and-goings", 2)], [("noisy", 3), ("unsynchronised", 1), ("comings-and-goings", 2)]),
 )
-def test_tracks_are_those_of_the_reference(scene: str, seed: int) -> None:
+def test_tracks_are_those_of_reference(scene: str, seed: int) -> None:
     simulation = record(replace(SCENES[scene], duration_s=8.0), seed)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     bodies = gather(simulation.cameras, simulation.times, simulation.detections)
@@ -51,7 +51,7 @@ def test_tracks_are_those_of_the_reference(scene: str, seed: int) -> None:
         np.testing.assert_allclose(found["velocity_m_s"][:, :num_joints].T, target.velocity_m_s, atol=1e-7)
 
 
-def test_triangulation_over_time_is_that_of_the_reference(ring: tuple[Camera, ...]) -> None:
+def test_triangulation_over_time_is_that_of_reference(ring: tuple[Camera, ...]) -> None:
     rng = np.random.default_rng(5)
     projections = np.array([image_from_world(camera) for camera in ring])
     truth_m = np.cumsum(rng.normal(0.0, 0.01, (40, 17, 3)), axis=0)
@@ -88,7 +88,7 @@ def test_assignment_is_scipys(seed: int) -> None:
     np.testing.assert_array_equal(room.match, expected)
 
 
-def test_epipolar_affinity_is_that_of_the_reference(ring: tuple[Camera, ...]) -> None:
+def test_epipolar_affinity_is_that_of_reference(ring: tuple[Camera, ...]) -> None:
     rng = np.random.default_rng(1)
     fundamental = make_rig(ring).fundamental[0, 1]
     left_px, right_px = rng.uniform(300.0, 600.0, (2, 17, 2))

@@ -23,7 +23,7 @@ def on_the_floor(spec: str, seed: int) -> tuple[Board, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("spec", ["charuco:7x5:0.12:0.09:DICT_4X4_50", "chessboard:6x5:0.1"])
-def test_corners_of_small_squares_are_found_to_hundredths_of_a_pixel(spec: str) -> None:
+def test_corners_of_small_squares_are_exact_to_0_01_px(spec: str) -> None:
     board, picture, truth_px = on_the_floor(spec, 1)
     rng = np.random.default_rng(2)
     given_px = truth_px + rng.uniform(-1.2, 1.2, truth_px.shape)

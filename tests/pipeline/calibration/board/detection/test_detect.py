@@ -40,7 +40,7 @@ def painted(board: Board) -> np.ndarray:
         ("chessboard:8x6:0.1", True, False),
     ],
 )
-def test_a_board_is_found_however_it_is_printed(spec: str, is_inverted: bool, is_legacy: bool) -> None:
+def test_board_is_found_however_it_is_printed(spec: str, is_inverted: bool, is_legacy: bool) -> None:
     stated = parse_board(spec)
     board = replace(stated, is_inverted=is_inverted, is_legacy=is_legacy)
     found = find_board(painted(board), *stated.prints)
@@ -56,7 +56,7 @@ def test_a_board_is_found_however_it_is_printed(spec: str, is_inverted: bool, is
 
 
 @pytest.mark.parametrize("spec", ["chessboard:9x6:0.1", "chessboard:7x7:0.1"])
-def test_the_negative_of_these_chessboards_is_the_board_turned(spec: str) -> None:
+def test_negative_of_these_chessboards_is_board_turned(spec: str) -> None:
     board = parse_board(spec)
     assert board.prints == (board,)
     for printed in (board, replace(board, is_inverted=True)):
@@ -73,13 +73,13 @@ def test_the_negative_of_these_chessboards_is_the_board_turned(spec: str) -> Non
         assert first in ((1, 2, 3) if printed.is_inverted else (0, 2))
 
 
-def test_columns_and_rows_of_an_inverted_board_that_are_exchanged_are_noticed() -> None:
+def test_board_with_exchanged_rows_and_columns_is_noticed() -> None:
     board = replace(parse_board(CHARUCO), is_inverted=True)
     assert is_exchanged(painted(board), parse_board(CHARUCO).exchanged)
     assert not is_exchanged(painted(board), parse_board(CHARUCO))
 
 
-def test_a_camera_that_sharpens_gives_all_corners() -> None:
+def test_camera_that_sharpens_gives_all_corners() -> None:
     board = parse_board("charuco:7x5:0.12:0.09:DICT_4X4_50")
     picture = painted(board).astype(np.float32)
     blurred = cv2.GaussianBlur(picture, (0, 0), 1.5)
@@ -91,7 +91,7 @@ def test_a_camera_that_sharpens_gives_all_corners() -> None:
     assert distance_px.max() < 0.25
 
 
-def test_the_print_is_tried_until_it_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_print_is_tried_until_it_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stated = parse_board(EVEN_ROWS)
     picture = painted(replace(stated, is_inverted=True))
     empty = np.full_like(picture, 128)
@@ -112,7 +112,7 @@ def test_the_print_is_tried_until_it_is_known(tmp_path: Path, monkeypatch: pytes
     assert tried == [stated.prints, stated.prints, inverted, inverted]
 
 
-def test_a_part_that_two_prints_share_does_not_tell_them_apart(tmp_path: Path) -> None:
+def test_part_that_two_prints_share_does_not_tell_them_apart(tmp_path: Path) -> None:
     stated = parse_board(EVEN_ROWS)
     for is_legacy in (False, True):
         board = replace(stated, is_legacy=is_legacy)

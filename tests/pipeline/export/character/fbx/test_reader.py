@@ -59,7 +59,7 @@ def same_rest(file: CharacterFile, other: CharacterFile, tolerance: float = 1e-4
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
-def test_the_figure_and_its_motion_are_those_of_glb(name: str) -> None:
+def test_figure_and_its_motion_are_those_of_glb(name: str) -> None:
     """Written as FBX in centimetres and read again: bones within 0.1 mm at rest and in motion."""
     of_glb = figure(name)
     # The character's height in the file's unit is about 1.7 m.
@@ -101,7 +101,7 @@ def test_axes_and_units_become_those_of_glb(settings_of: Settings) -> None:
     np.testing.assert_allclose(corners, of_expected, atol=1e-6)
 
 
-def test_a_mesh_keeps_normals_pictures_weights_and_colour() -> None:
+def test_mesh_keeps_normals_pictures_weights_and_colour() -> None:
     file = decode_fbx_character("a.fbx", fbx_of(manny(), unit_cm=100.0, change=blended))
     (part,), (expected,) = mesh_parts(file), map(blended, mesh_parts(manny()))
     assert part.rgb == expected.rgb
@@ -120,7 +120,7 @@ def test_a_mesh_keeps_normals_pictures_weights_and_colour() -> None:
     assert (directions > 0.0).mean() > 0.95
 
 
-def test_a_file_saved_in_a_pose_is_read_at_rest() -> None:
+def test_file_saved_in_pose_is_read_at_rest() -> None:
     def bent(name: str, matrix: np.ndarray) -> list[Node]:
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec([0.5, 0.2, 0.0]).as_matrix()
@@ -184,7 +184,7 @@ def pivoted() -> tuple[bytes, list[np.ndarray]]:
     return skeleton_of(models), worlds[1:]
 
 
-def test_places_follow_the_rule_of_the_sdk() -> None:
+def test_places_follow_rule_of_sdk() -> None:
     content, worlds = pivoted()
     rig = decode_fbx_character("a.fbx", content).rig
     for place, world in enumerate(worlds):
@@ -272,7 +272,7 @@ def test_polygons_become_triangles_of_their_materials() -> None:
     np.testing.assert_allclose(red.normals, [[0, 0, 1]] * 3, atol=1e-6)
 
 
-def test_the_geometry_of_a_model_has_a_place_of_its_own() -> None:
+def test_geometry_of_model_has_place_of_its_own() -> None:
     """Mirrored surfaces are turned round, so that they look outwards again."""
     (part,) = mesh_parts(
         mesh_file(
@@ -286,7 +286,7 @@ def test_the_geometry_of_a_model_has_a_place_of_its_own() -> None:
     np.testing.assert_allclose(part.normals, [[0, 0, 1]] * 4, atol=1e-6)
 
 
-def test_the_four_largest_weights_are_kept() -> None:
+def test_four_largest_weights_are_kept() -> None:
     file = mesh_file(points=SQUARE, ends=[0, 1, ~2], clusters=6)
     (part,) = mesh_parts(file)
     names = np.array(file.rig.names)[part.bones]
@@ -316,7 +316,7 @@ def test_other_versions_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_what_can_not_be_is_refused() -> None:
+def test_impossible_input_is_refused() -> None:
     circle = FbxScene(30.0, 100.0)
     first = bone("a", SCENE, circle)
     circle.connect(first, bone("b", first, circle))

@@ -75,7 +75,7 @@ def test_bones_are_where_they_were_put(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+def test_three_reads_bones_within_tenth_of_millimetre(tmp_path: Path) -> None:
     contents = {}
     for name in CHARACTERS:
         for ending in ("glb", "bvh", "fbx"):
@@ -102,7 +102,7 @@ def test_three_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_ufbx_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+def test_ufbx_reads_bones_within_tenth_of_millimetre(tmp_path: Path) -> None:
     contents = {}
     for name in ("default", "game_engine", "vrm 1.0", "odd", "ik"):
         # Its reader here takes the times of the first curve for those of all.
@@ -118,7 +118,7 @@ def test_ufbx_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_blender_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+def test_blender_reads_bones_within_tenth_of_millimetre(tmp_path: Path) -> None:
     files = [
         written(posed(name), tmp_path / f"{name}.{e}") for name in ("default", "odd", "ik") for e in ("glb", "fbx")
     ]
@@ -131,7 +131,7 @@ def test_blender_reads_bones_within_a_tenth_of_a_millimetre(tmp_path: Path) -> N
             np.testing.assert_allclose(found_m, expected_m[:, place], atol=1e-4, err_msg=path.name)
 
 
-def test_the_character_s_own_bytes_are_kept(tmp_path: Path) -> None:
+def test_character_s_own_bytes_are_kept(tmp_path: Path) -> None:
     content = posed("mixamo")
     file = content.motion.figure.file
     again = decode_character("a.glb", written(content, tmp_path / "a.glb").read_bytes())
@@ -151,7 +151,7 @@ def test_the_character_s_own_bytes_are_kept(tmp_path: Path) -> None:
     assert written(content, tmp_path / "b.glb").read_bytes() == (tmp_path / "a.glb").read_bytes()
 
 
-def test_the_mesh_of_fbx_is_that_of_glb(tmp_path: Path) -> None:
+def test_mesh_of_fbx_is_that_of_glb(tmp_path: Path) -> None:
     """Bodies as three.js draws them have the same area in each frame."""
     content = replace(posed("vrm 1.0"), is_present=np.ones(len(posed("vrm 1.0").frames), bool))
     paths = [written(content, tmp_path / f"a.{ending}") for ending in ("glb", "fbx")]
@@ -205,7 +205,7 @@ def test_nodes_with_matrices_move_too(tmp_path: Path) -> None:
     np.testing.assert_allclose(places_m, bone_places(content, bones, content.frames), atol=1e-4)
 
 
-def test_files_of_a_take(tmp_path: Path) -> None:
+def test_files_of_take(tmp_path: Path) -> None:
     animation = take_of("walk", "feet", 2.0)
     take = Reconstruction(ring_of(2), BODY_FEET, Timebase(0.0, 25.0, 60), (), (), animation)
     results = list(write_character_files(take, figure("default"), tmp_path, ("bvh", "trc", "fbx")))
@@ -227,7 +227,7 @@ def test_files_of_a_take(tmp_path: Path) -> None:
     assert document_of(result.path.read_bytes())["accessors"][-1]["count"] == animation.tracks[0].num_frames
 
 
-def test_a_take_without_people_has_a_description_alone(tmp_path: Path) -> None:
+def test_take_without_people_has_description_alone(tmp_path: Path) -> None:
     empty = Reconstruction(ring_of(2), BODY_FEET, Timebase(0.0, 25.0, 5), (), (), Animation((), (), None))
     assert list(write_character_files(empty, figure("default"), tmp_path)) == []
     assert json.loads((tmp_path / DESCRIPTION).read_text(encoding="utf-8"))["people"] == []

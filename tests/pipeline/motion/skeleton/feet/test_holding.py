@@ -23,7 +23,7 @@ def length_m(points_m: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(points_m[:, 0, 1, :2] - points_m[:, 0, 0, :2], axis=-1))
 
 
-def test_a_flat_foot_keeps_its_length_and_hardly_moves() -> None:
+def test_flat_foot_keeps_its_length_and_hardly_moves() -> None:
     places_m = held_parts_m(parts_m(), [contact("heel", 34, 12), contact("toe", 37, 16)], RATE_HZ)
     flat = slice(37, 46)
     np.testing.assert_allclose(length_m(places_m)[flat], length_m(parts_m())[flat], atol=1e-12)
@@ -31,7 +31,7 @@ def test_a_flat_foot_keeps_its_length_and_hardly_moves() -> None:
     assert moved_m.max() < np.ptp(parts_m()[flat, 0, :, :2], axis=0).max()
 
 
-def test_a_part_that_stands_alone_stands_still() -> None:
+def test_part_that_stands_alone_stands_still() -> None:
     places_m = held_parts_m(parts_m(), [contact("toe", 37, 16)], RATE_HZ)
     np.testing.assert_allclose(np.ptp(places_m[37:53, 0, 1, :2], axis=0), 0.0, atol=1e-12)
     assert np.isnan(places_m[:, 0, 0]).all()  # the heel is free

@@ -64,7 +64,7 @@ def test_heels_toes_and_pitch_are_accurate_in_noise(feet: Feet) -> None:
     assert np.degrees(np.abs(found - true)).mean() < 3.0
 
 
-def test_the_sole_of_a_flat_foot_is_level() -> None:
+def test_sole_of_flat_foot_is_level() -> None:
     flat = np.asarray(walk().stands.all(-1))
     for foot, side in enumerate(("Left", "Right")):
         _, world_from_foot = joint_pose(animated().motions[0], f"{side}Foot")
@@ -73,7 +73,7 @@ def test_the_sole_of_a_flat_foot_is_level() -> None:
 
 
 @pytest.mark.parametrize(("side", "part"), PARTS_OF_FEET)
-def test_heel_and_toe_stand_while_they_touch_the_floor(side: Side, part: FootPart) -> None:
+def test_heel_and_toe_stand_while_they_touch_floor(side: Side, part: FootPart) -> None:
     stands = walk().stands[:, SIDES.index(side), PARTS.index(part)]
     found = np.zeros(NUM_FRAMES, bool)
     for contact in contacts_of(animated(), side, part):
@@ -84,7 +84,7 @@ def test_heel_and_toe_stand_while_they_touch_the_floor(side: Side, part: FootPar
     assert not found[~near].any()
 
 
-def test_the_heel_lands_first_and_the_toe_leaves_last() -> None:
+def test_heel_lands_first_and_toe_leaves_last() -> None:
     heels, toes = (contacts_of(animated(), "left", part) for part in PARTS)
     for heel in heels:
         (toe,) = [one for one in toes if heel.start_frame < one.rows.stop and one.start_frame < heel.rows.stop]
@@ -95,14 +95,14 @@ def test_the_heel_lands_first_and_the_toe_leaves_last() -> None:
 
 @pytest.mark.parametrize(("side", "part"), PARTS_OF_FEET)
 @pytest.mark.parametrize("smoothing", ["fit", "butterworth"])
-def test_a_part_that_stands_does_not_slide(side: Side, part: FootPart, smoothing: Smoothing) -> None:
+def test_part_that_stands_does_not_slide(side: Side, part: FootPart, smoothing: Smoothing) -> None:
     contacts = contacts_of(animated(smoothing=smoothing), side, part)
     assert contacts
     assert np.mean([one.slide_after_m for one in contacts]) < 0.003
     assert np.mean([one.slide_before_m for one in contacts]) > 0.003
 
 
-def test_a_foot_whose_toes_are_rarely_seen_stands_as_a_whole() -> None:
+def test_foot_whose_toes_are_rarely_seen_stands_as_whole() -> None:
     true_m = walk().xyz_m.copy()
     hidden = BODY_FEET.indices(("left_heel", "left_big_toe"))
     true_m[10:, hidden] = np.nan
@@ -147,7 +147,7 @@ def found(ankles_m: np.ndarray, feet: Feet = "auto", floor: Floor | None = LEVEL
     return find_contacts(ankles_m, np.ones(ankles_m.shape[:2], bool), floor, STEPS_HZ, feet)
 
 
-def test_a_walk_s_stances_are_found_and_are_sure() -> None:
+def test_walk_s_stances_are_found_and_are_sure() -> None:
     contacts = [contact for contact in found(steps()) if contact.side == "left"]
     assert len(contacts) == 4
     for number, contact in enumerate(contacts):
@@ -157,7 +157,7 @@ def test_a_walk_s_stances_are_found_and_are_sure() -> None:
         assert contact.pinned
 
 
-def test_nothing_stands_in_the_air() -> None:
+def test_nothing_stands_in_air() -> None:
     """Feet are still at the top of a jump, and low before they land."""
     time_s = np.arange(100) / STEPS_HZ
     ankles_m = np.zeros((100, 2, 3))
@@ -170,14 +170,14 @@ def test_nothing_stands_in_the_air() -> None:
     assert len(found(ankles_m)) == 4
 
 
-def test_who_slides_all_the_time_stands_nowhere() -> None:
+def test_sliding_person_stands_nowhere() -> None:
     ankles_m = np.zeros((100, 2, 3))
     ankles_m[..., 0] = np.arange(100)[:, None] / STEPS_HZ * 0.8
     ankles_m[..., 2] = ANKLE_HEIGHT_M
     assert found(ankles_m) == ()
 
 
-def test_a_foot_that_creeps_stands_in_several_places() -> None:
+def test_foot_that_creeps_stands_in_several_places() -> None:
     ankles_m = np.zeros((200, 2, 3))
     ankles_m[:, 0, 0] = np.arange(200) / STEPS_HZ * 0.05  # 20 cm in four seconds
     ankles_m[..., 2] = ANKLE_HEIGHT_M
@@ -204,7 +204,7 @@ def test_auto_leaves_alone_what_is_not_sure() -> None:
     assert not all(contact.pinned for contact in auto)
 
 
-def test_what_nobody_saw_stands_nowhere() -> None:
+def test_unseen_feet_stand_nowhere() -> None:
     known = np.ones((200, 2), bool)
     known[:, 0] = False
     contacts = find_contacts(steps(), known, LEVEL, STEPS_HZ, "auto")
@@ -212,7 +212,7 @@ def test_what_nobody_saw_stands_nowhere() -> None:
     assert found(steps(), floor=None) == ()
 
 
-def test_the_floor_is_where_feet_rest() -> None:
+def test_floor_is_where_feet_rest() -> None:
     rng = np.random.default_rng(0)
     ankles_m = [steps() + rng.normal(0.0, 0.002, (200, 2, 3)) for _ in range(3)]
     for number, one in enumerate(ankles_m):
@@ -229,7 +229,7 @@ def test_the_floor_is_where_feet_rest() -> None:
     np.testing.assert_allclose(floor.height_m(np.array([[1.0, 1.0, 0.32]])), 0.0, atol=0.02)
 
 
-def test_one_place_says_nothing_of_a_slope() -> None:
+def test_one_place_says_nothing_of_slope() -> None:
     ankles_m = np.zeros((100, 2, 3))
     ankles_m[:, 1, 1], ankles_m[..., 2] = -0.2, ANKLE_HEIGHT_M
     ankles_m[:, 1, 2] += 0.02
@@ -248,7 +248,7 @@ def test_floor_without_feet_is_none_without_rest_lowest() -> None:
     assert floor.z_m == pytest.approx(0.0, abs=0.03)
 
 
-def test_feet_are_led_to_their_places_without_a_jump() -> None:
+def test_feet_are_led_to_their_places_without_jump() -> None:
     rng = np.random.default_rng(4)
     drift_m = np.cumsum(rng.normal(0.0, 0.003, (200, 2, 3)), axis=0) * [1.0, 1.0, 0.0]
     ankles_m = steps() + drift_m
@@ -263,7 +263,7 @@ def test_feet_are_led_to_their_places_without_a_jump() -> None:
     assert np.isnan(places_m[:, :, 0]).any()  # in mid-swing a foot is free
 
 
-def test_a_foot_comes_to_stand_over_a_fifth_of_a_second() -> None:
+def test_foot_comes_to_stand_over_fifth_of_second() -> None:
     contact = FootContact("left", 50, 20, 0.9, pinned=True, slide_before_m=0.0, slide_after_m=0.0)
     share = stance_weight([contact], "left", 100, STEPS_HZ)
     assert (share[50:70] == 1.0).all()

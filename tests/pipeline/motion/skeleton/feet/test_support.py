@@ -66,7 +66,7 @@ def walking(num_steps: int = 6) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("hanging_m", [0.3, 0.05])
-def test_a_bar_with_feet_below_it_is_no_floor(hanging_m: float) -> None:
+def test_bar_with_feet_below_it_is_no_floor(hanging_m: float) -> None:
     """Somebody stands on a bar, and then hangs from another one with the feet below the first."""
     ankles_m = np.zeros((180, 2, 3))
     ankles_m[..., 1] = [0.1, -0.1]
@@ -83,7 +83,7 @@ def test_a_bar_with_feet_below_it_is_no_floor(hanging_m: float) -> None:
 
 
 @pytest.mark.parametrize("height_m", [0.0, 0.6, -0.4])
-def test_a_walk_carries_its_floor(height_m: float) -> None:
+def test_walk_carries_its_floor(height_m: float) -> None:
     ankles_m, hips_m = walking()
     up_m = np.array([0.0, 0.0, height_m])
     support, floor, contacts = found(body(ankles_m + up_m, hips_m + up_m))
@@ -95,7 +95,7 @@ def test_a_walk_carries_its_floor(height_m: float) -> None:
 
 
 @pytest.mark.parametrize("belt_m_s", [(-0.35, 0.0), (-0.9, 0.9), (3.0, 0.0)])
-def test_a_foot_on_a_belt_has_one_contact_a_stance(belt_m_s: tuple[float, float]) -> None:
+def test_foot_on_belt_has_one_contact_stance(belt_m_s: tuple[float, float]) -> None:
     ankles_m, hips_m = walking()
     # A walk at the speed of the belt, against it.
     speed_m_s = float(np.hypot(*belt_m_s))
@@ -111,7 +111,7 @@ def test_a_foot_on_a_belt_has_one_contact_a_stance(belt_m_s: tuple[float, float]
     assert max(contact.slide_before_m for contact in contacts) < 0.03
 
 
-def test_who_slides_away_is_on_no_belt() -> None:
+def test_person_sliding_away_is_on_no_belt() -> None:
     ankles_m = np.zeros((200, 2, 3))
     ankles_m[..., 0] = np.arange(200)[:, None] / STEPS_HZ * 0.5
     ankles_m[..., 2] = 0.065
@@ -153,7 +153,7 @@ def test_people_who_hang_still_do_not_stand() -> None:
     assert contacts == ()
 
 
-def test_people_who_only_lie_have_the_floor_of_the_world() -> None:
+def test_people_who_only_lie_have_floor_of_world() -> None:
     lying_m = dict.fromkeys(HEIGHTS_M, 0.05)
     still_m = np.full((200, 2, 3), 0.06)
     assert found(body(still_m, heights_m=lying_m))[1] == Floor(0.0, 0.0, 0.0)

@@ -44,7 +44,7 @@ def fitted(
 
 
 @pytest.mark.parametrize(("name", "num_cameras"), CASES)
-def test_the_fit_of_acrobats_is_better_than_its_input(name: str, num_cameras: int) -> None:
+def test_fit_of_acrobats_is_better_than_its_input(name: str, num_cameras: int) -> None:
     truth_m, track, animation = fitted(name, num_cameras)
     raw_m, fit_m = (
         np.linalg.norm(positions_m[:, BODY] - truth_m[:, BODY], axis=-1)

@@ -39,7 +39,7 @@ def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> JointPose
 
 
 @pytest.mark.parametrize("joints", [COCO_17, BODY_25])
-def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
+def test_jacobian_is_what_differences_say(joints: JointSet) -> None:
     skeleton = skeleton_of(joints)
     bodies = anybody(skeleton, 2)
     posed = articulated.Posed(bodies, skeleton)
@@ -57,7 +57,7 @@ def test_the_jacobian_is_what_differences_say(joints: JointSet) -> None:
             np.testing.assert_allclose(difference[:, landmark], said, atol=1e-5)
 
 
-def test_the_gradient_of_the_twist_is_what_differences_say() -> None:
+def test_gradient_of_twist_is_what_differences_say() -> None:
     bone = np.array([0.0, 0.0, -1.0])
     rotation = Rotation.random(50, random_state=1)
     angle_rad, gradient = articulated._twist(rotation.as_quat(), bone)
@@ -78,7 +78,7 @@ class ObservedLandmarks:
         return np.broadcast_to(1e4 * np.eye(3), (*landmark_m.shape, 3)), 1e4 * (self._place_m - landmark_m)
 
 
-def test_a_pose_is_found_again_from_one_near_by() -> None:
+def test_pose_is_found_again_from_one_near_by() -> None:
     skeleton = skeleton_of(BODY_25)
     truth = anybody(skeleton, 5)
     place_m = landmark_positions(truth, skeleton)
@@ -94,7 +94,7 @@ def test_a_pose_is_found_again_from_one_near_by() -> None:
 @pytest.mark.parametrize(
     ("upper", "lower", "end"), [("LeftUpLeg", "LeftLeg", "LeftFoot"), ("RightArm", "RightForeArm", "RightHand")]
 )
-def test_a_hinge_that_is_pulled_backwards_stays_nearly_straight(upper: str, lower: str, end: str) -> None:
+def test_hinge_that_is_pulled_backwards_stays_nearly_straight(upper: str, lower: str, end: str) -> None:
     """Observed shin bent ahead of the knee, and forearm bent behind the elbow."""
     skeleton = skeleton_of(COCO_17)
     rest = np.tile([0.0, 0.0, 0.0, 1.0], (4, len(SKELETON), 1))
@@ -109,7 +109,7 @@ def test_a_hinge_that_is_pulled_backwards_stays_nearly_straight(upper: str, lowe
     np.testing.assert_allclose(bend, bodies.angle_rad[:, hinge], atol=1e-9)
 
 
-def test_a_landmark_moves_with_what_is_above_it_only() -> None:
+def test_landmark_moves_with_what_is_above_it_only() -> None:
     skeleton = skeleton_of(COCO_17)
     ankle = COCO_17.names.index("left_ankle")
     columns = skeleton.moved_by[ankle, : skeleton.num_moved_by[ankle]]

@@ -78,7 +78,7 @@ def test_people_tremble_less_and_their_bones_keep_their_length() -> None:
     assert after["recall"] == before["recall"]
 
 
-def test_what_is_seen_exactly_stays_where_it_is() -> None:
+def test_exact_points_stay_in_place() -> None:
     """Punches, jumps and swings included."""
     simulation = record(replace(find_scene("room"), duration_s=6.0, detector=PERFECT), seed=4)
     error_m, _ = errors_m(fitted(simulation, track_people(simulation)), simulation)
@@ -101,7 +101,7 @@ def one_knee(ring: tuple[Camera, ...], num_frames: int) -> tuple[Track3D, Observ
     return track, Observations(1, points_px, score), true_m
 
 
-def test_a_wrong_view_does_not_pull(ring: tuple[Camera, ...]) -> None:
+def test_wrong_view_does_not_pull(ring: tuple[Camera, ...]) -> None:
     track, seen, true_m = one_knee(ring, 50)
     points_px = np.array(seen.points_px)
     points_px[:, 2, KNEE] += 60.0
@@ -110,7 +110,7 @@ def test_a_wrong_view_does_not_pull(ring: tuple[Camera, ...]) -> None:
     assert np.isnan(np.delete(found.xyz_m, KNEE, axis=1)).all()  # what was never located stays unknown
 
 
-def test_a_gap_is_predicted_and_marked_and_a_long_one_stays_open(ring: tuple[Camera, ...]) -> None:
+def test_gap_is_predicted_and_marked_and_long_one_stays_open(ring: tuple[Camera, ...]) -> None:
     track, seen, true_m = one_knee(ring, 120)
     xyz_m, source, points_px, score = (np.array(a) for a in (track.xyz_m, track.source, seen.points_px, seen.score))
     for gap in (slice(20, 30), slice(60, 100)):
@@ -146,9 +146,7 @@ def test_short_tracks(ring: tuple[Camera, ...], num_frames: int) -> None:
     np.testing.assert_allclose(found.error_px[:, KNEE], 0.0, atol=1.0)
 
 
-def test_a_view_that_takes_left_for_right_is_put_right(
-    ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_that_takes_left_for_right_is_put_right(ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """With two cameras no majority outvotes the wrong camera."""
     simulation = record(replace(find_scene("room"), duration_s=2.0, detector=PERFECT), seed=6)
     true_m, cameras = simulation.truth_m[0], ring[:2]

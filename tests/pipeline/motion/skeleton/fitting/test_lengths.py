@@ -40,7 +40,7 @@ def curling(most_deg: float) -> tuple[Float[np.ndarray, "frames 17 3"], float]:
     return acrobat_joints_at(acrobat, time_s, BODY_FEET)[:, :17], acrobat.body.proportions.trunk_m
 
 
-def test_trunk_curled_most_of_the_time_is_not_too_short() -> None:
+def test_trunk_curled_most_of_time_is_not_too_short() -> None:
     truth_m, trunk_m = curling(85.0)
     track, _, lengths_m = fit_of(truth_m)
     medians_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, COCO_17))
@@ -65,7 +65,7 @@ def test_limbs_of_different_lengths_keep_them() -> None:
 
 
 @pytest.mark.parametrize(("side", "nearer"), [("left", 0.5), ("right", 0.65)])
-def test_forearm_hidden_most_of_the_time_is_whole_where_seen(side: str, nearer: float) -> None:
+def test_forearm_hidden_most_of_time_is_whole_where_seen(side: str, nearer: float) -> None:
     """In four of five frames two cameras alone mark a wrist, at the edge of the thing that hides the hand."""
     truth_m, _ = curling(10.0)
     elbow, wrist = COCO_17.indices((f"{side}_elbow", f"{side}_wrist"))

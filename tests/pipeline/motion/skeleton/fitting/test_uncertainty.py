@@ -74,7 +74,7 @@ def test_errors_are_as_large_as_stated(scene: str, num_views: int | None) -> Non
     assert error_m[doubtful].mean() > 1.15 * error_m[certain].mean()
 
 
-def test_every_position_has_an_uncertainty_and_nothing_else() -> None:
+def test_every_position_has_uncertainty_and_nothing_else() -> None:
     for track in animated("noisy").tracks:
         assert track.uncertainty_m is not None
         np.testing.assert_array_equal(np.isfinite(track.uncertainty_m), np.isfinite(track.xyz_m[..., 0]))
@@ -118,7 +118,7 @@ class Even:
         return np.asarray(self._per_m2[:, None, None, None] * np.broadcast_to(np.eye(3), (*landmark_m.shape, 3)))
 
 
-def test_one_frame_has_the_covariance_of_its_normal_equations() -> None:
+def test_one_frame_has_covariance_of_its_normal_equations() -> None:
     bodies, skeleton = t_pose(1)
     jacobian = Posed(bodies, skeleton).jacobian()[0]
     moving = np.zeros((len(skeleton.landmark), 3, skeleton.num_freedoms))

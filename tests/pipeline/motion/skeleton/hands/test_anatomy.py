@@ -46,7 +46,7 @@ def test_angles_are_recovered_from_positions(side: Side, shares: list[float]) ->
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_fingers_bend_to_the_palm_and_thumbs_to_the_fingers(side: Side) -> None:
+def test_fingers_bend_to_palm_and_thumbs_to_fingers(side: Side) -> None:
     straight, bent = np.zeros((1, NUM_HINGES)), np.zeros((1, NUM_HINGES))
     bent[:, [2, 6, 10, 14, 18]] = np.radians(60.0)
     names = ("wrist", *finger_joints(side))
@@ -62,7 +62,7 @@ def test_fingers_bend_to_the_palm_and_thumbs_to_the_fingers(side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_a_positive_spread_goes_to_the_thumb_s_side(side: Side) -> None:
+def test_positive_spread_goes_to_thumb_s_side(side: Side) -> None:
     spread = np.zeros((1, NUM_HINGES))
     spread[:, HINGES::HINGES] = np.radians(15.0)
     moved_m = posed_m(side, spread)[0] - posed_m(side, np.zeros((1, NUM_HINGES)))[0]
@@ -70,7 +70,7 @@ def test_a_positive_spread_goes_to_the_thumb_s_side(side: Side) -> None:
     assert (moved_m[tips, 1] < -0.01).all()
 
 
-def test_the_whole_skeleton_and_the_articulation_of_hands_agree() -> None:
+def test_whole_skeleton_and_articulation_of_hands_agree() -> None:
     motion = gesturing(10)
     true_m = landmarks_of_person(motion)
     skeleton_m = forward_kinematics(motion)
@@ -83,14 +83,14 @@ def test_the_whole_skeleton_and_the_articulation_of_hands_agree() -> None:
     assert np.isfinite(true_m).all()
 
 
-def test_the_natural_pose_is_slightly_bent_and_within_the_limits() -> None:
+def test_natural_pose_is_slightly_bent_and_within_limits() -> None:
     natural = natural_rad()
     assert ((natural >= LIMITS_RAD[:, 0]) & (natural <= LIMITS_RAD[:, 1])).all()
     assert (natural.reshape(-1, HINGES)[1:, 2] > np.radians(10.0)).all()
     assert natural.max() < np.radians(45.0)
 
 
-def test_rotations_of_joints_are_those_of_the_hinges() -> None:
+def test_rotations_of_joints_are_those_of_hinges() -> None:
     angle_rad = np.tile(natural_rad() + 0.1, (2, 1))
     numbers, rotations = joint_rotations("right", angle_rad)
     rest = np.tile(np.eye(3), (2, 1, 1))

@@ -35,7 +35,7 @@ def test_hand_with_few_joints_or_no_knuckles_is_unseen() -> None:
     np.testing.assert_array_equal(seen(fingers_m), expected)
 
 
-def test_a_hand_far_from_its_wrist_is_another_s() -> None:
+def test_hand_far_from_its_wrist_is_another_s() -> None:
     wrist_m, fingers_m = located()
     wrist_m[30:60] += [0.3, 0.0, 0.0]
     is_seen = seen(fingers_m, wrist_m)
@@ -43,7 +43,7 @@ def test_a_hand_far_from_its_wrist_is_another_s() -> None:
     assert is_seen[:30].all()
 
 
-def test_a_glimpse_is_not_enough() -> None:
+def test_glimpse_is_not_enough() -> None:
     _, fingers_m = located()
     fingers_m[20:40], fingers_m[42:60] = np.nan, np.nan
     assert not seen(fingers_m)[20:60].any()
@@ -71,7 +71,7 @@ def test_start_of_hand_is_known_pose_and_natural_elsewhere() -> None:
     assert np.degrees(step_rad.max()) < 15.0
 
 
-def test_a_hand_that_was_never_seen_is_natural() -> None:
+def test_hand_that_was_never_seen_is_natural() -> None:
     points_m = np.full((5, 21, 3), np.nan)
     never = np.zeros(5, bool)
     pose = start_pose("right", Rotation.identity(5), points_m, never, gesturing(1).bone_length_m, RATE_HZ)

@@ -105,7 +105,7 @@ def test_no_finger_bends_backwards(side: Side) -> None:
     assert aside_rad.max() < _TOLERANCE_RAD
 
 
-def test_fingers_are_where_the_skeleton_has_them() -> None:
+def test_fingers_are_where_skeleton_has_them() -> None:
     (track,), (motion,) = noisy().tracks, noisy().motions
     assert motion.parent_from_joint.shape[1] == len(WHOLE_SKELETON)
     posed_m = forward_kinematics(motion)
@@ -116,7 +116,7 @@ def test_fingers_are_where_the_skeleton_has_them() -> None:
             )
 
 
-def test_a_hand_that_nobody_saw_rests_in_the_natural_pose() -> None:
+def test_hand_that_nobody_saw_rests_in_natural_pose() -> None:
     animation = animate_whole(hidden(left=slice(None)))
     (track,), (motion,) = animation.tracks, animation.motions
     assert (track.source[:, FINGERS_OF["left"]] == Source.PREDICTED).all()
@@ -129,13 +129,13 @@ def test_a_hand_that_nobody_saw_rests_in_the_natural_pose() -> None:
     np.testing.assert_array_equal(motion.parent_from_joint[:, INDEX["LeftHand"]], [[0.0, 0.0, 0.0, 1.0]] * NUM_FRAMES)
 
 
-def test_a_hand_seen_by_one_camera_only_is_predicted() -> None:
+def test_hand_seen_by_one_camera_only_is_predicted() -> None:
     unseen = hidden(left=slice(None))
     unseen[:, 0] = False
     assert (animate_whole(unseen).tracks[0].source[:, FINGERS_OF["left"]] == Source.PREDICTED).all()
 
 
-def test_a_long_gap_passes_to_the_natural_pose_and_back_smoothly() -> None:
+def test_long_gap_passes_to_natural_pose_and_back_smoothly() -> None:
     gap = slice(40, 90)
     animation = animate_whole(hidden(left=gap), noise_px=0.5)
     (track,), (motion,) = animation.tracks, animation.motions
@@ -153,7 +153,7 @@ def test_a_long_gap_passes_to_the_natural_pose_and_back_smoothly() -> None:
     assert np.isnan(np.asarray(track.uncertainty_m)[gap][:, FINGERS_OF["left"]]).all()
 
 
-def test_hands_that_no_camera_saw_are_the_same_for_everybody() -> None:
+def test_hands_that_no_camera_saw_are_same_for_everybody() -> None:
     """The joint set has fingers, but no observation of them exists."""
     animation = animate_whole(hidden(left=slice(None), right=slice(None)))
     (motion,) = animation.motions
@@ -163,7 +163,7 @@ def test_hands_that_no_camera_saw_are_the_same_for_everybody() -> None:
     np.testing.assert_allclose(shares[len(SKELETON) :], usual[len(SKELETON) :])
 
 
-def test_the_body_is_the_same_with_and_without_fingers() -> None:
+def test_body_is_same_with_and_without_fingers() -> None:
     cameras = ring_of(6)
     track, seen = observe(cameras, landmarks_of(gesturing(60)), 2.0)
     body = [WHOLE_BODY.index(name) for name in BODY_FEET.names]
@@ -180,7 +180,7 @@ def test_the_body_is_the_same_with_and_without_fingers() -> None:
     assert without.motions[0].parent_from_joint.shape[1] == len(SKELETON)
 
 
-def test_the_order_of_joints_is_that_of_the_set() -> None:
+def test_order_of_joints_is_that_of_set() -> None:
     cameras = ring_of(6)
     names = tuple(sorted(WHOLE_BODY.names))
     joints = JointSet(names, ())
@@ -259,7 +259,7 @@ def test_noise_does_not_lengthen_bones() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.85, 1.2])
-def test_a_hand_that_is_seen_gives_the_lengths_of_both(scale: float) -> None:
+def test_hand_that_is_seen_gives_lengths_of_both(scale: float) -> None:
     found_m = lengths_m(landmarks_of(gesturing(PROPORTIONS_FRAMES, scale)), right=False)[FINGERS]
     np.testing.assert_allclose(found_m, gesturing(PROPORTIONS_FRAMES, scale).bone_length_m[FINGERS], rtol=0.03)
     np.testing.assert_array_equal(found_m[:20], found_m[20:])
@@ -273,7 +273,7 @@ def test_unseen_hands_have_adult_proportions_of_forearm() -> None:
     np.testing.assert_array_equal(found_m[BODY], gesturing(PROPORTIONS_FRAMES).bone_length_m[BODY])
 
 
-def test_a_finger_that_was_never_seen_has_the_size_of_the_hand() -> None:
+def test_finger_that_was_never_seen_has_size_of_hand() -> None:
     true_m = landmarks_of(gesturing(PROPORTIONS_FRAMES, 1.2))
     pinkies = [WHOLE_BODY.index(name) for side in SIDES for name in finger_joints(side) if "pinky" in name]
     true_m[:, pinkies] = np.nan
@@ -282,7 +282,7 @@ def test_a_finger_that_was_never_seen_has_the_size_of_the_hand() -> None:
     )
 
 
-def test_an_implausible_bone_stays_near_proportions() -> None:
+def test_implausible_bone_stays_near_proportions() -> None:
     true_m = landmarks_of(gesturing(PROPORTIONS_FRAMES))
     tips = WHOLE_BODY.indices(("left_index_tip", "right_index_tip"))
     true_m[:, tips] += [0.0, 0.0, 0.3]

@@ -24,14 +24,14 @@ def test_jitter_of_arrival_moves_no_frame() -> None:
     assert np.std(arrived_s - taken_s) > 0.015
 
 
-def test_a_stream_that_counts_anew_is_followed() -> None:
+def test_stream_that_counts_anew_is_followed() -> None:
     clock = StreamClock()
     assert clock.arrive(5.0, 50.0) == 0.0
     assert clock.arrive(9000.0, 50.04) == 0.0
     assert clock.capture_s(9000.0) == pytest.approx(50.04)
 
 
-def test_a_frame_that_was_decoded_too_late_is_known() -> None:
+def test_frame_that_was_decoded_too_late_is_known() -> None:
     clock = StreamClock()
     clock.arrive(0.0, 10.0)
     assert 1.9 < clock.arrive(1.0, 13.0) <= 2.0
@@ -46,12 +46,12 @@ def left_out(arrivals: list[tuple[float, float]]) -> list[bool]:
     return [late.leaves_out(clock, stamp, now, number % 10 == 0) for number, (stamp, now) in enumerate(arrivals)]
 
 
-def test_a_decoder_that_is_behind_goes_on_at_a_keyframe() -> None:
+def test_decoder_that_is_behind_goes_on_at_keyframe() -> None:
     """From frame 25 on the machine is 2 s behind; without decoding it reads what has waited at once."""
     arrivals = [(0.1 * k, 0.1 * k if k < 25 else max(0.1 * k, 4.5 + 0.001 * k)) for k in range(80)]
     assert [number for number, is_out in enumerate(left_out(arrivals)) if is_out] == list(range(25, 40))
 
 
-def test_times_that_jump_back_lose_frames_to_a_keyframe() -> None:
+def test_times_that_jump_back_lose_frames_to_keyframe() -> None:
     arrivals = [(0.1 * k if k < 25 else 0.1 * k - 3.0, 0.1 * k) for k in range(80)]
     assert [number for number, is_out in enumerate(left_out(arrivals)) if is_out] == list(range(25, 30))

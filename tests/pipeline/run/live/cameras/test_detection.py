@@ -29,7 +29,7 @@ def fail() -> None:
     raise ValueError("wrong picture")
 
 
-def test_what_a_killed_process_was_to_compute_is_computed_again(tmp_path: Path) -> None:
+def test_work_of_killed_process_is_done_again(tmp_path: Path) -> None:
     told: list[str] = []
     with DetectorPool(partial(ProcessPool, 2), told.append) as pool:
         futures = [pool.submit(abs, -number) for number in range(3)]
@@ -44,7 +44,7 @@ def test_what_a_killed_process_was_to_compute_is_computed_again(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_processes_that_die_again_and_again_are_an_error() -> None:
+def test_processes_that_die_again_and_again_are_error() -> None:
     told: list[str] = []
     with DetectorPool(partial(ProcessPool, 1), told.append) as pool:
         with pytest.raises(BrokenProcessPool):

@@ -75,7 +75,7 @@ def shown(event: FeedEvent) -> np.ndarray:
     return np.array(np.memmap(event.pictures.path, np.uint8, "r", shape=event.pictures.shape)[event.slot])
 
 
-def test_rtsp_has_the_camera_s_times(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rtsp_has_camera_s_times(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that arrive up to 35 ms late are as far apart as the camera took them; a lost camera comes back."""
     monkeypatch.setattr(feeds, "_FIRST_PAUSE_S", 0.05)
     camera = rtsp_camera(encoded_pictures(10), 25.0, [0.0, 0.03, 0.0, 0.02, 0.035])
@@ -123,7 +123,7 @@ def test_mpeg_ts_over_http(tmp_path: Path) -> None:
         assert seen[0].format.shown_size_px == SIZE_PX
 
 
-def test_a_file_is_played_at_its_own_pace(tmp_path: Path) -> None:
+def test_file_is_played_at_its_own_pace(tmp_path: Path) -> None:
     clip = write_video(tmp_path / "clip.mp4", 12, SIZE_PX)
     with feeding("file", str(clip)) as (feed, events):
         until(events, FeedOpened)
@@ -140,7 +140,7 @@ def test_a_file_is_played_at_its_own_pace(tmp_path: Path) -> None:
         assert np.abs(shown(until(events, PictureReady)[-1]) - picture(11, SIZE_PX).astype(float)).mean() < 3.0
 
 
-def test_a_file_s_rate_is_that_of_its_frames(tmp_path: Path) -> None:
+def test_file_s_rate_is_that_of_its_frames(tmp_path: Path) -> None:
     """The header says 60 Hz; the frames are 80 ms apart."""
     clip = write_video(tmp_path / "clip.mkv", 20, SIZE_PX, stamps=range(0, 1600, 80), rate_hz=60)
     with feeding("file", str(clip)) as (_, events):
@@ -184,7 +184,7 @@ def endless(connection: socket.socket) -> None:
         pytest.param("rtsp", endless, {STREAM_SILENT, STREAM_REFUSED, VIDEO_UNREADABLE}, marks=pytest.mark.slow),
     ],
 )
-def test_what_is_no_camera_ends_with_a_problem(
+def test_no_camera_ends_with_problem(
     kind: str, answer: Callable[[socket.socket], None], codes: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(feeds, "_OPEN_S", 2.0)
@@ -197,7 +197,7 @@ def test_what_is_no_camera_ends_with_a_problem(
         assert event.problem.hint
 
 
-def test_what_is_no_video_device_is_refused_by_its_driver() -> None:
+def test_no_video_device_is_refused_by_driver() -> None:
     with feeding("device", "/dev/null") as (_, events):
         event = next(events)
         assert isinstance(event, FeedEnded)
@@ -223,7 +223,7 @@ def test_tries_are_further_and_further_apart(monkeypatch: pytest.MonkeyPatch) ->
     assert second_s >= 0.4
 
 
-def test_a_file_without_pictures(tmp_path: Path) -> None:
+def test_file_without_pictures(tmp_path: Path) -> None:
     sound = write_audio(tmp_path / "sound.mp4")
     with feeding("file", str(sound)) as (_, events):
         (event,) = until(events, FeedEnded)
@@ -233,7 +233,7 @@ def test_a_file_without_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["http", "rtsp"])
-def test_a_camera_leads_to_no_other_address(kind: str) -> None:
+def test_camera_leads_to_no_other_address(kind: str) -> None:
     reached: list[bytes] = []
 
     def elsewhere(connection: socket.socket) -> None:
@@ -258,7 +258,7 @@ def test_a_camera_leads_to_no_other_address(kind: str) -> None:
     assert reached == []
 
 
-def test_a_machine_without_room_for_a_process_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machine_without_room_for_process_is_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(request: object) -> None:
         raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 

@@ -44,7 +44,7 @@ def test_offsets_make_late_cameras_agree(room: Simulation, frames: list[Detected
     assert search.moved(frames[0]).time_s == frames[0].time_s + search.offsets_s[frames[0].camera]
 
 
-def test_a_camera_without_pictures_and_still_people_are_refused(room: Simulation, frames: list[DetectedFrame]) -> None:
+def test_camera_without_pictures_and_still_people_are_refused(room: Simulation, frames: list[DetectedFrame]) -> None:
     with pytest.raises(InputError, match="Too few pictures") as error:
         find_offsets(room.cameras, [frame for frame in frames if frame.camera != 1], room.joints)
     assert [problem.camera for problem in error.value.problems] == ["cam_01"]

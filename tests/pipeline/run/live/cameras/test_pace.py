@@ -32,7 +32,7 @@ def test_frames_of_one_instant_are_taken_together() -> None:
     assert len(taken[0]) == 100
 
 
-def test_an_overload_is_shared_evenly() -> None:
+def test_overload_is_shared_evenly() -> None:
     """Half of what is wanted can be detected."""
     taken = played(1, 0.04)
     counts = [len(times) for times in taken.values()]
@@ -41,7 +41,7 @@ def test_an_overload_is_shared_evenly() -> None:
     assert set(gaps) <= {1, 2, 3}
 
 
-def test_frames_that_a_machine_can_detect() -> None:
+def test_frames_that_machine_can_detect() -> None:
     assert frames_in_slot(25.0, 4, 100.0) == 1
     assert frames_in_slot(25.0, 4, 99.0) == 2
     assert frames_in_slot(60.0, 4, 1.0) == 12

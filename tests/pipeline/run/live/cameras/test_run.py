@@ -169,7 +169,7 @@ def test_too_many_frames_are_dropped_evenly(
 
 
 @pytest.mark.parametrize("stop_s", [0.05, pytest.param(1.5, marks=pytest.mark.slow)])
-def test_a_capture_is_stopped(
+def test_capture_is_stopped(
     room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch, stop_s: float
 ) -> None:
     started_s = time.monotonic()
@@ -201,7 +201,7 @@ def test_all_cameras_that_are_wrong_are_named(
     ]
 
 
-def test_offsets_of_the_beginning_move_all_frames(
+def test_offsets_of_beginning_move_all_frames(
     room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(offsets, "find_offsets", lambda cameras, frames, joints: [0.0, 0.25, -0.1])
@@ -214,7 +214,7 @@ def test_offsets_of_the_beginning_move_all_frames(
     assert min(instant.time_s for instant in seen.instants) > 0.4
 
 
-def test_a_capture_that_ends_before_its_offsets_says_so(
+def test_capture_that_ends_before_its_offsets_says_so(
     room: Simulation, clips: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen, totals = play(room, clips, monkeypatch, detection_s=0.001, sync_s=9.0)
@@ -222,7 +222,7 @@ def test_a_capture_that_ends_before_its_offsets_says_so(
     assert "before the offsets were found" in seen.sentences[-1]
 
 
-def test_frames_from_before_the_start_are_not_counted(room: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_from_before_start_are_not_counted(room: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Streams send while the machine is measured."""
     monkeypatch.setattr(runs, "verify", lambda name: None)
     sources = [CameraSource(camera.name, "rtsp", "rtsp://127.0.0.1/") for camera in room.cameras]

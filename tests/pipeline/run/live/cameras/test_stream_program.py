@@ -33,7 +33,7 @@ class StampedPacket:
 
 
 @of_wrong_types
-def test_a_frame_from_before_a_jump_is_not_waited_for() -> None:
+def test_frame_from_before_jump_is_not_waited_for() -> None:
     """The camera counts anew from 0; the last frame from before would be due in a day."""
     stamps = [86_400_000, 86_400_040, 0, 40, 80]
 

@@ -74,7 +74,7 @@ def problems_of(folder: Path, keypoints: Path | None = None) -> list[dict[str, A
     return problems
 
 
-def test_annotations_are_read_in_the_world_of_the_room(simulation: Simulation, folder: Path) -> None:
+def test_annotations_are_read_in_world_of_room(simulation: Simulation, folder: Path) -> None:
     benchmark = load_mvor(folder)
     assert len(benchmark.instants) == len(FRAMES)
     truth_m = annotated_m(simulation, FRAMES)
@@ -86,7 +86,7 @@ def test_annotations_are_read_in_the_world_of_the_room(simulation: Simulation, f
             np.testing.assert_allclose(project(camera, instant.truth_m), picture.joints_px, atol=1e-6)
 
 
-def test_joints_without_a_place_are_unknown(document: dict[str, Any], tmp_path: Path) -> None:
+def test_joints_without_place_are_unknown(document: dict[str, Any], tmp_path: Path) -> None:
     document["annotations3D"][0]["keypoints3D"][4 * 8 + 2] = 0.0
     document["annotations"][0]["keypoints"][3 * 8 : 3 * 8 + 3] = [0.0, 0.0, 0]
     instant = load_mvor(write_mvor(tmp_path, document)).instants[0]
@@ -131,7 +131,7 @@ def test_false_people_are_in_no_box(simulation: Simulation, document: dict[str, 
     assert score_mvor(poses, benchmark, detections)["false_people"] == pytest.approx(0.25)
 
 
-def test_people_are_told_by_the_number_of_their_cameras(
+def test_people_are_told_by_number_of_their_cameras(
     simulation: Simulation, document: dict[str, Any], folder: Path
 ) -> None:
     benchmark = load_mvor(folder)
@@ -211,7 +211,7 @@ def test_keypoints_are_reconstructed_and_scored(
     assert "number of cameras" in table.output
 
 
-def test_a_missing_file_and_missing_pictures_are_named(document: dict[str, Any], tmp_path: Path) -> None:
+def test_missing_file_and_missing_pictures_are_named(document: dict[str, Any], tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path)
     assert (problem["code"], problem["file"]) == ("dataset_incomplete", "camma_mvor_2018.json")
     write_mvor(tmp_path, document)
@@ -283,7 +283,7 @@ def test_pictures_are_found_by_day(folder: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_said_at_its_place(
+def test_fault_is_reported_at_its_place(
     document: dict[str, Any], tmp_path: Path, change: Callable[[dict[str, Any]], None], fields: list[str]
 ) -> None:
     change(document)
@@ -334,7 +334,7 @@ def test_faults_of_keypoints(simulation: Simulation, document: dict[str, Any], f
     assert problem["message"] == "The file is not a list of people."
 
 
-def test_keypoints_of_a_stranger(simulation: Simulation, document: dict[str, Any], folder: Path) -> None:
+def test_keypoints_of_stranger(simulation: Simulation, document: dict[str, Any], folder: Path) -> None:
     people = mvor_keypoints(simulation, document, FRAMES)
     people[1]["coco_keypoints"][:3] = [1e200, -1e200, 0.9]
     people[2]["score"] = float("inf")

@@ -98,7 +98,7 @@ def test_shifted_tracks(simulation: Simulation, written: Path) -> None:
     assert scores["mpjpe_mm"] == pytest.approx(60.0, abs=1e-2)
 
 
-def test_frames_outside_of_the_tracks_do_not_count(simulation: Simulation, written: Path) -> None:
+def test_frames_outside_of_tracks_do_not_count(simulation: Simulation, written: Path) -> None:
     sequence = load_panoptic(written, CHOSEN, every=10, has_footage=False)
     rate_hz = simulation.timebase.frame_rate_hz
     cut = Timebase(simulation.timebase.time_s(20), rate_hz, 15)

@@ -84,7 +84,7 @@ def test_planted_points_stay_in_place(name: str) -> None:
         assert len(point_m) == 0 or np.ptp(point_m, axis=0).max() < 0.01
 
 
-def test_poses_are_those_of_the_motions() -> None:
+def test_poses_are_those_of_motions() -> None:
     up = np.array([0.0, 0.0, 1.0])
 
     def trunk(name: str) -> Float[np.ndarray, "times 3"]:
@@ -108,7 +108,7 @@ def test_poses_are_those_of_the_motions() -> None:
     assert np.ptp(pulling[:, BODY_FEET.index("left_wrist")], axis=0).max() < 0.01
 
 
-def test_the_two_who_grapple_are_close() -> None:
+def test_two_who_grapple_are_close() -> None:
     apart_m = np.linalg.norm(joints_m("grappling")[:, :, None] - joints_m("grappling", 1)[:, None], axis=-1)
     assert np.median(apart_m.min((1, 2))) < 0.2
     assert apart_m.min() > 0.005

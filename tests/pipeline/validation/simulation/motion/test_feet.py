@@ -34,7 +34,7 @@ def pitch_deg(points_m: np.ndarray) -> np.ndarray:
     to_m=st.tuples(st.floats(-3, 3), st.floats(-3, 3)).filter(lambda place: np.hypot(*place) > 0.5),
     speed=st.floats(0.8, 3.5),
 )
-def test_feet_are_rigid_and_never_below_the_floor(
+def test_feet_are_rigid_and_never_below_floor(
     gesture: Gesture, seed: int, to_m: tuple[float, float], speed: float
 ) -> None:
     person = act(Stay(2.0, gesture), Walk(to_m, speed), Turn(2.0), duration_s=6.0, seed=seed)
@@ -60,7 +60,7 @@ def test_standing_feet_are_level_and_turned_outwards() -> None:
     assert 0.19 < np.linalg.norm(ahead_m[0]) < 0.28
 
 
-def test_walking_feet_roll_from_the_heel_to_the_toes() -> None:
+def test_walking_feet_roll_from_heel_to_toes() -> None:
     points_m = joints_m(act(Walk((5.0, 0.0))))
     pitch = pitch_deg(points_m)
     heel_down, toe_down = (points_m[:, joints, 2] < 1e-4 for joints in (HEELS, TOES))
@@ -79,7 +79,7 @@ def test_walking_feet_roll_from_the_heel_to_the_toes() -> None:
 
 
 @pytest.mark.parametrize("joints", [HEELS, TOES])
-def test_the_point_on_which_a_foot_rolls_stays_in_place(joints: list[int]) -> None:
+def test_point_on_which_foot_rolls_stays_in_place(joints: list[int]) -> None:
     points_m = joints_m(act(Walk((5.0, 0.0))))[:, joints]
     down = points_m[..., 2] < 1e-5
     speed_m_s = np.linalg.norm(np.diff(points_m[..., :2], axis=0), axis=-1) * RATE_HZ
@@ -89,7 +89,7 @@ def test_the_point_on_which_a_foot_rolls_stays_in_place(joints: list[int]) -> No
     assert inside.any(0).all()
 
 
-def test_feet_do_not_change_the_rest_of_the_body() -> None:
+def test_feet_do_not_change_rest_of_body() -> None:
     role = Role((0.0, 0.0), 0.0, (Walk((3.0, 1.0)), Stay(3.0, Gesture.JUMP)))
     time_s = np.arange(0.0, 6.0, 0.05)
     plain, rolling = (
@@ -99,7 +99,7 @@ def test_feet_do_not_change_the_rest_of_the_body() -> None:
     assert 0.03 < np.abs(rolling[:, ANKLES] - plain[:, ANKLES]).max() < 0.12
 
 
-def test_toes_hang_in_the_air_of_a_jump() -> None:
+def test_toes_hang_in_air_of_jump() -> None:
     points_m = joints_m(act(Stay(4.0, Gesture.JUMP)))
     toes_m = points_m[:, TOES, 2]
     assert 0.12 < toes_m.max() < 0.4

@@ -57,7 +57,7 @@ def test_angles_are_within_their_limits_and_change_smoothly(gestures: list[Gestu
     assert np.abs(np.diff(angles, axis=0)).max() * 200.0 < np.radians(900.0)
 
 
-def test_hands_rest_without_a_gesture_and_between_postures() -> None:
+def test_hands_rest_without_gesture_and_between_postures() -> None:
     walking = finger_motion([Walk((3.0, 0.0))], [slice(0, 600)], 600, np.random.default_rng(2))
     assert np.abs(walking - REST).max() < np.radians(10.0)
     showing = finger_motion([Stay(10.0, Gesture.HANDS)], [slice(0, 2000)], 2000, np.random.default_rng(2))
@@ -67,7 +67,7 @@ def test_hands_rest_without_a_gesture_and_between_postures() -> None:
     assert 0.1 < (from_rest < np.radians(12.0)).mean() < 0.7
 
 
-def test_a_straight_hand_is_flat_with_its_thumb_up() -> None:
+def test_straight_hand_is_flat_with_its_thumb_up() -> None:
     joints = hanging()
     for side, sign in (("left", 1.0), ("right", -1.0)):
         wrist_m = np.array([0.25, sign * 0.2, 0.0])
@@ -79,7 +79,7 @@ def test_a_straight_hand_is_flat_with_its_thumb_up() -> None:
         assert abs(middle_m[1]) < 0.01
 
 
-def test_fingers_bend_into_the_palm() -> None:
+def test_fingers_bend_into_palm() -> None:
     straight, bent = hanging(), hanging(index_pip=90.0, thumb_ip=60.0)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         moved_m = bent[f"{side}_index_tip"] - straight[f"{side}_index_tip"]
@@ -92,7 +92,7 @@ def test_fingers_bend_into_the_palm() -> None:
         assert sign * moved_m[1] < 0.0
 
 
-def test_pronation_turns_the_palm_down_and_the_thumb_inwards() -> None:
+def test_pronation_turns_palm_down_and_thumb_inwards() -> None:
     turned = hanging(pronation=80.0)
     bent = hanging(pronation=80.0, middle_pip=90.0)
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -109,7 +109,7 @@ def test_right_hands_mirror_left_hands() -> None:
             np.testing.assert_allclose(joints[f"right_{finger}_{name}"], mirrored_m, atol=1e-12)
 
 
-def test_hands_do_not_change_the_body() -> None:
+def test_hands_do_not_change_body() -> None:
     role = Role((0.0, 0.0), 0.0, (Stay(3.0, Gesture.TALK),))
     time_s = np.arange(0.0, 3.0, 0.05)
     body = joints_at(perform(role, 3.0, np.random.default_rng(3)), time_s)

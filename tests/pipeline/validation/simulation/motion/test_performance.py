@@ -61,7 +61,7 @@ def test_feet_stand_while_somebody_stays(gesture: Gesture) -> None:
     assert 0.1 < feet_m < 0.5
 
 
-def test_a_foot_stands_through_its_stance() -> None:
+def test_foot_stands_through_its_stance() -> None:
     """In walking one foot is always on the floor, and a foot on the floor does not slide."""
     person = act(Walk((5.0, 0.0)), duration_s=5.0)
     ankles_m = joints_at(person, instants())[:, ANKLES]
@@ -73,7 +73,7 @@ def test_a_foot_stands_through_its_stance() -> None:
     assert moved_m_s.max() > 2.0
 
 
-def test_walking_leads_to_the_place_at_the_pace() -> None:
+def test_walking_leads_to_place_at_pace() -> None:
     joints_m = joints_at(act(Walk((3.0, 1.0), 1.2)), instants())
     hips_m = joints_m[:, HIPS].mean(1)
     np.testing.assert_allclose(hips_m[-1, :2], [3.0, 1.0], atol=0.06)
@@ -82,7 +82,7 @@ def test_walking_leads_to_the_place_at_the_pace() -> None:
     assert hips_m[:, 2].min() > 0.9 * hips_m[0, 2]
 
 
-def test_arms_swing_against_the_legs() -> None:
+def test_arms_swing_against_legs() -> None:
     joints_m = joints_at(act(Walk((6.0, 0.0)), duration_s=6.0), instants(4.0))[150:350, :, 0]
     hips, left_wrist, left_ankle = joints_m[:, HIPS].mean(1), joints_m[:, WRISTS[0]], joints_m[:, ANKLES[0]]
     assert np.corrcoef(left_wrist - hips, left_ankle - hips)[0, 1] < -0.8
@@ -104,12 +104,12 @@ def test_people_face_where_they_turn() -> None:
         (Gesture.CROUCH, 0.3, 2.5),
     ],
 )
-def test_wrists_are_as_fast_as_the_gesture(gesture: Gesture, slowest: float, fastest: float) -> None:
+def test_wrists_are_as_fast_as_gesture(gesture: Gesture, slowest: float, fastest: float) -> None:
     wrists_m = joints_at(act(Stay(4.0, gesture)), instants())[:, WRISTS]
     assert slowest < speed_m_s(wrists_m).max() < fastest
 
 
-def test_jumps_leave_the_floor_and_fall_freely() -> None:
+def test_jumps_leave_floor_and_fall_freely() -> None:
     person = act(Stay(4.0, Gesture.JUMP))
     height_m = joints_at(person, instants())[:, ANKLES[0], 2] - person.body.ankle_height_m
     assert 0.12 < height_m.max() < 0.4
@@ -118,7 +118,7 @@ def test_jumps_leave_the_floor_and_fall_freely() -> None:
     assert np.diff(height_m, 2)[top - 1] * 100**2 == pytest.approx(-9.81, abs=0.5)
 
 
-def test_crouching_lowers_the_hips() -> None:
+def test_crouching_lowers_hips() -> None:
     hips_m = joints_at(act(Stay(4.0, Gesture.CROUCH)), instants())[:, HIPS, 2].mean(1)
     assert 0.4 * hips_m[0] < hips_m.min() < 0.75 * hips_m[0]
     assert hips_m[-1] == pytest.approx(hips_m[0], abs=0.01)
@@ -133,7 +133,7 @@ def test_hands_meet() -> None:
     np.testing.assert_allclose(np.mean(hands_m, axis=0), meeting, atol=0.1)
 
 
-def test_who_is_away_is_nowhere() -> None:
+def test_absent_person_has_no_position() -> None:
     person = act(Stay(1.0), Away(2.0, (3.0, 3.0), 0.0), duration_s=5.0)
     joints_m = joints_at(person, np.array([0.9, 1.1, 2.9, 3.1, 4.9]))
     np.testing.assert_array_equal(np.isnan(joints_m).all((1, 2)), [False, True, True, False, False])

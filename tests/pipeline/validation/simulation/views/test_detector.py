@@ -64,7 +64,7 @@ def test_without_noise_detections_are_projections() -> None:
     assert 0.4 < (identity[::2] == 0).mean() < 0.6
 
 
-def test_noise_has_the_size_asked_for_and_heavy_tails() -> None:
+def test_noise_has_size_asked_for_and_heavy_tails() -> None:
     detections, identity = run(SIDE_BY_SIDE, replace(NOISELESS, noise_m=0.0, noise_px=3.0))
     error_px = detections.keypoints_px - project(camera(), SIDE_BY_SIDE)[identity, detections.frame]
     visible = detections.score > 0.45
@@ -84,7 +84,7 @@ def along_the_view(near_m: float, far_m: float, aside_m: float) -> np.ndarray:
     return crowd((float(near[0]), float(near[1])), (float(far[0]), float(far[1])))
 
 
-def test_noise_is_a_share_of_the_body() -> None:
+def test_noise_is_share_of_body() -> None:
     people_m = along_the_view(1.0, 4.0, aside_m=0.6)
     detections, identity = run(people_m, replace(NOISELESS, noise_m=0.01, hidden_noise=1.0))
     error_px = detections.keypoints_px - project(camera(), people_m)[identity, detections.frame]
@@ -94,7 +94,7 @@ def test_noise_is_a_share_of_the_body() -> None:
     assert spread_px[0] / spread_px[1] == pytest.approx(height_px[0] / height_px[1], rel=0.2)
 
 
-def test_scores_fall_with_the_error() -> None:
+def test_scores_fall_with_error() -> None:
     detections, identity = run(SIDE_BY_SIDE, replace(NOISELESS, noise_m=0.03))
     error_px = detections.keypoints_px - project(camera(), SIDE_BY_SIDE)[identity, detections.frame]
     error_px, score = np.linalg.norm(error_px, axis=-1)[:, 5:].ravel(), detections.score[:, 5:].ravel()
@@ -122,7 +122,7 @@ def test_hidden_joints_score_less_and_are_worse_or_missing() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.2])
-def test_bodies_are_missed_at_the_rate(rate: float) -> None:
+def test_bodies_are_missed_at_rate(rate: float) -> None:
     detections, _ = run(SIDE_BY_SIDE, with_faults(miss_body=rate, memory_s=0.0))
     assert len(detections.frame) / (2 * NUM_FRAMES) == pytest.approx(1 - rate, abs=0.015)
 
@@ -135,14 +135,14 @@ def test_misses_come_in_runs() -> None:
     assert missed.sum() / num_runs > 2.0
 
 
-def test_joints_are_missed_at_the_rate() -> None:
+def test_joints_are_missed_at_rate() -> None:
     detections, _ = run(SIDE_BY_SIDE, with_faults(miss_joint=0.1))
     missing = detections.score == 0
     assert missing.mean() == pytest.approx(0.1, abs=0.01)
     np.testing.assert_array_equal(missing, np.isnan(detections.keypoints_px).any(-1))
 
 
-def test_limbs_are_swapped_at_the_rate() -> None:
+def test_limbs_are_swapped_at_rate() -> None:
     detections, identity = run(SIDE_BY_SIDE, with_faults(swap=0.1, memory_s=0.0))
     truth_px = project(camera(), SIDE_BY_SIDE)[identity, detections.frame]
     mirrored = [COCO_17.index(name.replace("left", "right")) for name in COCO_17.names if "left" in name]
@@ -155,7 +155,7 @@ def test_limbs_are_swapped_at_the_rate() -> None:
     assert not wrong[:, :5].any()
 
 
-def test_close_people_mix_at_the_rate_and_others_never() -> None:
+def test_close_people_mix_at_rate_and_others_never() -> None:
     detector = with_faults(mix=0.2, memory_s=0.0)
     detections, identity = run(CLOSE, detector)
     truth_px = project(camera(), CLOSE)
@@ -191,7 +191,7 @@ def test_false_positives_are_nobody_and_score_low() -> None:
     assert ((known >= 0) & (known <= size_px - 1)).all()
 
 
-def test_who_is_absent_or_out_of_the_image_is_not_found() -> None:
+def test_absent_person_is_not_found() -> None:
     people_m = SIDE_BY_SIDE[:, :100].copy()
     people_m[0, :50] = np.nan
     people_m[1] += np.array([0.0, 0.0, 30.0])
@@ -233,7 +233,7 @@ def test_lasting_noise_is_stationary(memory: float) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.03, 0.5, 1.0])
-def test_lasting_events_hold_at_the_rate(rate: float) -> None:
+def test_lasting_events_hold_at_rate(rate: float) -> None:
     events = lasting_events(np.random.default_rng(1), (500, 200), rate, 4.0)
     assert events.mean() == pytest.approx(rate, abs=0.02 if 0 < rate < 1 else 0.0)
 

@@ -67,7 +67,7 @@ def test_noise_of_fingers_is_smaller_than_that_of_feet() -> None:
     assert np.nanstd(error_px[:, HANDS]) == pytest.approx(0.5 * np.nanstd(error_px[:, FEET]), rel=0.15)
 
 
-def test_hands_are_missed_as_a_whole() -> None:
+def test_hands_are_missed_as_whole() -> None:
     detections, _ = run(with_faults(miss_hand=0.3))
     found = detections.score > 0
     for hand in (LEFT, RIGHT):
@@ -111,7 +111,7 @@ def test_feet_and_hands_follow_swapped_limbs() -> None:
     assert sum(share) > 0.4
 
 
-def test_hands_behind_a_box_are_lost_and_feet_below_it_are_not() -> None:
+def test_hands_behind_box_are_lost_and_feet_below_it_are_not() -> None:
     # The camera looks along X from 4.6 m, at a height of 2 m; knees and feet are visible below the box.
     box = Box((1.0, -0.6, 1.0), (1.1, 1.6, 2.5))
     person_m = PEOPLE_M[:1] - np.array([-1.0, 1.0, 0.0])

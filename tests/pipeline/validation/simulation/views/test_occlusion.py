@@ -24,7 +24,7 @@ def hidden(*places: tuple[float, float]) -> np.ndarray:
     return hidden_by_bodies(in_cam_m)[:, 0]
 
 
-def test_the_far_one_of_two_in_line_is_hidden() -> None:
+def test_far_one_of_two_in_line_is_hidden() -> None:
     far, near = hidden((2.0, 0.0), (0.0, 0.0))
     assert far[TRUNK].all()
     assert far.mean() > 0.6
@@ -39,12 +39,12 @@ def test_people_side_by_side_hide_nothing() -> None:
     assert not hidden((0.0, -0.7), (0.0, 0.7)).any()
 
 
-def test_half_of_a_body_can_be_hidden() -> None:
+def test_half_of_body_can_be_hidden() -> None:
     far, _ = hidden((1.0, 0.25), (0.0, 0.0))
     assert 0.1 < far.mean() < 0.8
 
 
-def test_the_arm_behind_the_own_trunk_is_hidden() -> None:
+def test_arm_behind_own_trunk_is_hidden() -> None:
     """From the right side the left arm is hidden and the right arm is not."""
     person = perform(Role((0.0, 0.0), np.pi / 2, ()), 1.0, np.random.default_rng(3))
     joints_m = joints_at(person, np.array([0.5]))[None]

@@ -22,7 +22,7 @@ PROBLEM = JobProblem(INTERNAL_ERROR, "The stage detect failed inside the service
 FINAL = replace(PROBLEM, code=INPUT_ERROR, retryable=False)
 
 
-def test_claim_has_all_that_a_worker_needs(jobs: StoreBench) -> None:
+def test_claim_has_all_that_worker_needs(jobs: StoreBench) -> None:
     job = jobs.queue()
     claim = jobs.claim()
     assert claim == Claim(
@@ -42,7 +42,7 @@ def test_claim_has_all_that_a_worker_needs(jobs: StoreBench) -> None:
     )
 
 
-def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: StoreBench) -> None:
+def test_chunks_are_claimed_by_age_of_job_and_then_in_order(jobs: StoreBench) -> None:
     old, new = jobs.queue(2).id, jobs.queue(2).id
     claims = [jobs.claim() for _ in range(4)]
     assert [(claim.job_id, claim.index) for claim in claims] == [(old, 0), (old, 1), (new, 0), (new, 1)]
@@ -50,7 +50,7 @@ def test_chunks_are_claimed_by_age_of_the_job_and_then_in_order(jobs: StoreBench
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def test_chunks_are_claimed_by_priority_of_the_job_before_age(jobs: StoreBench) -> None:
+def test_chunks_are_claimed_by_priority_of_job_before_age(jobs: StoreBench) -> None:
     """A job of a higher priority takes the next free worker, also while one of a lower priority runs."""
     batch = jobs.queue(2, "batch")
     assert jobs.claim().job_id == batch.id
@@ -179,7 +179,7 @@ def test_reduce_is_ready_when_whole_map_is_done(jobs: StoreBench) -> None:
     assert jobs.claim().stage == "export"
 
 
-def test_stage_follows_the_one_before(jobs: StoreBench) -> None:
+def test_stage_follows_one_before(jobs: StoreBench) -> None:
     detect, export = stages(2)
     job = jobs.store.jobs.add(jobs.session_id, JobSpec(), (detect, replace(export, name="fit"), export))
     order = []
@@ -289,7 +289,7 @@ def test_failure_retryable_gets_another_try(jobs: StoreBench) -> None:
     assert {one.problem for one in whole.failures} == {PROBLEM}
 
 
-def test_another_failure_ends_the_job_and_stops_its_workers(jobs: StoreBench) -> None:
+def test_another_failure_ends_job_and_stops_its_workers(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=4).id
     done, broken, other = jobs.claim(), jobs.claim(), jobs.claim()
     jobs.finish(done)
@@ -341,7 +341,7 @@ def test_worker_lost_too_often_ends_job(jobs: StoreBench) -> None:
     assert not jobs.store.leases.reap(LEASE_S)
 
 
-def test_reap_ends_a_canceled_job_whose_workers_are_gone(jobs: StoreBench) -> None:
+def test_reap_ends_canceled_job_whose_workers_are_gone(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.claim(EXPIRED_S)
     jobs.claim(EXPIRED_S)
@@ -419,7 +419,7 @@ def test_output_damaged_reported_twice_is_computed_once(jobs: StoreBench) -> Non
     assert jobs.store.jobs.get(job_id).state == JobState.RUNNING
 
 
-def test_outputs_that_stay_damaged_end_the_job(jobs: StoreBench) -> None:
+def test_outputs_that_stay_damaged_end_job(jobs: StoreBench) -> None:
     job_id, reduce = start_reduce(jobs)
     for _ in range(MAX_ATTEMPTS - 1):
         assert jobs.store.leases.compute_again(reduce.chunk_id, reduce.lease_token, "detect", {1})
@@ -435,7 +435,7 @@ def test_outputs_that_stay_damaged_end_the_job(jobs: StoreBench) -> None:
     assert jobs.store.leases.claim("worker", LEASE_S) is None
 
 
-def test_outputs_bear_the_digests_that_they_were_finished_with(jobs: StoreBench) -> None:
+def test_outputs_bear_digests_that_they_were_finished_with(jobs: StoreBench) -> None:
     job_id = jobs.queue(num_chunks=2).id
     jobs.finish(jobs.claim())
     outputs = jobs.store.outputs.list_stage(job_id, "detect")

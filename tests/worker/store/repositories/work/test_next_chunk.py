@@ -83,7 +83,7 @@ def test_gpu_alone_takes_all_in_order_of_queue(jobs: StoreBench) -> None:
     assert [stage_of(take(jobs, WITH_GPU)) for _ in range(2)] == ["fit", "detect"]
 
 
-def test_gpu_reserved_leaves_the_rest_to_others(jobs: StoreBench) -> None:
+def test_gpu_reserved_leaves_rest_to_others(jobs: StoreBench) -> None:
     reserved = replace(WITH_GPU, reserves_gpu=True)
     list_worker(jobs, "cpu:1", CPU, (OF_REST,))
     queue_for_ability(jobs, "fit", OF_REST, num_chunks=2)
@@ -355,7 +355,7 @@ def test_chunks_lost_in_outage_run_again_at_once(jobs: StoreBench) -> None:
     assert jobs.store.jobs.get(job_id).state == JobState.SUCCEEDED
 
 
-def test_turns_of_tenants_survive_the_process_that_claims(jobs: StoreBench) -> None:
+def test_turns_of_tenants_survive_process_that_claims(jobs: StoreBench) -> None:
     for tenant in ("one", "two", "three"):
         queue(jobs, tenant, num_chunks=12)
     owners = []

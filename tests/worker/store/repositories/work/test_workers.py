@@ -111,7 +111,7 @@ def test_providers_of_workers_are_listed_as_they_were_reported(jobs: StoreBench)
         ([with_provider(1, CPU), with_provider(2, GPU, WorkerState.STARTING)], None, ""),
     ],
 )
-def test_work_is_planned_for_a_provider_that_a_ready_worker_has(
+def test_work_is_planned_for_provider_that_ready_worker_has(
     workers_: list[WorkerStatus], earlier: str | None, expected: str
 ) -> None:
     """A GPU comes first, and a job that was begun goes on with its own as long as a worker has it."""
