@@ -200,7 +200,7 @@ class Live:
         self.services.artifacts.put_bytes(key, content)
         is_of_person = kind in {"bvh", "character", "fbx", "glb"} and name.startswith("person-")
         person = name.partition(".")[0] if is_of_person else None
-        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision)
+        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision, person)
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:

@@ -125,7 +125,7 @@ def test_takes_of_list(takes: Path, tmp_path: Path) -> None:
     [
         ({"takes": []}, ["at least 1 item"]),
         ({"takes": [{"name": "../up", "videos": "a"}, {"name": "b"}]}, ["pattern", "either videos or keypoints"]),
-        ({"takes": [{"name": "..", "videos": "a"}]}, ["can't be that of a folder"]),
+        ({"takes": [{"name": "..", "videos": "a"}]}, ["can't be a folder's"]),
         ({"takes": [{"name": "A", "videos": "a"}, {"name": "a", "videos": "b"}]}, ["same name: a"]),
         ([], ["object"]),
     ],

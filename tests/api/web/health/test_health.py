@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+import multicap
 from pipeline.core.options.config import NETWORKS, JobChoices
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.providers import Provider
@@ -27,7 +28,7 @@ def with_broker(live: Live, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
 
 def test_alive(live: Live) -> None:
     answer = live.client.get("/healthz")
-    assert (answer.status_code, answer.json()) == (200, {"status": "ok"})
+    assert (answer.status_code, answer.json()) == (200, {"status": "ok", "version": multicap.__version__})
 
 
 def test_not_ready_says_all_that_is_missing(live: Live) -> None:

@@ -40,14 +40,14 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
         "export",
     ]
     # 60 frames of two cameras.
-    assert [stage["total"] for stage in job["stages"]] == [24, 120, 6, 6, 6, 12, 6, 2, 6, 6, 6, 6]
+    assert [stage["total"] for stage in job["stages"]] == [24, 120, 6, 6, 6, 12, 6, 6, 6, 6]
     assert job["created_at"].endswith("Z")
     assert abs((datetime.now(UTC) - datetime.fromisoformat(job["created_at"])).total_seconds()) < 60
 
     live.finish(job["id"])
     done = live.client.get(f"/v1/jobs/{job['id']}").json()
     assert (done["state"], done["progress"], done["error"]) == ("succeeded", 1.0, None)
-    assert [stage["fraction"] for stage in done["stages"]] == [1] * 12
+    assert [stage["fraction"] for stage in done["stages"]] == [1] * 10
 
 
 def test_job_without_body_is_as_by_default(live: Live) -> None:

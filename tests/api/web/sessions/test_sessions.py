@@ -442,23 +442,3 @@ def test_parts_of_recording_are_one_camera(live: Live) -> None:
     ]
     manifest = ("manifest", (None, json.dumps({"cameras": cameras}).encode()))
     assert live.client.post("/v1/sessions", files=[*videos, manifest, *form(0)]).status_code == 201
-
-
-def test_chunk_length_of_new_session_follows_measured_speed(
-    make_settings: Callable[..., Settings],
-) -> None:
-    def num_detections(live: Live, session_id: str) -> int:
-        job = live.client.post(f"/v1/sessions/{session_id}/jobs").json()
-        plan = live.services.store.outputs.list_stage(job["id"], "detect")
-        live.finish(job["id"], each_chunk=True)
-        return len(plan)
-
-    with running(make_settings(chunk_frames=2)) as live:
-        first_id = live.session_id()
-        assert num_detections(live, first_id) == 2 * 30
-        # As fast as networks are here, each of the two cameras has at least four chunks of its 60 frames.
-        assert num_detections(live, live.session_id()) == 2 * 8
-        # Jobs of a session are cut alike, so that the second one finds what the first one has detected.
-        assert num_detections(live, first_id) == 2 * 30
-        keypoints_id = live.client.post("/v1/sessions", files=keypoint_form()).json()["id"]
-        assert live.services.store.sessions.get(keypoints_id).chunk_frames == 2
