@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from pipeline.core.data.turns import is_quarter_turn, turned_axes
-from pipeline.video.orientation import Rotator
+from pipeline.video.rotation import Rotator
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ from pipeline.core.runtime.confinement import (
 )
 from pipeline.video.decoder import FRAME, Request
 from pipeline.video.info import VideoInfo, seek_points
-from pipeline.video.orientation import Rotator
+from pipeline.video.rotation import Rotator
 
 # Longest wait for one frame. It includes decoding from the keyframe before the range. It is less than a minute, so
 # that a job never seems to hang.

@@ -1,16 +1,13 @@
-"""Mirrored and turned pictures: how a file states it, and the turn itself."""
+"""How stored pictures are mirrored and turned for display."""
 
 import math
 import struct
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-import cv2
-import numpy as np
 from av.filter import Graph
 from av.sidedata.sidedata import Type
 from av.video.frame import VideoFrame
-from jaxtyping import UInt8
 
 from pipeline.core.errors import Problem
 from pipeline.core.problems.findings import SHOWN_MIRRORED
@@ -59,31 +56,3 @@ def mirrored() -> Problem:
         "The file says that its picture is mirrored for display. It is read mirrored, like players show it.",
         hint="If the calibration is of the picture that is not mirrored, turn off the mirroring and export again.",
     )
-
-
-_CODES = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
-
-
-class Rotator:
-    """Turns pictures of one camera for display; a turned picture is valid until the next one is turned."""
-
-    def __init__(self) -> None:
-        self._turned = np.empty((0, 0, 3), np.uint8)
-
-    def __call__(
-        self, image: UInt8[np.ndarray, "height width 3"], quarters: int, is_mirrored: bool = False
-    ) -> UInt8[np.ndarray, "turned_height turned_width 3"]:
-        """Exchange left and right of a picture if it is mirrored, then turn it counterclockwise.
-
-        A picture that is neither mirrored nor turned is returned itself.
-        """
-        if is_mirrored:
-            image = cv2.flip(image, 1)
-        quarters %= 4
-        if quarters == 0:
-            return image
-        height, width = image.shape[:2]
-        shape = (height, width, 3) if quarters == 2 else (width, height, 3)
-        if self._turned.shape != shape:
-            self._turned = np.empty(shape, np.uint8)
-        return cv2.rotate(image, _CODES[quarters], dst=self._turned)

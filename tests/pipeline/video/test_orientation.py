@@ -12,8 +12,8 @@ from pipeline.core.errors import Problem
 from pipeline.video.decode import decode
 from pipeline.video.images.image_probe import at_rate
 from pipeline.video.info import VideoInfo
-from pipeline.video.orientation import Rotator
 from pipeline.video.probe import probe
+from pipeline.video.rotation import Rotator
 
 SIZE_PX = (64, 48)
 # By number of the EXIF orientation (TIFF 6.0, tag 274): the stored picture as shown.

@@ -48,7 +48,7 @@ def test_noise_is_told_without_child(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def forbidden(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("pipeline.video.probe_process.subprocess.Popen", forbidden)
+    monkeypatch.setattr("pipeline.core.runtime.confinement.subprocess.Popen", forbidden)
     paths = [tmp_path / f"{k}.mp4" for k in range(20)]
     for k, path in enumerate(paths):
         path.write_bytes(random.Random(k).randbytes(5000))  # noqa: S311 - the same each time

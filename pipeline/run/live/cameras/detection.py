@@ -23,7 +23,7 @@ from pipeline.detection.appearance import colour_histograms
 from pipeline.detection.profiles.detection import open_detection
 from pipeline.detection.profiles.sizes import RULES, USUAL_PX, CameraSizes, SizeRule, body_spans_px, choose_sizes
 from pipeline.detection.providers.find import current_provider
-from pipeline.video.orientation import Rotator
+from pipeline.video.rotation import Rotator
 
 # Below the processes that decode, which must not fall behind.
 _NICE = 5
