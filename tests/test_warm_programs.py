@@ -1,5 +1,6 @@
 """Programs that are forked for tests end and answer as those that users start."""
 
+import json
 import os
 import signal
 import socket
@@ -12,6 +13,7 @@ import psutil
 import pytest
 
 from pipeline.core.runtime.child_processes import module_command
+from pipeline.core.runtime.confinement import ChildLimits
 from tests.waiting import is_alive, wait_for
 from tests.warm_programs import WarmPrograms
 
@@ -29,7 +31,8 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WarmPrograms]
 @pytest.fixture
 def waiting(programs: WarmPrograms) -> "Iterator[subprocess.Popen[bytes]]":
     """Program that waits for its stdin."""
-    command = programs.python_command("-m", "pipeline.video.probe", str(os.getpid()))
+    limits = json.dumps(ChildLimits(cpu_s=None))
+    command = programs.python_command("-m", "pipeline.video.probe", str(os.getpid()), limits)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         yield process
 
