@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeVar
 
 import uuid_utils
-from pydantic import Field
+from pydantic import BaseModel, Field, ValidationError
+from pydantic_core import from_json
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
@@ -13,16 +14,22 @@ from websockets.frames import Frame, Opcode
 
 from api.web.contract.schemas import ResponseModel
 from api.web.errors import ApiError, ErrorItem, as_api_error, problem_response
+from api.web.http.bodies.field_places import NO_PLACES
+from api.web.http.bodies.validation import model_items
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
 from pipeline.core.problems.model import Code
 
 WRONG_DATA, REFUSED, TOO_LARGE, FAILED, LATER = 1007, 1008, 1009, 1011, 1013
 """Codes of RFC 6455, and 1013 of its registry, with which connections are closed."""
 
+WRONG_FIELDS = "Fields of the message are wrong."
+"""Sentence of a problem that lists fields."""
+
 _RETRYABLE = frozenset({FAILED, LATER})
 _STATUS_OF_LATER = frozenset({408, 429, 503, 507})
 
 _PROTOCOL_ERROR = 1002
+_MAX_SHOWN = 40
 # Bytes that are parsed at once. A loop reads 256 KiB, and a thousand small messages would hold up other connections.
 _PIECE_BYTES = 4096
 # Longest time, and time without a byte, until the connection of a client with wrong frames is closed.
@@ -73,6 +80,28 @@ def problem_message(error: Exception, request_id: str, model: type[_Message]) ->
         close_code=problem.close_code,
         request_id=request_id,
     )
+
+
+def wrong_message(text: str, models: Sequence[type[BaseModel]], message: Code, fields: Code) -> SocketProblem:
+    """Problem of a text that is no message of the models, which have a field ``type``.
+
+    ``fields`` is the code of a message with wrong fields, ``message`` of another text.
+    """
+    try:
+        content = from_json(text)
+    except ValueError:
+        return SocketProblem(message, "The message is not JSON.", WRONG_DATA)
+    by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
+    kind = content.get("type") if isinstance(content, dict) else None
+    model = by_type.get(kind) if isinstance(kind, str) else None
+    if model is None:
+        shown = f", not {kind[:_MAX_SHOWN]!r}" if isinstance(kind, str) else ""
+        return SocketProblem(message, f"A message of the type {' or '.join(by_type)} is expected here{shown}.")
+    try:
+        model.model_validate_json(text)
+    except ValidationError as error:
+        return SocketProblem(fields, WRONG_FIELDS, errors=model_items(error, model, NO_PLACES))
+    return SocketProblem(message, "The message can't be read.")
 
 
 def socket_problem(error: Exception) -> SocketProblem:

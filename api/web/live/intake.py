@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import from_json
+from pydantic import ValidationError
 
 from api.web.errors import ErrorItem, pointer_to
-from api.web.http.bodies.field_places import FieldPlaces
-from api.web.http.bodies.validation import model_items
-from api.web.http.websockets import WRONG_DATA, SocketProblem
+from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
 from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
 from pipeline.core.problems.requests import (
@@ -28,7 +25,6 @@ from pipeline.core.problems.requests import (
 )
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
-_NO_PLACES = FieldPlaces(lambda: ({}, {}))
 _MAX_SHOWN = 40
 _MAX_AHEAD_S = 60.0
 
@@ -37,45 +33,20 @@ def read_start(text: str) -> LiveStart:
     """Parse the first message; raises ``SocketProblem`` with all that is wrong."""
     try:
         start = LiveStart.model_validate_json(text)
-    except ValidationError as error:
-        raise _wrong_message(text, error, (LiveStart,)) from None
+    except ValidationError:
+        raise wrong_message(text, (LiveStart,), LIVE_MESSAGE, LIVE_FIELDS) from None
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:
         code, pointer = (UNKNOWN_FIELD, "calibration_id") if given else (MISSING_FIELD, "calibration")
         message = "A capture has either a calibration or a calibration_id."
-        raise _wrong_fields([ErrorItem(code=code, message=message, pointer=pointer_to(pointer))])
+        items = [ErrorItem(code=code, message=message, pointer=pointer_to(pointer))]
+        raise SocketProblem(LIVE_FIELDS, WRONG_FIELDS, errors=items)
     return start
 
 
-def wrong_message(text: str) -> SocketProblem:
+def wrong_keypoints(text: str) -> SocketProblem:
     """Problem of a text that is no message ``keypoints`` and no ``end``."""
-    try:
-        LiveKeypoints.model_validate_json(text)
-    except ValidationError as error:
-        return _wrong_message(text, error, (LiveKeypoints, LiveEnd))
-    raise ValueError("the message is right")
-
-
-def _wrong_message(text: str, error: ValidationError, models: Sequence[type[BaseModel]]) -> SocketProblem:
-    try:
-        content = from_json(text)
-    except ValueError:
-        return SocketProblem(LIVE_MESSAGE, "The message is not JSON.", WRONG_DATA)
-    by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
-    kind = content.get("type") if isinstance(content, dict) else None
-    if not isinstance(kind, str) or kind not in by_type:
-        shown = "" if not isinstance(kind, str) else f", not {kind[:_MAX_SHOWN]!r}"
-        return SocketProblem(LIVE_MESSAGE, f"A message of the type {' or '.join(by_type)} is expected here{shown}.")
-    if (model := by_type[kind]) is not models[0]:
-        try:
-            model.model_validate_json(text)
-        except ValidationError as of_other:
-            error = of_other
-    return _wrong_fields(model_items(error, model, _NO_PLACES))
-
-
-def _wrong_fields(items: Sequence[ErrorItem]) -> SocketProblem:
-    return SocketProblem(LIVE_FIELDS, "Fields of the message are wrong.", errors=items)
+    return wrong_message(text, (LiveKeypoints, LiveEnd), LIVE_MESSAGE, LIVE_FIELDS)
 
 
 class Intake:

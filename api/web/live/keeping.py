@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
 from api.web.dependencies import Services
-from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
 from api.web.live.problems import failed
@@ -34,7 +34,6 @@ _STATED = frozenset({"coco-17", "coco-18", "body-25"})
 # Several times the time of writing the files on one core.
 _S_PER_BYTE = 1800 / 2**30
 _START_S = 60.0
-_NO_PLACES = FieldPlaces(lambda: ({}, {}))
 
 
 class KeptPackets:
@@ -129,7 +128,7 @@ async def keep_session(
     num_bytes = sum(file.num_bytes for of_part in files.values() for file in of_part)
     await run_in_threadpool(records.require_room, num_bytes)
     form = Form(files, {MANIFEST: json.dumps(manifest).encode()}, ())
-    checked = await check(connection, services, records, Sent(folder, SESSION_FORM, form, None, _NO_PLACES))
+    checked = await check(connection, services, records, Sent(folder, SESSION_FORM, form, None, NO_PLACES))
     return await run_in_threadpool(_store, services, records, checked)
 
 

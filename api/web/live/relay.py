@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from api.web.http.rates import Pace
 from api.web.http.websockets import SocketProblem
 from api.web.live.backlog import Backlog, Waiting
-from api.web.live.intake import Intake, require_size, wrong_message
+from api.web.live.intake import Intake, require_size, wrong_keypoints
 from api.web.live.keeping import KeptPackets
 from api.web.live.problems import failed
 from api.web.live.process import CaptureProcess
@@ -207,7 +207,7 @@ async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
             return LiveEnd.model_validate_json(text)
         except ValidationError:
             # A message may have tens of thousands of unknown fields.
-            raise await run_in_threadpool(wrong_message, text) from None
+            raise await run_in_threadpool(wrong_keypoints, text) from None
 
 
 async def _watch_key(ended: asyncio.Event) -> None:

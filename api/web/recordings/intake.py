@@ -7,13 +7,10 @@ from collections.abc import Awaitable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic_core import from_json
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.web.http.bodies.field_places import FieldPlaces
-from api.web.http.bodies.validation import model_items
 from api.web.http.rates import Pace
-from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem
+from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem, wrong_message
 from api.web.settings import Settings
 from pipeline.core.problems.requests import (
     RECORDING_FIELDS,
@@ -42,8 +39,6 @@ async def in_time(way: Awaitable[_Result], wait_s: float | None, what: str) -> _
 
 
 _Message = TypeVar("_Message")
-_NO_PLACES = FieldPlaces(lambda: ({}, {}))
-_MAX_SHOWN = 40
 _MAX_THUMBNAIL_PX = 1024
 
 
@@ -84,7 +79,7 @@ def parsed(content: str | bytes, adapter: TypeAdapter[_Message], models: Sequenc
     try:
         return adapter.validate_json(content)
     except ValidationError:
-        raise _wrong(content, models) from None
+        raise wrong_message(content, models, RECORDING_MESSAGE, RECORDING_FIELDS) from None
 
 
 def require_jpeg(content: bytes) -> None:
@@ -113,23 +108,3 @@ def too_large(max_bytes: int) -> SocketProblem:
 def wrong_text() -> SocketProblem:
     """Problem of a message that is no text, or of frames that break the protocol."""
     return SocketProblem(RECORDING_MESSAGE, "The text of a message is not UTF-8.", WRONG_DATA)
-
-
-def _wrong(text: str, models: Sequence[type[BaseModel]]) -> SocketProblem:
-    try:
-        content = from_json(text)
-    except ValueError:
-        return SocketProblem(RECORDING_MESSAGE, "The message is not JSON.", WRONG_DATA)
-    by_type = {str(model.model_fields["type"].annotation.__args__[0]): model for model in models}  # type: ignore[union-attr]
-    kind = content.get("type") if isinstance(content, dict) else None
-    model = by_type.get(kind) if isinstance(kind, str) else None
-    if model is None:
-        shown = "" if not isinstance(kind, str) else f", not {kind[:_MAX_SHOWN]!r}"
-        detail = f"A message of the type {' or '.join(by_type)} is expected here{shown}."
-        return SocketProblem(RECORDING_MESSAGE, detail)
-    try:
-        model.model_validate_json(text)
-    except ValidationError as error:
-        items = model_items(error, model, _NO_PLACES)
-        return SocketProblem(RECORDING_FIELDS, "Fields of the message are wrong.", errors=items)
-    return SocketProblem(RECORDING_MESSAGE, "The message can't be read.")

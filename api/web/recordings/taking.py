@@ -18,7 +18,7 @@ from api.web.calibrations.intake import (
 )
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, unprocessable
-from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEOS, FormKind
 from api.web.http.idempotency import Answer, IdempotentRequest
@@ -32,7 +32,6 @@ from worker.store.errors import NotFound
 from worker.store.model.recordings import ClipFile, RecordingSession, RecordingTake, TakeState
 from worker.store.tenant_records import TenantRecords
 
-_NO_PLACES = FieldPlaces(lambda: ({}, {}))
 # A first frame that is further before or behind the take is one of a wrong clock.
 _MAX_BESIDE_S = 60.0
 
@@ -128,7 +127,7 @@ async def made_session(
     name = spec.name or f"{recording.name}, {take.name}"
     if take.calibration_id is not None:
         content, videos = await run_in_threadpool(_as_calibrated, records, take, spec, name), None
-        sent = Sent(folder, kind, content, None, _NO_PLACES)
+        sent = Sent(folder, kind, content, None, NO_PLACES)
     else:
         videos = take_videos(recording, take)
         manifest = Manifest(name=name, cameras=videos.cameras(), sync="auto", metadata=_source(recording, take))
@@ -136,7 +135,7 @@ async def made_session(
         if spec.job is not None:
             documents[SPEC] = spec.job.model_dump_json(exclude_unset=True)
         form = await _form(request, services, records, folder, kind, videos, documents)
-        sent = Sent(folder, kind, form, None, _NO_PLACES)
+        sent = Sent(folder, kind, form, None, NO_PLACES)
     try:
         checked = await check(request, services, records, sent)
     except ApiError as error:
@@ -166,7 +165,7 @@ async def made_calibration(
     choices = spec.spec(tuple(camera.model_dump(mode="json") for camera in videos.cameras()), take.name)
     documents = {SPEC: json.dumps({name: value for name, value in choices.items() if value not in (None, [])})}
     form = await _form(request, services, records, folder, CALIBRATION_FORM, videos, documents)
-    sent = Sent(folder, CALIBRATION_FORM, form, None, _NO_PLACES)
+    sent = Sent(folder, CALIBRATION_FORM, form, None, NO_PLACES)
     try:
         checked = await check_calibration(request, services, records, sent)
     except ApiError as error:
@@ -216,7 +215,7 @@ def _adopted(
     documents: tuple[str, ...],
 ) -> Form:
     """Form with the videos of a take, whose files stay on their spool."""
-    parts, problems = Parts(folder, services.limits, kind, _NO_PLACES), list[ErrorItem]()
+    parts, problems = Parts(folder, services.limits, kind, NO_PLACES), list[ErrorItem]()
     for phone, file in videos.files.items():
         try:
             upload = records.uploads.get(file.upload_id)

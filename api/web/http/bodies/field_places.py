@@ -67,6 +67,10 @@ class FieldPlaces:
         return holders
 
 
+NO_PLACES = FieldPlaces(lambda: ({}, {}))
+"""Places of messages and of parts that are checked alone: hints name no other place."""
+
+
 def place_path(steps: tuple[str | int, ...]) -> str:
     """Path of a place without the numbers of items.
 
