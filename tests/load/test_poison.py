@@ -34,7 +34,8 @@ from worker.run.planning import plan_job
 from worker.run.supervisor import Supervisor
 from worker.store.database.totals import Total
 from worker.store.errors import Conflict
-from worker.store.files.artifacts import LocalArtifacts, record_key
+from worker.store.files.artifacts import LocalArtifacts
+from worker.store.files.keys import record_key
 from worker.store.model.rights import Scope
 from worker.store.model.sessions import InputFile
 from worker.store.model.states import FINISHED, JobState

@@ -30,8 +30,9 @@ from pipeline.run.warm_up import warm_up as compile_kernels
 from worker.run.chunk import Work
 from worker.run.planning import claimed_task, has_videos, session_facts
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.artifacts import ArtifactStore, read_artifact, record_key
+from worker.store.files.artifacts import ArtifactStore, read_artifact
 from worker.store.files.checksums import require_file
+from worker.store.files.keys import record_key
 from worker.store.model.sessions import Session
 from worker.store.spec import JobSpec
 

@@ -27,7 +27,7 @@ from pipeline.core.problems.model import Code
 from pipeline.core.problems.requests import MISSING_PART
 from pipeline.core.problems.sessions import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.artifacts import character_key, character_prefix
+from worker.store.files.keys import character_key, character_prefix
 from worker.store.model.characters import Character, StoredCharacterFile
 from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords

@@ -44,7 +44,7 @@ from pipeline.core.problems.requests import (
 )
 from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.store.errors import NotFound
-from worker.store.files.artifacts import input_key, record_key, session_prefix, thumbnail_key
+from worker.store.files.keys import input_key, record_key, session_prefix, thumbnail_key
 from worker.store.model.jobs import JobRecord
 from worker.store.model.sessions import InputFile, Purpose, Session
 from worker.store.outages import is_perhaps_recorded

@@ -17,8 +17,8 @@ from worker.run.planning import plan_again, plan_job, plan_visuals
 from worker.run.reaper import Reaper
 from worker.store.backup.contents import named_files
 from worker.store.errors import Conflict, NotFound, VideosDeleted
-from worker.store.files.artifacts import thumbnail_key
 from worker.store.files.disk import DiskSpace
+from worker.store.files.keys import thumbnail_key
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec

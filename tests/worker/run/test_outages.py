@@ -17,8 +17,9 @@ from tests.worker.conftest import RESULT, RunnerBench, detect
 from worker.run.chunk import Work
 from worker.run.problems import waiting_for
 from worker.run.reaper import Reaper
-from worker.store.files.artifacts import open_artifacts, stage_key
+from worker.store.files.artifacts import open_artifacts
 from worker.store.files.disk import DiskSpace
+from worker.store.files.keys import stage_key
 from worker.store.model.jobs import JobRecord
 from worker.store.model.states import FINISHED, ChunkState, JobState
 from worker.store.outages import Outage

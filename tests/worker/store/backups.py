@@ -13,7 +13,8 @@ from worker.store.backup.contents import BackupReport
 from worker.store.backup.create import create_backup
 from worker.store.backup.restore import restore_backup
 from worker.store.errors import Conflict
-from worker.store.files.artifacts import LocalArtifacts, input_key, record_key, result_key, stage_key
+from worker.store.files.artifacts import LocalArtifacts
+from worker.store.files.keys import input_key, record_key, result_key, stage_key
 from worker.store.files.unneeded import remove_files
 from worker.store.model.jobs import JobRecord, Result
 from worker.store.model.rights import Scope

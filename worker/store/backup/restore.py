@@ -36,8 +36,8 @@ from worker.store.backup.snapshot import (
 )
 from worker.store.database.connection import sqlite_path
 from worker.store.errors import DamagedDatabase, UnknownSchema
-from worker.store.files.artifacts import is_key
 from worker.store.files.disk import sync
+from worker.store.files.keys import is_key
 
 OnProgress = Callable[[int, int], None]
 

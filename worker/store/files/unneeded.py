@@ -9,7 +9,8 @@ import uuid
 
 import structlog
 
-from worker.store.files.artifacts import ArtifactStore, character_prefix, job_prefix, session_prefix
+from worker.store.files.artifacts import ArtifactStore
+from worker.store.files.keys import character_prefix, job_prefix, session_prefix
 from worker.store.outages import find_outage
 from worker.store.repositories.work.expiry import Removals
 

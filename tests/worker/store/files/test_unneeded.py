@@ -4,7 +4,8 @@ import time
 import uuid
 
 from tests.worker.store.conftest import StoreBench
-from worker.store.files.artifacts import ArtifactStore, record_key, result_key
+from worker.store.files.artifacts import ArtifactStore
+from worker.store.files.keys import record_key, result_key
 from worker.store.files.unneeded import orphaned_prefixes, remove_files
 
 
