@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pipeline.calibration.formats import reader as calibration_reader
     from pipeline.calibration.reading import Reading as CalibrationReading
     from pipeline.calibration.validate import RawCamera
+    from pipeline.capture.camera_files import Recording
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
-    from pipeline.capture.recordings import Recording
     from pipeline.capture.session import CaptureSession, open_session
     from pipeline.core.data.reconstruction import Reconstruction
     from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
@@ -118,7 +118,7 @@ _REFERENCES = {
     "RawCamera": "pipeline.calibration.validate:RawCamera",
     "Reconstruction": "pipeline.core.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.core.options.config:ReconstructionConfig",
-    "Recording": "pipeline.capture.recordings:Recording",
+    "Recording": "pipeline.capture.camera_files:Recording",
     "ServiceError": "api.cli.client:ServiceError",
     "SessionRefused": "pipeline.core.errors:SessionRefused",
     "VmcSender": "pipeline.run.live.vmc:VmcSender",

@@ -19,7 +19,7 @@ from tests.warm_programs import WarmPrograms
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks are told from others by Linux's files")
 
-CHECK = "pipeline.export.character.check"
+CHECK = "pipeline.export.character.check_character"
 
 
 @pytest.fixture(scope="module")

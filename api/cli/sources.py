@@ -20,9 +20,9 @@ from api.cli.options import (
     known_up,
     with_options,
 )
+from pipeline.capture.camera_files import Recording
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.recordings import Recording
 from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.rules import collecting, require

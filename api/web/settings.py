@@ -186,7 +186,7 @@ class Settings(StorageSettings):
         description="Program that checks a session's files (the preflight), run in a child process.",
     )
     character_command: tuple[str, ...] = Field(
-        default=tuple(module_command("pipeline.export.character.check")),
+        default=tuple(module_command("pipeline.export.character.check_character")),
         description="Program that checks a character's file, run in a child process with the limits of a preflight.",
     )
     preflight_timeout_s: float = Field(

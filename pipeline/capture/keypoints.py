@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
+from pipeline.capture.camera_files import Recording, find_input, known_recordings
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
@@ -23,7 +24,6 @@ from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
 from pipeline.capture.preflight_record import LayoutRead
-from pipeline.capture.recordings import Recording, find_input, known_recordings
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem

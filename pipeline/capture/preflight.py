@@ -27,14 +27,15 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pipeline.calibration.board.spec import parse_board
-from pipeline.calibration.checks.check import check_cameras
+from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
 from pipeline.calibration.contents import UNITS_M, Up
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
+from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
-from pipeline.capture.pictures.look import Thumbnail, look_at_pictures
+from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.preflight_record import (
     Clock,
@@ -45,7 +46,6 @@ from pipeline.capture.preflight_record import (
     PreflightTimebase,
     thumbnail_name,
 )
-from pipeline.capture.recordings import Recording, find_input
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding

@@ -1,6 +1,6 @@
 """Findings of checks, before and after a reconstruction: the shape that all checks share. Standard library only.
 
-Errors refuse a session unless it is forced, see ``pipeline.run.preflight.verdict``. Files that can't be used at all
+Errors refuse a session unless it is forced, see ``pipeline.run.session_check.verdict``. Files that can't be used at all
 raise ``InputError``.
 """
 

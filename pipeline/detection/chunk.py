@@ -19,7 +19,7 @@ from pipeline.detection.damage import ChangeMeter, join_changes
 from pipeline.detection.decoders.fields import ImageFields
 from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.detection.detector import Detector
-from pipeline.detection.profiles.detection import BodyDetector
+from pipeline.detection.profiles.profile_detector import BodyDetector
 from pipeline.detection.topdown.between import bodies_between, schedule_detections
 from pipeline.detection.topdown.topdown_detector import TopDown
 from pipeline.video.decode import decode

@@ -18,9 +18,9 @@ from pipeline.detection.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detection.entries import entry_of
 from pipeline.detection.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detection.models import verify
+from pipeline.detection.network import Network, open_network
 from pipeline.detection.providers.find import current_provider
 from pipeline.detection.registry import FieldGrid, NetworkEntry, NetworkHead, NetworkInput
-from pipeline.detection.session import Network, open_network
 
 __all__ = ["Detector", "ImageBodies", "open_detector"]
 

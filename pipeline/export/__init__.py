@@ -1,4 +1,4 @@
-"""From people to files and figures: writers, viewer, recording, report, OpenSim, characters, privacy, quality.
+"""From people to files and figures: writers, viewer, Rerun files, report, OpenSim, characters, privacy, quality.
 
 Imports ``association`` and what is below.
 """

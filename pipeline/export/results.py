@@ -103,22 +103,22 @@ def write_results(
     folder = Path(folder)
     require((*format_problems(exports, installed_formats()), *_model_problems(exports)))
     try:
-        recordings = _write_recording(reconstruction, folder, exports)
+        recordings = _write_rerun(reconstruction, folder, exports)
         paths = write_files(reconstruction, folder, exports, preset, frame_rate_hz, timeline, body).paths
     except OSError as error:
         raise not_written(folder, error) from error
     return [*recordings, *paths]
 
 
-def _write_recording(take: Reconstruction, folder: Path, exports: Collection[Export]) -> list[Path]:
+def _write_rerun(take: Reconstruction, folder: Path, exports: Collection[Export]) -> list[Path]:
     """Write the Rerun recording of a take into a folder if it is wanted; return its path."""
     if "rerun" not in exports:
         return []
-    from pipeline.export.recording.rerun_file import write_recording  # noqa: PLC0415 - imports an optional package
+    from pipeline.export.rerun.rerun_file import write_rerun  # noqa: PLC0415 - imports an optional package
 
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{TAKE}.{file_ending('rerun')}"
-    write_recording(take, path)
+    write_rerun(take, path)
     return [path]
 
 

@@ -15,8 +15,8 @@ from numba.core import event
 
 from pipeline.association.hands.attach import attach_hands, has_hands, without_fingers
 from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections

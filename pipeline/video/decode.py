@@ -32,7 +32,7 @@ from pipeline.core.runtime.confinement import (
     child_end,
     started_child,
 )
-from pipeline.video.decoder import FRAME, Request
+from pipeline.video.decode_process import FRAME, Request
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.rotation import Rotator
 
@@ -74,7 +74,7 @@ def decoded_frames(request: Request, timeout_s: float | None = None) -> Generato
     with _shared_file() as shared:
         shared.truncate(request.picture_bytes)
         picture = mmap.mmap(shared.fileno(), request.picture_bytes, access=mmap.ACCESS_READ)
-        command = module_command("pipeline.video.decoder", json.dumps(request._asdict()), str(shared.fileno()))
+        command = module_command("pipeline.video.decode_process", json.dumps(request._asdict()), str(shared.fileno()))
         with started_child(command, subprocess.PIPE, [shared.fileno()]) as (child, errors):
             yield from _read_frames(child, request, picture, errors, _TIMEOUT_S if timeout_s is None else timeout_s)
 

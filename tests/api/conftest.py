@@ -262,7 +262,7 @@ def make_settings(
             "data_dir": folder / "data",
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,
-            "character_command": warm_programs.command("pipeline.export.character.check"),
+            "character_command": warm_programs.command("pipeline.export.character.check_character"),
             "max_file_bytes": 100_000,
             "max_keypoints_bytes": 50_000,
             "max_session_bytes": 250_000,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from pipeline.calibration.board.detection.detect import find_board
+from pipeline.calibration.board.corner_search.find_board import find_board
 from pipeline.calibration.board.spec import parse_board
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served

@@ -22,13 +22,13 @@ from tests.pipeline.media import rewrite_packets, write_sizes, write_video
 from tests.pipeline.video.test_damage import lose
 from tests.waiting import wait_for
 
-DECODER = "pipeline.video.decoder"
+DECODER = "pipeline.video.decode_process"
 
 # The name of the file chooses how the decoder fails.
 CHILDREN = """
 import json, os, signal, sys, time
 from pathlib import Path
-if "pipeline.video.decoder" in sys.orig_argv:
+if "pipeline.video.decode_process" in sys.orig_argv:
     import av
     name = Path(json.loads(sys.orig_argv[-2])["path"]).name
     open_file = av.open

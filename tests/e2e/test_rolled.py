@@ -14,7 +14,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
-from pipeline.run.preflight.instants import check_at_instants
+from pipeline.run.session_check.instants import check_at_instants
 from tests.e2e.rolled import roll
 
 MAX_MEAN_MM = 5.0

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.core.joints import COCO_17, COCO_18
 from pipeline.core.options.config import ReconstructionConfig

@@ -13,7 +13,7 @@ from pipeline.export.character.gltf_reader import decode_character
 from tests.api.conftest import NO_BROKER, running
 from tests.pipeline.export.character.characters import parts
 from tests.pipeline.export.character.fbx.fbx_characters import fbx_of, mutated_fbx
-from tests.pipeline.export.character.test_check import MIXAMO, mutated
+from tests.pipeline.export.character.test_check_character import MIXAMO, mutated
 
 # Files of GLB, and of FBX
 NUM_FILES, NUM_SENDERS = 200, 3

@@ -13,7 +13,7 @@ import structlog
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.core.options.edits import PersonSpan, without_names
-from pipeline.core.options.job_choices import BLURRED_KIND, OVERLAY_KIND, RECORDING_KIND, REPORT_KIND, blurred_name
+from pipeline.core.options.job_choices import BLURRED_KIND, OVERLAY_KIND, REPORT_KIND, RERUN_KIND, blurred_name
 from pipeline.run.engine.code import stage_codes
 from pipeline.run.engine.stage import (
     ASSOCIATE,
@@ -122,10 +122,10 @@ def write_report(work: Work) -> Output:
     return Output(b"{}", (ResultFile(path.name, REPORT_KIND, None, "text/html", path),))
 
 
-def write_recording(work: Work) -> Output:
+def write_rerun(work: Work) -> Output:
     path = work.scratch / "take.rrd"
     path.write_bytes(b"recording of " + work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
-    return Output(b"{}", (ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path),))
+    return Output(b"{}", (ResultFile(path.name, RERUN_KIND, None, "application/octet-stream", path),))
 
 
 def find_heads(work: Work) -> Output:
@@ -158,7 +158,7 @@ LIGHT_STAGES: dict[str, Callable[[Work], Output]] = {
     REFIT: refit,
     OVERLAY: draw_overlay,
     REPORT: write_report,
-    RECORD: write_recording,
+    RECORD: write_rerun,
     WRITE: write,
     EXPORT: export,
 }

@@ -8,9 +8,9 @@ import numpy as np
 
 from api.cli.console import JsonOption, reporting, show_sizes
 from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
+from pipeline.association.clustering.clustering_parameters import derive_parameters
 from pipeline.association.clustering.instant.candidates import FieldEvidence
 from pipeline.association.clustering.instant.work_limits import WorkLimits
-from pipeline.association.clustering.parameters import derive_parameters
 from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.joints import COCO_18
 from pipeline.geometry.camera import image_from_world

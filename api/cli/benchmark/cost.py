@@ -32,9 +32,9 @@ from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.core.runtime.packages import samples
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.detection import models
-from pipeline.detection.profiles.detection import open_detection
+from pipeline.detection.network import NETWORK_CLOCK
+from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.detection.providers.find import find_provider
-from pipeline.detection.session import NETWORK_CLOCK
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.simulation.scenes import Simulation

@@ -12,8 +12,8 @@ import typer
 
 from api.cli.benchmark.takes import longer_motion, longer_observations, longer_track, peak_rss_mib
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D

@@ -10,8 +10,8 @@ import typer
 
 from api.cli.benchmark.takes import longer_observations, longer_track
 from api.cli.console import JsonOption, emit, reporting, show_sizes
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Observations, Track3D

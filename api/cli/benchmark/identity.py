@@ -9,8 +9,8 @@ import typer
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.association.identity.identify import identify
 from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import People
 from pipeline.run.warm_up import warm_up

@@ -13,8 +13,8 @@ import typer
 from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
 from api.cli.benchmark.tracking import crowd
 from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.people import Track3D
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate

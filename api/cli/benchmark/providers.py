@@ -18,7 +18,7 @@ from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
 from pipeline.detection.bodies import ImageBodies
 from pipeline.detection.entries import entry_of
-from pipeline.detection.profiles.detection import open_detection
+from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.detection.providers.find import current_provider
 
 # One frame in so many, of each camera, up to a number.

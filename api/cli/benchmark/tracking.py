@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from api.cli.console import JsonOption, emit, print_table, reporting, require_writable
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.evaluation.baselines import associate_pairwise
 from pipeline.validation.simulation.motion.director import Cast

@@ -36,7 +36,7 @@ from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.core.runtime.packages import samples
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.detection import models
-from pipeline.detection.session import NETWORK_CLOCK
+from pipeline.detection.network import NETWORK_CLOCK
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.warm_up import warm_up

@@ -47,7 +47,7 @@ from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_S
 from pipeline.core.problems.findings import SOURCES
 from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN
 from pipeline.core.progress import Progress
-from pipeline.detection.profiles.detection import detection_joints
+from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people
 from pipeline.run.engine.stage import CALIBRATE
 

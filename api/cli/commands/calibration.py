@@ -24,7 +24,7 @@ from api.cli.console import (
 )
 from api.cli.options import UnitsOption, UpOption, checked, known_units, known_up, with_choices
 from api.cli.sources import SourceOptions, with_source
-from pipeline.calibration.checks.check import check_cameras
+from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import ENCODERS

@@ -23,7 +23,7 @@ from api.cli.console import (
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from api.cli.space import document, sentence, session_space
-from pipeline.capture.pictures.look import look_at_pictures
+from pipeline.capture.pictures.sample_pictures import look_at_pictures
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.capture.synchronization.session_clocks import clock_findings, on_measured_clocks
 from pipeline.core.errors import InputError
@@ -31,10 +31,10 @@ from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress, Progress
 from pipeline.run.engine.stage import CHECK
-from pipeline.run.preflight.instants import check_at_instants
-from pipeline.run.preflight.session import check_bodies, check_detections, with_clocks
-from pipeline.run.preflight.sightings import NUM_INSTANTS
-from pipeline.run.preflight.verdict import session_findings
+from pipeline.run.session_check.check_session import check_bodies, check_detections, with_clocks
+from pipeline.run.session_check.instants import check_at_instants
+from pipeline.run.session_check.sightings import NUM_INSTANTS
+from pipeline.run.session_check.verdict import session_findings
 
 
 @with_choices("profile", "detector", "sync")

@@ -39,7 +39,7 @@ from pipeline.core.options.config import PROFILES
 from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.findings import OUTPUT_EXISTS, PARAMETER_RANGE
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.run.live.cameras.detection import DetectorPool, start_detecting
+from pipeline.run.live.cameras.detector_pool import DetectorPool, start_detecting
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import read_sources
 from pipeline.run.live.cameras.totals import LiveTotals

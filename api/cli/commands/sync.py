@@ -34,7 +34,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress, Progress
-from pipeline.detection.profiles.detection import detection_joints
+from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people
 from pipeline.run.engine.stage import SYNCHRONIZE
 

@@ -1,7 +1,8 @@
 """Preflight: the check of a client's files in a child process with limits on time, memory and output.
 
 The web API never opens a client's file. The programs ``python -m pipeline.capture.preflight`` and ``python -m
-pipeline.export.character.check`` open them and print one JSON object: what they contain, or ``{"problems": [...]}``.
+pipeline.export.character.check_character`` open them and print one JSON object: what they contain, or
+``{"problems": [...]}``.
 """
 
 import errno

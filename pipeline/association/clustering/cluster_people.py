@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.candidates import BodyEvidence, Instant, ViewEvidence
 from pipeline.association.clustering.instant.clusters import find_joints
 from pipeline.association.clustering.instant.parsing import Poses, parse
 from pipeline.association.clustering.instant.people import match_people
 from pipeline.association.clustering.instant.work_limits import WorkLimits
 from pipeline.association.clustering.linking import link
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import (
     TORSO,
     LimbLengths,
@@ -210,7 +210,7 @@ def reconstruct_by_clustering(
     Examples
     --------
     >>> from dataclasses import replace
-    >>> from pipeline.association.clustering.parameters import derive_parameters
+    >>> from pipeline.association.clustering.clustering_parameters import derive_parameters
     >>> from pipeline.validation.simulation.scenes import SCENES, record
     >>> take = record(replace(SCENES["room"], duration_s=0.4), seed=0)
     >>> tracks, observations = reconstruct_by_clustering(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.clustering.parameters import ClusteringParameters
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.core.progress import OnShare, ignore
 
 

@@ -12,7 +12,7 @@ from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.bodies import ImageBodies, boxes_around
 from pipeline.detection.chunk import camera_images, stack_bodies
-from pipeline.detection.session import Network
+from pipeline.detection.network import Network
 from pipeline.detection.topdown import blazepose
 from pipeline.detection.topdown.alone import read_body
 from pipeline.detection.topdown.regions import Region, crop

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.association.tracking.assignment import assign, partition
 from pipeline.association.tracking.kernels.state import MIN_JOINTS, RigGeometry
-from pipeline.association.tracking.parameters import TrackingParameters
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.geometry.epipolar import epipolar_distance_px
 
 # Most detections that are grouped at once: a hundred people in five cameras. The simulated scenes have 24.

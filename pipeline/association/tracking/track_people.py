@@ -15,8 +15,8 @@ from pipeline.association.tracking.observations import (
     sampled_in,
     undistorted,
 )
-from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.association.tracking.tracker import Tracker, make_frames
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Leftovers, Observations, People, Track3D
@@ -105,7 +105,7 @@ def reconstruct_tracks(
     Examples
     --------
     >>> from dataclasses import replace
-    >>> from pipeline.association.tracking.parameters import derive_parameters
+    >>> from pipeline.association.tracking.tracking_parameters import derive_parameters
     >>> from pipeline.validation.simulation.scenes import SCENES, record
     >>> take = record(replace(SCENES["room"], duration_s=2.0), seed=0)
     >>> parameters = derive_parameters(take.cameras, take.timebase.frame_rate_hz)

@@ -28,7 +28,7 @@ from pipeline.association.tracking.kernels.state import (
     make_workspace,
 )
 from pipeline.association.tracking.observations import NOBODY, Detections2D
-from pipeline.association.tracking.parameters import TrackingParameters
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.camera import center_in_world, projection_matrices

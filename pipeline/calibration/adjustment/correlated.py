@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
-from pipeline.calibration.adjustment.adjust import Adjustment
+from pipeline.calibration.adjustment.bundle import Adjustment
 from pipeline.calibration.adjustment.normal import ObservationRows, build, observation_rows
 from pipeline.calibration.adjustment.parameters import (
     EXTRINSICS,

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.calibration.adjustment.adjust import Adjustment, adjust, block_covariance
+from pipeline.calibration.adjustment.bundle import Adjustment, adjust, block_covariance
 from pipeline.calibration.adjustment.deviations import Deviations, first_deviations
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,

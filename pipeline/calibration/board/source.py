@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.calibration.board.detection.detect import DetectedBoard, find_board, is_exchanged
+from pipeline.calibration.board.corner_search.find_board import DetectedBoard, find_board, is_exchanged
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.core.data.arrays import read_only

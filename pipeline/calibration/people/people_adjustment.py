@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.bundle import Adjustment, adjust
 from pipeline.calibration.adjustment.correlated import correlated_sigma
 from pipeline.calibration.adjustment.parameters import (
     DISTORTION,

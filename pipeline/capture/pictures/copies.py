@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.capture.pictures.check import PICTURES, STILL, CameraPictures, is_dark
 from pipeline.capture.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
+from pipeline.capture.pictures.picture_checks import PICTURES, STILL, CameraPictures, is_dark
 from pipeline.core.findings import Finding
 from pipeline.core.problems.findings import SAME_VIDEO
 

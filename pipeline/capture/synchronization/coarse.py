@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy import fft
 
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion
-from pipeline.capture.synchronization.pairs import PairCurve
+from pipeline.capture.synchronization.pair_curves import PairCurve
 
 # Grid steps of a sample of the speeds.
 _SAMPLE = 5

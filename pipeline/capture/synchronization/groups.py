@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.capture.synchronization.motions import BodyMotion
-from pipeline.capture.synchronization.pairs import match_motions, pair_values
-from pipeline.capture.synchronization.refine import Match
+from pipeline.capture.synchronization.pair_curves import match_motions, pair_values
+from pipeline.capture.synchronization.refine_clocks import Match
 from pipeline.core.data.cameras import Camera
 
 

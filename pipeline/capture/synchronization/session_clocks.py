@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from pipeline.capture.session import Session
-from pipeline.capture.synchronization.checks import precision_doubts
+from pipeline.capture.synchronization.clock_checks import precision_doubts
 from pipeline.capture.synchronization.motions import excerpt
 from pipeline.capture.synchronization.sound_offsets import SoundOffsets, sound_offsets, synchronize_with_sound
 from pipeline.capture.synchronization.synchronize import (

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from pipeline.capture.synchronization.checks import precision_doubts
+from pipeline.capture.synchronization.clock_checks import precision_doubts
 from pipeline.capture.synchronization.synchronize import starting_as_declared, synchronize
 from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes, Synchronization
 from pipeline.core.data.detections import Detections

@@ -8,12 +8,12 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Int
 
-from pipeline.capture.synchronization.checks import find_doubts
+from pipeline.capture.synchronization.clock_checks import find_doubts
 from pipeline.capture.synchronization.coarse import find_splits, likely_lags, shift_curve, solve_offsets
 from pipeline.capture.synchronization.groups import match_people
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion, find_motions
-from pipeline.capture.synchronization.pairs import PairCurve, compare_pair
-from pipeline.capture.synchronization.refine import FineClocks, refine_clocks
+from pipeline.capture.synchronization.pair_curves import PairCurve, compare_pair
+from pipeline.capture.synchronization.refine_clocks import FineClocks, refine_clocks
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, CameraClock, ClockEvidence, FrameTimes, Synchronization
 from pipeline.core.data.detections import Detections

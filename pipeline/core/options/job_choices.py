@@ -19,8 +19,8 @@ PROXY_KIND = "proxy"
 BLURRED_KIND = "blurred"
 """Kind of the result files that are copies of a session's videos with blurred heads. Edits of people leave them."""
 
-OVERLAY_KIND, REPORT_KIND, RECORDING_KIND = "overlay", "report", "rerun"
-VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND, RECORDING_KIND})
+OVERLAY_KIND, REPORT_KIND, RERUN_KIND = "overlay", "report", "rerun"
+VISUAL_KINDS = frozenset({OVERLAY_KIND, REPORT_KIND, RERUN_KIND})
 """Kinds of the result files that are made to be looked at, and take minutes."""
 
 

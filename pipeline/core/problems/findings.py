@@ -205,7 +205,7 @@ PHANTOM_ENDED = WARNINGS.code("phantom_ended", "warning")
 the message: a person may have been there. See [losses](identity.md#losses)."""
 LIMB_MISMEASURED = WARNINGS.code("limb_mismeasured", "warning")
 """A limb was located with a length that the person's other side or proportions exclude. The fit uses another one. |
-Look at this limb: it may be hidden for most of the take. See [the fit](fit.md#skeleton-fitpy-articulatedpy)."""
+Look at this limb: it may be hidden for most of the take. See [the fit](fit.md#skeleton-fitpy-gauss_newtonpy)."""
 PERSON_NEVER_MOVES = WARNINGS.code("person_never_moves", "warning")
 """A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PATCH
 /v1/jobs/{id}/people`); see [likenesses](identity.md#likenesses)."""

@@ -118,7 +118,9 @@ def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[
     arguments = [str(path), *map(str, input_px)]
     limits, task = ChildLimits(_MAX_CPU_S, _MAX_MEMORY_BYTES), f"check of {filename}"
     try:
-        output = run_confined("pipeline.detection.own.check", arguments, limits, task=task, timeout_s=_TIMEOUT_S)
+        output = run_confined(
+            "pipeline.detection.own.check_network", arguments, limits, task=task, timeout_s=_TIMEOUT_S
+        )
     except BeyondLimitsError as error:
         if error.is_time:
             raise _endless(filename) from error

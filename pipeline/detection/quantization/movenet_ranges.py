@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping
 
-from pipeline.detection.quantization.quantize import Steps
+from pipeline.detection.quantization.static_quantization import Steps
 
 RANGES: Mapping[str, Steps] = {
     "image": (None, 127),

@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from pipeline.core.data.arrays import read_only
 from pipeline.core.joints import BODY_FEET, COCO_17, SIDES, JointSet, finger_joints
 from pipeline.detection.bodies import BodyDetector, ImageBodies
-from pipeline.detection.session import Network
+from pipeline.detection.network import Network
 from pipeline.detection.topdown import blazepose, hands
 from pipeline.detection.topdown.blazepose import LANDMARK, SURE_PEAK, PoseOutputs, score_of_peak
 from pipeline.detection.topdown.fusion import fuse

@@ -19,7 +19,7 @@ from pipeline.core.options.rules import config_problems, require
 from pipeline.core.paths import StrPath
 from pipeline.core.progress import OnProgress, silent
 from pipeline.detection.chunk import concatenate
-from pipeline.detection.profiles.detection import detection_joints
+from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.detection.providers.find import current_provider
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import OnFile, WrittenResults, no_file
@@ -38,7 +38,7 @@ from pipeline.run.engine.stage import (
     SessionFacts,
 )
 from pipeline.run.engine.take import assemble
-from pipeline.run.preflight.verdict import require_cameras
+from pipeline.run.session_check.verdict import require_cameras
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DEFAULTS = ReconstructionConfig()

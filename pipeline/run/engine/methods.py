@@ -21,9 +21,9 @@ from pipeline.association.clustering.cluster_people import (
     link_people,
     sampled_frames,
 )
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
+from pipeline.association.clustering.clustering_parameters import derive_parameters as derive_clustering
 from pipeline.association.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
-from pipeline.association.clustering.parameters import ClusteringParameters
-from pipeline.association.clustering.parameters import derive_parameters as derive_clustering
 from pipeline.association.clustering.skeleton import LimbLengths, clustering_skeleton
 from pipeline.association.hands.attach import attach_hands
 from pipeline.association.identity.alone import follow_alone
@@ -33,9 +33,9 @@ from pipeline.association.identity.neighbours import return_limbs
 from pipeline.association.identity.sides import decide_sides
 from pipeline.association.redetection.accept import accept
 from pipeline.association.tracking.observations import Detections2D, gather
-from pipeline.association.tracking.parameters import TrackingParameters
-from pipeline.association.tracking.parameters import derive_parameters as derive_tracking
 from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
+from pipeline.association.tracking.tracking_parameters import derive_parameters as derive_tracking
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
@@ -46,7 +46,7 @@ from pipeline.core.options.rules import change_parameters
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.chunk import concatenate
 from pipeline.detection.entries import entry_of
-from pipeline.run.engine.detections import detection_source
+from pipeline.run.engine.detection_source import detection_source
 from pipeline.run.engine.stage import Context
 from pipeline.run.engine.wanted_frames import wanted_frames
 from pipeline.video.timeline import frames_in, num_recorded, span_s

@@ -1,6 +1,6 @@
 """Tasks of a stage in two threads of a process: while one is in a network, the other decodes and prepares pictures.
 
-One network runs at a time (``pipeline.detection.session``), so that a process still computes networks on one core. In
+One network runs at a time (``pipeline.detection.network``), so that a process still computes networks on one core. In
 one thread decoding and Python would add half of the networks' time.
 """
 

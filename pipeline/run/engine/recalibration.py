@@ -12,7 +12,7 @@ from pipeline.association.identity.likenesses import without_likenesses
 from pipeline.association.tracking.observations import gather
 from pipeline.calibration.refinement.bumps import Step
 from pipeline.calibration.refinement.level import Level, find_level
-from pipeline.calibration.refinement.refine import RefinedCameras, refine
+from pipeline.calibration.refinement.refine_cameras import RefinedCameras, refine
 from pipeline.calibration.refinement.sightings import choose_sightings, sampled_frames, sampled_poses
 from pipeline.calibration.similarity import move_world
 from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, RefinedCalibration, Refinement, WorldMove

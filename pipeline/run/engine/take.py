@@ -14,7 +14,7 @@ from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, footage_of
 from pipeline.motion.body.installed import find as find_body
 from pipeline.run.engine.codec import output_record, output_records
-from pipeline.run.engine.detections import detection_source, joint_offsets
+from pipeline.run.engine.detection_source import detection_source, joint_offsets
 from pipeline.run.engine.edited_people import cut, edited_take, put_together, united
 from pipeline.run.engine.stage import (
     CHECK,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import ArrayLike
 
-from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet

@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of one pose: the energy of ``skeleton.fitting.articulated`` for a single frame, without its cost.
+"""Gauss-Newton steps of one pose: the energy of ``skeleton.fitting.gauss_newton`` for a single frame, without its cost.
 
 That module fits windows of frames, and calls SciPy's rotations for each of its terms. For a single frame these calls
 take 3 ms; here all joints are computed at once, in a tenth of the time.
@@ -7,12 +7,12 @@ take 3 ms; here all joints are computed at once, in a tenth of the time.
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.motion.skeleton.fitting.articulated import Evidence, JointPoses, Posed, move
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.motion.skeleton.fitting.fit_kernels import assemble
+from pipeline.motion.skeleton.fitting.gauss_newton import Evidence, JointPoses, Posed, move
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 
-# Priors of ``skeleton.fitting.articulated``.
+# Priors of ``skeleton.fitting.gauss_newton``.
 _TWIST_RAD, _TWIST_LIMIT_RAD = 1.5, 0.3
 _INERTIA, _AT_END_RAD, _HELD = 1.0, 1e-9, 1e12
 _LEAST_TWIST_SQUARE = 0.05
@@ -121,7 +121,7 @@ class PoseSteps:
         matrix: Float[np.ndarray, "freedoms freedoms"],
         force: Float[np.ndarray, " freedoms"],
     ) -> None:
-        """Add the priors for the twist of upper arms and thighs, in place; see ``articulated``."""
+        """Add the priors for the twist of upper arms and thighs, in place; see ``gauss_newton``."""
         vector, w = quat[self._twist_joint, :3], quat[self._twist_joint, 3:]
         along = (vector * self._bone).sum(-1, keepdims=True)
         angle_rad = (2 * np.arctan2(along, w)[:, 0] + np.pi) % (2 * np.pi) - np.pi

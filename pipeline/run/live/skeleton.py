@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, SIDES, JointOffsets, JointSet
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed, start_from
 from pipeline.motion.skeleton.fitting.articulation import Articulation, articulate
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, Posed, start_from
 from pipeline.motion.skeleton.fitting.positions import usual_step_m
 from pipeline.motion.skeleton.fitting.solve import solve_pose
 from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int, UInt8
 
 from pipeline.association.tracking.kernels.state import Frames
 from pipeline.association.tracking.observations import NOBODY
-from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.association.tracking.tracker import TrackerState
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.kernels import make_solver, settle_frame, triangulate_frame

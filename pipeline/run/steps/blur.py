@@ -34,7 +34,7 @@ def find_heads(task: Task, context: Context) -> Output:
     from pipeline.core.data.detections import Detections, PafFields
     from pipeline.export.privacy.heads import head_path, head_regions, seen_heads
     from pipeline.run.engine.codec import encode, output_records
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.take import found_animation
     from pipeline.run.engine.wanted_frames import wanted_frames

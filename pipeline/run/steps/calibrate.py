@@ -46,8 +46,8 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.report import report_document
     from pipeline.calibration.write import encodings
     from pipeline.run.engine.codec import output_records
-    from pipeline.run.engine.detections import detection_source
-    from pipeline.run.preflight.session import hanging_cameras
+    from pipeline.run.engine.detection_source import detection_source
+    from pipeline.run.session_check.check_session import hanging_cameras
 
     hanging: Sequence[Finding] = ()
     making, on_share = context.config.making, context.on_share(task)

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 def check(task: Task, context: Context) -> Output:
     """Check the session as it was given, on measured clocks if they were measured."""
     from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.wanted_frames import measured_clocks
-    from pipeline.run.preflight.session import hanging_cameras, with_clocks
-    from pipeline.run.preflight.verdict import judge
+    from pipeline.run.session_check.check_session import hanging_cameras, with_clocks
+    from pipeline.run.session_check.verdict import judge
 
     session, detections = context.session(), detection_source(context)
     checked = check_with(task, context, session.cameras)
@@ -36,9 +36,9 @@ def check(task: Task, context: Context) -> Output:
 def check_with(task: Task, context: Context, cameras: "Sequence[Camera]") -> "SessionCheck":
     """Check the session with its cameras or with refined ones."""
     from pipeline.capture.synchronization.session_clocks import on_measured_clocks
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.wanted_frames import measured_clocks
-    from pipeline.run.preflight.session import check_bodies, check_detections
+    from pipeline.run.session_check.check_session import check_bodies, check_detections
 
     given, clocks, detections = context.session(), measured_clocks(context), detection_source(context)
     session = replace(given, cameras=tuple(cameras))

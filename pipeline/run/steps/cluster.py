@@ -29,7 +29,7 @@ _MEASURED_HZ = 5.0
 def measure_lengths(task: Task, context: Context) -> Output:
     """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
     from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in
     from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
 
@@ -49,7 +49,7 @@ def measure_lengths(task: Task, context: Context) -> Output:
 def find_poses(task: Task, context: Context) -> Output:
     """Find all people in a range of output frames."""
     from pipeline.run.engine.codec import encode, output_record
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in
     from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
 

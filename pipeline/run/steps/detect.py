@@ -22,7 +22,7 @@ _UNSIZED_FRAMES = 3
 def look(task: Task, context: Context) -> Output:
     """Look at the people in some frames of a camera's whole video: turn and size of its images."""
     from pipeline.detection.look import look_at_people
-    from pipeline.detection.profiles.detection import open_finder, shows_lean
+    from pipeline.detection.profiles.profile_detector import open_finder, shows_lean
     from pipeline.detection.profiles.sizes import RULES
     from pipeline.detection.upright import turn_of_roll
     from pipeline.run.engine.codec import encode
@@ -55,7 +55,7 @@ def detect(task: Task, context: Context) -> Output:
     from pipeline.core.runtime.npz import encode_arrays
     from pipeline.detection.chunk import detect_chunk, detect_fields_chunk, measure_colours
     from pipeline.detection.look import CameraLook
-    from pipeline.detection.profiles.detection import detection_joints, load_detector, open_detection, turned
+    from pipeline.detection.profiles.profile_detector import detection_joints, load_detector, open_detection, turned
     from pipeline.run.engine.codec import decode, encode, output_records
     from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import span_s

@@ -45,7 +45,7 @@ def refit(task: Task, context: Context) -> Output:
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import animate
     from pipeline.run.engine.codec import RecordArchive, decode, encode
-    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.edited_people import renumbered
     from pipeline.run.engine.pieces import Pieces
     from pipeline.run.engine.stored_people import found_people

@@ -18,7 +18,7 @@ def fit(task: Task, context: Context) -> Output:
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import FittedFeet, PersonFitter
     from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
 
@@ -49,7 +49,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     from pipeline.motion.skeleton.animate import FittedFeet, FittedPerson, PersonFitter, floor_under
     from pipeline.motion.skeleton.fitting.fit import FitState
     from pipeline.run.engine.codec import RecordArchive, encode, output_records
-    from pipeline.run.engine.detections import detection_source, joint_offsets
+    from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
 

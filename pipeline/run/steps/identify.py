@@ -20,7 +20,7 @@ def identify(task: Task, context: Context) -> Output:
     from pipeline.association.hands.attach import has_hands
     from pipeline.core.data.detections import Detections
     from pipeline.run.engine.codec import output_records
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in, gathered_bodies
     from pipeline.run.engine.stored_people import found_people, write_people
     from pipeline.run.engine.wanted_frames import wanted_frames

@@ -26,7 +26,7 @@ def expect_bodies(task: Task, context: Context) -> Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
     from pipeline.association.redetection.expect import expect_leaning
     from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -53,9 +53,9 @@ def redetect(task: Task, context: Context) -> Output:
     from pipeline.association.redetection.crops import detect_expected
     from pipeline.core.data.detections import Detections
     from pipeline.core.joints import without_hands
-    from pipeline.detection.profiles.detection import load_landmarks
+    from pipeline.detection.profiles.profile_detector import load_landmarks
     from pipeline.run.engine.codec import decode, encode
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import frames_in, span_s
 

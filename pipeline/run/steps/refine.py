@@ -13,11 +13,11 @@ def refine(task: Task, context: Context) -> Output:
     """Refine the cameras of the session, on measured clocks if they were measured."""
     from pipeline.core.findings import SessionCheck
     from pipeline.run.engine.codec import encode, output_record
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in
     from pipeline.run.engine.recalibration import refine_from_bodies, refine_from_fields
     from pipeline.run.engine.wanted_frames import from_first, wanted_on_clocks
-    from pipeline.run.preflight.verdict import is_deferred, judge_refined
+    from pipeline.run.session_check.verdict import is_deferred, judge_refined
     from pipeline.run.steps.check import check_with
 
     config, detections, on_share = context.config, detection_source(context), context.on_share(task)

@@ -9,7 +9,7 @@ def synchronize(task: Task, context: Context) -> Output:
     """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
     from pipeline.capture.synchronization.session_clocks import listen, measure_clocks
     from pipeline.run.engine.codec import encode
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
 
     detections, session = detection_source(context), context.session()
     if detections.finds_fields:

@@ -19,7 +19,7 @@ def track(task: Task, context: Context) -> Output:
     from pipeline.association.hands.attach import without_fingers
     from pipeline.core.data.people import Poses3D
     from pipeline.run.engine.codec import output_record, output_records
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in, gathered_bodies
     from pipeline.run.engine.stored_people import write_people
     from pipeline.run.engine.wanted_frames import wanted_frames

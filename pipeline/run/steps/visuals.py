@@ -1,9 +1,9 @@
-"""Visuals of a take: overlay videos, the report and the Rerun recording. Each output is the index of the files."""
+"""Visuals of a take: overlay videos, the report and the Rerun file. Each output is the index of the files."""
 
 from functools import partial
 
 from pipeline.core.options.file_formats import file_ending
-from pipeline.core.options.job_choices import OVERLAY_KIND, RECORDING_KIND, REPORT_KIND
+from pipeline.core.options.job_choices import OVERLAY_KIND, REPORT_KIND, RERUN_KIND
 from pipeline.run.engine.stage import (
     DETECT,
     HEADS,
@@ -42,7 +42,7 @@ def write_report(task: Task, context: Context) -> Output:
     from pipeline.export.report.contents import gather_contents, list_versions
     from pipeline.export.report.page import encode_page
     from pipeline.run.engine.code import LIBRARIES
-    from pipeline.run.engine.detections import detection_source
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.take import assemble
     from pipeline.run.engine.wanted_frames import wanted_on_clocks
 
@@ -63,11 +63,11 @@ def write_report(task: Task, context: Context) -> Output:
     return indexed([ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
 
 
-def write_recording(task: Task, context: Context) -> Output:
-    """Write the recording: the take, with the pictures and the detections of its session."""
-    from pipeline.export.recording.rerun_file import RecordedFootage
-    from pipeline.export.recording.rerun_file import write_recording as write
-    from pipeline.run.engine.detections import detection_source
+def write_rerun(task: Task, context: Context) -> Output:
+    """Write the Rerun file: the take, with the pictures and the detections of its session."""
+    from pipeline.export.rerun.rerun_file import RecordedFootage
+    from pipeline.export.rerun.rerun_file import write_rerun as write
+    from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.take import assemble
     from pipeline.run.engine.wanted_frames import wanted_frames
 
@@ -80,7 +80,7 @@ def write_recording(task: Task, context: Context) -> Output:
         RecordedFootage(session, detections, context.video, partial(head_regions_in, context)),
         context.on_share(task),
     )
-    return indexed([ResultFile(path.name, RECORDING_KIND, None, "application/octet-stream", path)])
+    return indexed([ResultFile(path.name, RERUN_KIND, None, "application/octet-stream", path)])
 
 
 OVERLAY_STAGE = Stage(
@@ -107,10 +107,10 @@ REPORT_STAGE = Stage(
     is_reusable=False,
     makes_files=True,
 )
-RECORDING_STAGE = Stage(
+RERUN_STAGE = Stage(
     RECORD,
     "Write the Rerun recording",
-    write_recording,
+    write_rerun,
     cut="whole",
     follows=(DETECT, *TAKE, HEADS),
     choices=("exports", "blur_faces", "names"),

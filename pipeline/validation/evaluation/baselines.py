@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 
 from pipeline.association.tracking.initialization import Unmatched, group_unmatched
 from pipeline.association.tracking.observations import NOBODY, gather, undistorted
-from pipeline.association.tracking.parameters import TrackingParameters
 from pipeline.association.tracking.tracker import make_rig
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Source, Track3D

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.association.clustering.cluster_people import reconstruct_evidence
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.instant.candidates import FieldEvidence
-from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.detections import PafFields

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pipeline.association.tracking.parameters import viewed_point_m
+from pipeline.association.tracking.tracking_parameters import viewed_point_m
 from pipeline.calibration.contents import UNKNOWN_SIZE, Units
 from pipeline.calibration.registry import MAX_BYTES, read_calibration, read_contents
 from pipeline.calibration.write import encode

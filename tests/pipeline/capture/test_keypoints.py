@@ -10,10 +10,10 @@ from shutil import copy
 import numpy as np
 import pytest
 
+from pipeline.capture.camera_files import Recording
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_npz import encode_record
-from pipeline.capture.recordings import Recording
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, COCO_17, COCO_18

@@ -9,7 +9,7 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
 from pipeline.detection.detector import Detector, open_detector
-from pipeline.detection.profiles.detection import turned
+from pipeline.detection.profiles.profile_detector import turned
 from pipeline.detection.registry import NetworkHead, NetworkInput
 
 # In the last four, rounded sizes make the axes' scales differ.

@@ -20,7 +20,7 @@ from pipeline.video.probe import probe
 from tests.pipeline.media import write_video
 from tests.pipeline.video.children import children_of, in_children, wait_for_child, when_opened
 
-DECODER = "pipeline.video.decoder"
+DECODER = "pipeline.video.decode_process"
 
 
 @pytest.fixture

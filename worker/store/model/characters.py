@@ -26,14 +26,14 @@ class CharacterSummary:
     name: str
     created_at: datetime
     file: StoredCharacterFile
-    facts: Mapping[str, Any]  # Format, size, numbers of bones and vertices; see ``pipeline.export.character.check``
+    facts: Mapping[str, Any]  # Format, size, numbers of bones and vertices; see ``check_character``
 
 
 @dataclass(frozen=True, slots=True)
 class Character(CharacterSummary):
     """A character with its bones."""
 
-    bones: Mapping[str, Any]  # Bones as they were recognised, and the skeleton; see ``pipeline.export.character.check``
+    bones: Mapping[str, Any]  # Bones as they were recognised, and the skeleton; see ``check_character``
     corrections: Mapping[str, str | None]  # Bones by joint that a user stated; ``None``: the joint has no bone
 
 

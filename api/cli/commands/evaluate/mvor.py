@@ -17,7 +17,7 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress
 from pipeline.detection.chunk import concatenate
-from pipeline.detection.profiles.detection import detection_joints
+from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
 from pipeline.validation.evaluation.datasets.mvor import (

@@ -11,7 +11,7 @@ from api.cli.commands.evaluate.shared import StatureOption, refinement_scores, s
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
-from pipeline.detection.profiles.detection import detection_joints
+from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.validation.evaluation.camera_errors import without_extrinsics
 from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_covered_heads, score_rendered

@@ -12,9 +12,9 @@ from api.cli.commands.evaluate.shared import StatureOption, identified, refined,
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
-from pipeline.association.clustering.parameters import derive_parameters as clustering_parameters
-from pipeline.association.tracking.parameters import derive_parameters
+from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
 from pipeline.association.tracking.track_people import assign_detections, locate_people
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.people import People
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17

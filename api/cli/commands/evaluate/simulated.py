@@ -11,10 +11,10 @@ from api.cli.commands.evaluate.shared import StatureOption, identified, refined,
 from api.cli.console import JsonOption, emit, print_table, reporting
 from api.cli.options import checked, with_choices
 from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
-from pipeline.association.clustering.parameters import derive_parameters as clustering_parameters
+from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
 from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import People

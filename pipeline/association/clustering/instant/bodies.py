@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.constraints import pose_length_error
 from pipeline.association.clustering.instant.evidence import NOWHERE
 from pipeline.association.clustering.instant.hypotheses import Candidates, views_that_meet
 from pipeline.association.clustering.instant.work_limits import MAX_BODIES, MAX_PAIRS, WorkLimits
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, solve_normal
 

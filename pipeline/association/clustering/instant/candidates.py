@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.evidence import (
     NOWHERE,
     AffinityFields,
@@ -14,7 +15,6 @@ from pipeline.association.clustering.instant.evidence import (
     ViewFields,
 )
 from pipeline.association.clustering.instant.hypotheses import Candidates
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import Skeleton
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections, PafFields

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import NOWHERE, JointPoints, LimbEvidence
 from pipeline.association.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
@@ -20,7 +21,6 @@ from pipeline.association.clustering.instant.work_limits import (
     MAX_NEIGHBOURS,
     WorkLimits,
 )
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import plane_rows
 

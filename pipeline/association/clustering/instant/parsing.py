@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.clusters import Joints
 from pipeline.association.clustering.instant.constraints import length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import NOWHERE, LimbEvidence
 from pipeline.association.clustering.instant.work_limits import MAX_DENSE
 from pipeline.association.clustering.linking import mean_distance_m
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 
 # Value of an additional view relative to connectivity: of similar limbs, the one seen in more views is taken.

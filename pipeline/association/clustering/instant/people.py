@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant.bodies import collect_bodies, match_bodies
 from pipeline.association.clustering.instant.clusters import Joints, adopt, no_joints
 from pipeline.association.clustering.instant.constraints import pose_length_error
@@ -13,7 +14,6 @@ from pipeline.association.clustering.instant.evidence import NOWHERE, JointPoint
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.joints import refine
 from pipeline.association.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import DISPUTED_M, plane_rows, triangulate_robust
 

@@ -14,8 +14,8 @@ from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.tracks import reproject
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, refine, start_from
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine, start_from
 from pipeline.motion.skeleton.fitting.lengths import learn_lengths
 from pipeline.motion.skeleton.fitting.liveliness import liveliness
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_positions, stretches, usual_step_m

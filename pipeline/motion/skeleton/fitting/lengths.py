@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.motion.skeleton.fitting.articulated import Evidence, JointPoses, landmark_positions, linearise, move
 from pipeline.motion.skeleton.fitting.articulation import Articulation
+from pipeline.motion.skeleton.fitting.gauss_newton import Evidence, JointPoses, landmark_positions, linearise, move
 from pipeline.motion.skeleton.model import INDEX, TRUNK
 
 _SIDES = ("Left", "Right")
@@ -34,7 +34,7 @@ _DIFFERENCE = 1e-3
 _LONGEST_STEP = 0.05
 
 Window = tuple[JointPoses, Evidence, Float[np.ndarray, "... landmarks"]]
-"""Start of the fit in a window of frames, its evidence, and usual second differences, see ``articulated.refine``."""
+"""Start of the fit in a window of frames, its evidence, and usual second differences, see ``gauss_newton.refine``."""
 
 
 def learn_lengths(
@@ -54,7 +54,7 @@ def learn_lengths(
     windows
         Windows of frames that represent the track; their poses are changed.
     frame_rate_hz
-        See ``articulated.refine``.
+        See ``gauss_newton.refine``.
     """
     members = np.zeros((len(_PARTS), len(bone_length_m)), dtype=bool)
     for number, names in enumerate(_PARTS):

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import convolve1d
 
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation
 from pipeline.motion.skeleton.fitting.fit_kernels import factorise, spread
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, Posed
 
 # Time in which the weight of evidence from other frames falls to 1 / e, and the time beyond which it is ignored.
 _MEMORY_S, _REACH_S = 0.04, 0.20

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Side, SkeletonMotion
 from pipeline.core.data.cameras import Camera
 from pipeline.core.joints import JointSet
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, refine
 from pipeline.motion.skeleton.fitting.articulation import Articulation
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.uncertainty import uncertainty_m
 from pipeline.motion.skeleton.hands.anatomy import (

@@ -19,9 +19,9 @@ from pipeline.core.joints import JointSet
 from pipeline.core.options.config import MotionChoices
 from pipeline.core.problems.sessions import SIZE_MISMATCH
 from pipeline.detection.models import verify
-from pipeline.detection.profiles.detection import detection_joints, mark_offsets
+from pipeline.detection.profiles.profile_detector import detection_joints, mark_offsets
 from pipeline.detection.upright import turn_of_roll
-from pipeline.run.live.cameras.detection import (
+from pipeline.run.live.cameras.detector_pool import (
     DetectedBodies,
     DetectionJob,
     PictureSize,

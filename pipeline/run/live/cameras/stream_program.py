@@ -37,7 +37,7 @@ from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
 from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind
 from pipeline.video.container import CODECS, DECODE_ERRORS, display_pts, first_video, open_container
-from pipeline.video.decoder import rgb_converter, write_rows
+from pipeline.video.decode_process import rgb_converter, write_rows
 from pipeline.video.orientation import display_orientation
 from pipeline.video.probe import square_pixels
 

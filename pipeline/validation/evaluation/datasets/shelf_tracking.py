@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import assign_detections, locate_people
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import COCO_17

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli.main import app
-from pipeline.capture.pictures.look import NUM_PICTURES
+from pipeline.capture.pictures.sample_pictures import NUM_PICTURES
 from pipeline.validation.simulation.motion.script import Gesture
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.pictures.rooms import walk

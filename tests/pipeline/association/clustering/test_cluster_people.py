@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from pipeline.association.clustering.cluster_people import find_poses, reconstruct_by_clustering
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.instant.candidates import Instant
 from pipeline.association.clustering.instant.clusters import find_joints
 from pipeline.association.clustering.instant.evidence import Membership
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.work_limits import WorkLimits
-from pipeline.association.clustering.parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.skeleton import LimbLengths, clustering_skeleton, unknown_lengths
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections

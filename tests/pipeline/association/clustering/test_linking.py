@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from pipeline.association.clustering import linking
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.linking import link, mean_distance_m
-from pipeline.association.clustering.parameters import ClusteringParameters
 
 PARAMETERS = ClusteringParameters(tau1_px=8.0)
 

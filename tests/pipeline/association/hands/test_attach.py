@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 from pipeline.association.hands.attach import attach_hands, has_hands, without_fingers
 from pipeline.association.identity.identify import identify
 from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import People, Source, Track3D
 from pipeline.core.joints import BODY_25, COCO_17, WHOLE_BODY

@@ -29,7 +29,7 @@ from pipeline.association.tracking.initialization import (
 )
 from pipeline.association.tracking.kernels.state import NUM_RECENT, Frames, RigGeometry
 from pipeline.association.tracking.observations import NOBODY
-from pipeline.association.tracking.parameters import TrackingParameters
+from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import rays_in_world
 from pipeline.geometry.triangulation import plane_rows, triangulate, triangulate_robust

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.parameters import TrackingParameters, derive_parameters, viewed_point_m
+from pipeline.association.tracking.tracking_parameters import TrackingParameters, derive_parameters, viewed_point_m
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from pipeline.core.options.rules import change_parameters

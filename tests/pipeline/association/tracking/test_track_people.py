@@ -6,8 +6,8 @@ import numpy as np
 
 from pipeline.association.identity.clothes import measure_clothes
 from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Source, Track3D

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.calibration.adjustment.adjust import Adjustment, adjust
+from pipeline.calibration.adjustment.bundle import Adjustment, adjust
 from pipeline.calibration.adjustment.correlated import correlated_sigma
 from pipeline.calibration.adjustment.parameters import (
     EXTRINSICS,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.adjustment.adjust import adjust
+from pipeline.calibration.adjustment.bundle import adjust
 from pipeline.calibration.adjustment.deviations import Deviations, first_deviations
 from pipeline.calibration.adjustment.normal import State, build, residuals_px
 from pipeline.calibration.adjustment.parameters import EXTRINSICS, FOCAL, move_camera, no_prior, none_free

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board.calibrate_board import calibrate_board
-from pipeline.calibration.board.detection.detect import find_board, is_exchanged
+from pipeline.calibration.board.corner_search.find_board import find_board, is_exchanged
 from pipeline.calibration.board.spec import Board, parse_board
 from pipeline.calibration.board.views import BoardViews, choose_views
 from pipeline.core.data.arrays import read_only

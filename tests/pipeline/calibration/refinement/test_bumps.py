@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.calibration.refinement.bumps import find_steps
-from pipeline.calibration.refinement.refine import refine
+from pipeline.calibration.refinement.refine_cameras import refine
 from pipeline.calibration.refinement.sightings import JointSightings
 from tests.pipeline.calibration.refinement.people import disturb, ring, see, walk
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.capture.recordings import Recording
+from pipeline.capture.camera_files import Recording
 from pipeline.capture.session import open_session
 from pipeline.capture.synchronization.session_clocks import listen
 from pipeline.validation.simulation.files import simulation_files

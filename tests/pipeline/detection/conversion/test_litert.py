@@ -15,8 +15,8 @@ from pipeline.core.runtime.packages.storage import home
 from pipeline.detection import models
 from pipeline.detection.detector import open_detector
 from pipeline.detection.entries import entry_of
+from pipeline.detection.network import open_network
 from pipeline.detection.registry import PackagedWeights
-from pipeline.detection.session import open_network
 
 LITERT = Path(__file__).parents[4] / ".venv-litert"
 RUNNER = Path(__file__).parent / "litert" / "run_litert.py"

@@ -17,7 +17,7 @@ from pipeline.detection.decoders.openpose import LIMBS, decode_openpose
 from pipeline.detection.detector import Detector
 from pipeline.detection.entries import REGISTRY
 from pipeline.detection.letterbox import fit_letterbox
-from pipeline.detection.profiles.detection import turned
+from pipeline.detection.profiles.profile_detector import turned
 from pipeline.detection.registry import FieldGrid, NetworkHead, NetworkInput
 from pipeline.geometry.fields import connectivity, quantise
 

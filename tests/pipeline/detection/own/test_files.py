@@ -21,8 +21,7 @@ from pipeline.detection.entries import entry_of
 from pipeline.detection.own import files
 from pipeline.detection.own.files import add_own, own_names
 from pipeline.detection.own_network import decode_description, encode_description, usual_network
-from pipeline.detection.profiles import detection
-from pipeline.detection.profiles.detection import joints_of, open_detection
+from pipeline.detection.profiles.profile_detector import joints_of, open_detection
 from tests.pipeline.detection.own.networks import endless, heatmaps, rtmo, simcc, write
 from tests.waiting import is_alive, wait_for
 
@@ -142,7 +141,7 @@ def test_check_ends_with_its_command(tmp_path: Path) -> None:
     command = subprocess.Popen(python_command("-c", program, str(path)), env=os.environ | {"PYTHONPATH": str(ROOT)})
     try:
         parent = psutil.Process(command.pid)
-        wait_for(lambda: any("pipeline.detection.own.check" in child.cmdline() for child in parent.children()))
+        wait_for(lambda: any("pipeline.detection.own.check_network" in child.cmdline() for child in parent.children()))
         (check,) = parent.children()
         wait_for(lambda: "pipeline.core.runtime.parent_watch" not in check.cmdline())
     finally:

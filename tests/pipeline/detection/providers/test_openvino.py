@@ -10,9 +10,9 @@ import pytest
 
 from pipeline.core.options.providers import CPU, choose_provider
 from pipeline.detection.models import path_of, status
+from pipeline.detection.network import open_network
 from pipeline.detection.providers.agreement import noise
 from pipeline.detection.providers.find import current_provider, find_provider
-from pipeline.detection.session import open_network
 
 pytestmark = [
     pytest.mark.skipif(
@@ -51,7 +51,7 @@ def test_network_in_single_precision_equals_cpu(
     with caplog.at_level(logging.WARNING):
         found = open_network(path)(picture)
     assert not caplog.records
-    monkeypatch.setattr("pipeline.detection.session.current_provider", lambda: CPU)
+    monkeypatch.setattr("pipeline.detection.network.current_provider", lambda: CPU)
     for name, values in open_network(path)(picture).items():
         np.testing.assert_allclose(found[name], values, atol=1e-3 * np.abs(values).max())
 
@@ -75,7 +75,7 @@ def test_network_in_integers_stays_on_cpu_with_warning(
         found = open_network(path)(picture)
     (record,) = caplog.records
     assert "movenet-multipose-int8 runs on the CPU, not by openvino: its outputs differ" in record.getMessage()
-    monkeypatch.setattr("pipeline.detection.session.current_provider", lambda: CPU)
+    monkeypatch.setattr("pipeline.detection.network.current_provider", lambda: CPU)
     for name, values in open_network(path)(picture).items():
         np.testing.assert_array_equal(found[name], values)
 

@@ -9,7 +9,7 @@ import onnxruntime
 from jaxtyping import Float32
 from onnx import TensorProto, helper
 
-from pipeline.detection.quantization.quantize import STEPS_PER_OCTAVE, Steps
+from pipeline.detection.quantization.static_quantization import STEPS_PER_OCTAVE, Steps
 
 
 def measure_ranges(

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, WHOLE_BODY, JointSet, finger_joints
 from pipeline.detection.bodies import BodyDetector, ImageBodies
-from pipeline.detection.session import Network, one_by_one
+from pipeline.detection.network import Network, one_by_one
 from pipeline.detection.topdown.blazepose import body_region
 from pipeline.detection.topdown.fusion import common_marks_px
 from pipeline.detection.topdown.topdown_detector import TopDown

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Observations, Source, Track3D

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import JointSet

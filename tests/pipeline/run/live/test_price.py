@@ -16,7 +16,7 @@ from pipeline.capture.session import open_session
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.detection.chunk import camera_images
 from pipeline.detection.models import status
-from pipeline.run.live.cameras.detection import DetectionJob, detect_bodies
+from pipeline.run.live.cameras.detector_pool import DetectionJob, detect_bodies
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.frames import LiveFrame
 from pipeline.run.live.identities import Identities

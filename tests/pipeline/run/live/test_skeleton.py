@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffset
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.fitting.articulated import Posed, refine, start_from
 from pipeline.motion.skeleton.fitting.articulation import articulate
+from pipeline.motion.skeleton.fitting.gauss_newton import Posed, refine, start_from
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.pose_steps import PoseSteps, quaternions_from_matrices

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from pipeline.association.tracking.kernels.state import Frames
 from pipeline.association.tracking.observations import NOBODY, gather, undistorted
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.tracker import Tracker, TrackerState, make_frames
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.run.live import tracking
 from pipeline.run.live.frames import make_frame

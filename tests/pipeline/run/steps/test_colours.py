@@ -16,7 +16,6 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.detection import chunk
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detection.detector import Detector
-from pipeline.detection.profiles import detection
 from pipeline.detection.registry import NetworkHead, NetworkInput
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.methods import Association

@@ -12,7 +12,6 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import Progress
 from pipeline.detection.detector import Detector
-from pipeline.detection.profiles import detection
 from pipeline.detection.registry import NetworkHead, NetworkInput
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.stage import DETECT, LOOK

@@ -13,7 +13,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.validation.simulation.scenes import find_scene, record
-from tests.pipeline.export.recording.test_rerun_file import joints_of, rows
+from tests.pipeline.export.rerun.test_rerun_file import joints_of, rows
 from tests.pipeline.simulations import write_simulation
 
 

@@ -20,7 +20,7 @@ from pipeline.core.problems.findings import CAMERA_DISAGREES, STATURE_OUT_OF_RAN
 from pipeline.core.progress import Progress
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from pipeline.run.engine.stage import CHECK, REFINE
-from pipeline.run.preflight.verdict import judge, judge_refined
+from pipeline.run.session_check.verdict import judge, judge_refined
 from pipeline.validation.evaluation.simulated import score_simulated
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.simulations import write_simulation

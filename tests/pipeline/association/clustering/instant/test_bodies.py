@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.instant import bodies as module
 from pipeline.association.clustering.instant.bodies import (
     agree,
@@ -17,7 +18,6 @@ from pipeline.association.clustering.instant.bodies import (
 )
 from pipeline.association.clustering.instant.hypotheses import Candidates
 from pipeline.association.clustering.instant.work_limits import WorkLimits
-from pipeline.association.clustering.parameters import ClusteringParameters
 from pipeline.association.clustering.skeleton import LimbLengths, unknown_lengths
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from pipeline.association.clustering.clustering_parameters import derive_parameters
 from pipeline.association.clustering.instant import clusters as module
 from pipeline.association.clustering.instant.candidates import BodyEvidence
 from pipeline.association.clustering.instant.clusters import cluster_hypotheses
 from pipeline.association.clustering.instant.hypotheses import meet
 from pipeline.association.clustering.instant.work_limits import WorkLimits
-from pipeline.association.clustering.parameters import derive_parameters
 from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.geometry.camera import image_from_world
 from pipeline.validation.simulation.scenes import simulate

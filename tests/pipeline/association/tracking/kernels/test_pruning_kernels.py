@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from pipeline.association.tracking.kernels import tracking_kernels as kernels
 from pipeline.association.tracking.observations import Detections2D, gather, undistorted
-from pipeline.association.tracking.parameters import TrackingParameters, derive_parameters
 from pipeline.association.tracking.tracker import Tracker, make_frames, make_rig
+from pipeline.association.tracking.tracking_parameters import TrackingParameters, derive_parameters
 from pipeline.core.data.arrays import no_colours
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.geometry.camera import project, rays_in_world

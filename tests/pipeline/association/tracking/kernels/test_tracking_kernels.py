@@ -12,9 +12,9 @@ from pipeline.association.tracking.kernels import tracking_kernels as kernels
 from pipeline.association.tracking.kernels.assignment_kernels import assign
 from pipeline.association.tracking.kernels.state import make_workspace
 from pipeline.association.tracking.observations import gather, undistorted
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracker import Tracker, make_frames, make_rig
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import image_from_world
 from pipeline.geometry.tracks import triangulate_frames

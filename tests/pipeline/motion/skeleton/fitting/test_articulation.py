@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.joints import BODY_25, COCO_17, JointSet
-from pipeline.motion.skeleton.fitting import articulated
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions, move, refine, start_from
+from pipeline.motion.skeleton.fitting import gauss_newton
 from pipeline.motion.skeleton.fitting.articulation import NUM_ROOT, Articulation, articulate, joint_of_landmark
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, move, refine, start_from
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 
 RATE_HZ = 25.0
@@ -42,7 +42,7 @@ def anybody(skeleton: Articulation, num_frames: int, seed: int = 0) -> JointPose
 def test_jacobian_is_what_differences_say(joints: JointSet) -> None:
     skeleton = skeleton_of(joints)
     bodies = anybody(skeleton, 2)
-    posed = articulated.Posed(bodies, skeleton)
+    posed = gauss_newton.Posed(bodies, skeleton)
     jacobian = posed.jacobian()
     assert len(skeleton.landmark) == len(joints.names)
     for freedom in range(skeleton.num_freedoms):
@@ -60,10 +60,10 @@ def test_jacobian_is_what_differences_say(joints: JointSet) -> None:
 def test_gradient_of_twist_is_what_differences_say() -> None:
     bone = np.array([0.0, 0.0, -1.0])
     rotation = Rotation.random(50, random_state=1)
-    angle_rad, gradient = articulated._twist(rotation.as_quat(), bone)
+    angle_rad, gradient = gauss_newton._twist(rotation.as_quat(), bone)
     clear = np.hypot(rotation.as_quat() @ [*bone, 0.0], rotation.as_quat()[:, 3]) > 0.3  # of a half turn of the bone
     for axis in np.eye(3):
-        turned_rad, _ = articulated._twist((rotation * Rotation.from_rotvec(STEP * axis)).as_quat(), bone)
+        turned_rad, _ = gauss_newton._twist((rotation * Rotation.from_rotvec(STEP * axis)).as_quat(), bone)
         change = (turned_rad - angle_rad + np.pi) % (2 * np.pi) - np.pi
         np.testing.assert_allclose(change[clear] / STEP, (gradient @ axis)[clear], atol=1e-4)
 

@@ -6,16 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.association.tracking.parameters import derive_parameters
 from pipeline.association.tracking.track_people import reconstruct_tracks
+from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig, Smoothing
 from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, Posed, start_from
 from pipeline.motion.skeleton.fitting.articulation import Articulation, articulate
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, Posed, start_from
 from pipeline.motion.skeleton.fitting.uncertainty import _FLOOR_M, _INERTIA, _LASTING, _priors, uncertainty_m
 from pipeline.motion.skeleton.model import SKELETON
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Side
 from pipeline.core.joints import FINGERS, finger_joints
 from pipeline.motion.skeleton.feet.floor import SIDES
-from pipeline.motion.skeleton.fitting.articulated import JointPoses, landmark_positions
+from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions
 from pipeline.motion.skeleton.hands.anatomy import (
     HINGES,
     NUM_HINGES,

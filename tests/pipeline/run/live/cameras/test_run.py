@@ -20,7 +20,7 @@ from pipeline.detection.appearance import NUM_BINS, PARTS
 from pipeline.run.live.cameras import feed as feeds
 from pipeline.run.live.cameras import offsets
 from pipeline.run.live.cameras import run as runs
-from pipeline.run.live.cameras.detection import DetectedBodies, DetectionJob
+from pipeline.run.live.cameras.detector_pool import DetectedBodies, DetectionJob
 from pipeline.run.live.cameras.feed import FrameDecoded
 from pipeline.run.live.cameras.pace import DetectionPace
 from pipeline.run.live.cameras.run import CameraRun, LiveListener

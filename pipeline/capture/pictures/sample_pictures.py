@@ -1,0 +1,186 @@
+"""Look at a few pictures of each video of a session: findings about them, and small copies of them as evidence.
+
+Decoders run in child processes with limits (``pipeline.video``); only arrays of pixels come back.
+"""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from pipeline.capture.pictures.copies import MIN_INSTANTS, same_video, similar_views
+from pipeline.capture.pictures.figures import PictureFigures, measure_figures, reduced
+from pipeline.capture.pictures.picture_checks import CameraPictures, check_pictures
+from pipeline.capture.session import CaptureSession
+from pipeline.core.errors import ChildError, InputError
+from pipeline.core.findings import Finding, Severity, from_problem
+from pipeline.core.problems.findings import PICTURES_LEFT_OUT
+from pipeline.video.container import reading_s
+from pipeline.video.decode import decode
+from pipeline.video.info import VideoInfo
+
+NUM_PICTURES = 8
+"""Largest number of pictures of a camera."""
+THUMBNAIL_SIDE_PX = 320
+"""Largest side of a thumbnail."""
+
+# Pixels that are decoded at most for the pictures of a video with few keyframes: 600 frames of 1920 x 1080.
+_MAX_DECODED_PX = 600 * 1920 * 1080
+# Limit on the computing time of a decoder of a small file, and on the wait for one picture.
+_MAX_S = 20.0
+_MIN_S = 0.1
+_DECODERS_AT_ONCE = 2
+_JPEG_QUALITY = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Thumbnail:
+    """Small copy of a picture."""
+
+    time_s: float  # Time of the picture on the session's clock
+    content: bytes  # JPEG whose longer side is at most 320 pixels
+
+
+@dataclass(frozen=True, slots=True)
+class PicturesCheck:
+    """Findings about pictures, whose evidence ``pictures`` has numbers of thumbnails of the camera."""
+
+    findings: tuple[Finding, ...]
+    thumbnails: tuple[tuple[Thumbnail, ...], ...]  # Thumbnails of each camera of the session, ascending in time
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """Pictures of a camera; findings if its video could not be decoded; whether the time was over before its end."""
+
+    pictures: CameraPictures
+    frames: tuple[int, ...]
+    thumbnails: tuple[Thumbnail, ...]
+    problems: tuple[Finding, ...]
+    is_left_out: bool
+
+
+def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> PicturesCheck:
+    """Check a few pictures of each camera of a session.
+
+    A video that can't be decoded within the limits gives a finding. After ``budget_s`` no further picture is looked at.
+    A finding says of how many cameras pictures were left out, for lack of time or because their decoder was ended from
+    outside.
+    """
+    deadline_s = time.monotonic() + budget_s
+    names = [camera.name for camera in session.cameras]
+
+    def look(camera: str, video: VideoInfo) -> _Looked:
+        return _look(session, camera, video, deadline_s)
+
+    with ThreadPoolExecutor(_DECODERS_AT_ONCE) as pool:
+        try:
+            looked = list(pool.map(look, names, session.videos))
+            seen = [camera.pictures for camera in looked]
+            alike = similar_views(seen) if time.monotonic() < deadline_s else []
+            copies = list(pool.map(lambda pair: _compare(session, looked, pair[0], pair[1], deadline_s), alike))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    findings = [finding for camera in looked for finding in camera.problems]
+    findings += [*check_pictures(seen), *(copy for copy in copies if copy is not None)]
+    if num_left := sum(camera.is_left_out for camera in looked):
+        message = (
+            f"The service was busy: it had no time or memory to look at all pictures of {num_left} of {len(looked)} "
+            "cameras. This says nothing about the videos."
+        )
+        hint = "Send the session again when the service is less busy to have all pictures looked at."
+        findings.append(Finding(PICTURES_LEFT_OUT, message, None, "info", hint, {"num_cameras": num_left}))
+    return PicturesCheck(tuple(findings), tuple(camera.thumbnails for camera in looked))
+
+
+def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: float) -> _Looked:
+    time_s = session.times[camera].time_s
+    frames: list[int] = []
+    figures: list[PictureFigures] = []
+    thumbnails: list[Thumbnail] = []
+    problems: list[Finding] = []
+    is_left_out = time.monotonic() >= deadline_s
+    try:
+        for number, image_rgb in () if is_left_out else _decoded(video, frames_to_look_at(video), deadline_s):
+            if is_left_out := time.monotonic() >= deadline_s:
+                break
+            frames.append(number)
+            figures.append(measure_figures(image_rgb))
+            thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
+    except InputError as error:
+        # The decoder was stopped, or had no time to start.
+        is_left_out = time.monotonic() >= deadline_s
+        listed = () if is_left_out else error.problems
+        # Detection allows for some damaged frames, which these may be.
+        severity: Severity = "warning" if figures else "error"
+        found = (from_problem(replace(problem, camera=camera)) for problem in listed)
+        problems += [replace(finding, severity=severity) for finding in found]
+    except ChildError:
+        # The decoder was ended from outside, such as for lack of memory: no reason to refuse the session.
+        is_left_out = True
+    pictures = CameraPictures(camera, time_s[frames], tuple(figures))
+    return _Looked(pictures, tuple(frames), tuple(thumbnails), tuple(problems), is_left_out)
+
+
+def _compare(
+    session: CaptureSession, looked: Sequence[_Looked], first: int, later: int, deadline_s: float
+) -> Finding | None:
+    """Compare two cameras with similar views at the same times since the starts of their files."""
+    one, other = session.videos[first], session.videos[later]
+    of_first = looked[first]
+    ends_s = float(other.time_s[-1])
+    known = [number for number, frame in enumerate(of_first.frames) if one.time_s[frame] <= ends_s]
+    chosen = [known[int((part + 0.5) * len(known) / MIN_INSTANTS)] for part in range(MIN_INSTANTS)] if known else []
+    if len(set(chosen)) < MIN_INSTANTS:
+        return None
+    figures = []
+    try:
+        for number in chosen:
+            frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
+            figures += [measure_figures(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
+    except (InputError, ChildError):
+        return None
+    if len(figures) < MIN_INSTANTS:
+        return None
+    known_figures = [of_first.pictures.figures[number] for number in chosen]
+    return same_video(of_first.pictures, looked[later].pictures, known_figures, figures)
+
+
+def frames_to_look_at(video: VideoInfo) -> list[int]:
+    """Frames of a video in the middle of equal parts, ascending: keyframes where there are enough of them.
+
+    Only keyframes can be decoded alone. In a video with few of them the frames are from its beginning, as far as
+    decoding all frames before them is quick.
+    """
+    keyframes = np.flatnonzero(np.isin(video.pts, video.keyframe_pts))
+    wanted = _middles(video.num_frames)
+    near = sorted({int(keyframes[np.argmin(np.abs(keyframes - frame))]) for frame in wanted}) if len(keyframes) else []
+    if 2 * len(near) > len(wanted):
+        return near
+    width, height = video.stored_size_px
+    return _middles(min(video.num_frames, max(1, _MAX_DECODED_PX // (width * height))))
+
+
+def _middles(num_frames: int) -> list[int]:
+    return sorted({int((part + 0.5) * num_frames / NUM_PICTURES) for part in range(NUM_PICTURES)})
+
+
+def _decoded(video: VideoInfo, frames: Sequence[int], deadline_s: float) -> Iterator[tuple[int, np.ndarray]]:
+    limit_s = min(_MAX_S + sum(map(reading_s, video.paths)), max(_MIN_S, deadline_s - time.monotonic()))
+    with closing(decode(video, frames[0], frames[-1] + 1, only=frames, limit_s=limit_s)) as pictures:
+        yield from pictures
+
+
+def _encode(image_rgb: np.ndarray) -> bytes:
+    small = reduced(np.ascontiguousarray(image_rgb), THUMBNAIL_SIDE_PX)
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    is_encoded, content = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), options)
+    if not is_encoded:
+        raise RuntimeError("OpenCV can't write JPEG")
+    return content.tobytes()

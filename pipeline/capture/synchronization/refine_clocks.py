@@ -1,0 +1,250 @@
+"""Fine offsets and rates of all cameras at once: Gauss-Newton on the epipolar errors of people's joints.
+
+A joint is sampled at any instant of a camera's own time, so the error is a smooth function of the clocks. Cameras are
+calibrated, and detectors mark joints, with errors that last: a constant error of a joint would be taken for an offset
+while the joint moves steadily. So each joint of each person and pair of cameras has a constant of its own, and the
+clocks follow from what changes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pipeline.capture.synchronization.motions import STEP_S, BodyMotion
+from pipeline.capture.synchronization.pair_curves import essential_matrix
+from pipeline.core.data.cameras import Camera
+
+Match = tuple[int, int]
+"""Numbers of two motions that are one person."""
+
+_STEPS = 15
+_CONVERGED_S = 2e-5
+# Instants of all matches together.
+_MAX_INSTANTS = 20_000
+# Time for which errors of a detector last, and length of the blocks of time that count as independent.
+_ERROR_LASTS_S, _BLOCK_S = 0.8, 1.0
+# Standard deviation of the constant error of a joint, in tolerances.
+_CONSTANT_SIGMA = 2.0
+# Errors beyond so many standard deviations lose weight.
+_ROBUST = 2.0
+# Standard deviation of rates before anything is measured: clocks of cameras differ by some 10 to 100 ppm.
+_RATE_SIGMA = 3e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FineClocks:
+    """Clocks of all cameras: ``session time = offset_s + own + drift * (own - pivot_s)``."""
+
+    # Of each camera; the reference's are 0
+    offset_s: Float[np.ndarray, " cameras"]
+    drift: Float[np.ndarray, " cameras"]
+    pivot_s: float  # Own time at which an offset holds
+    # Of the offsets, then the drifts, of all cameras; zeros for the reference. It rests on how much blocks of time
+    # disagree, so it includes errors that the cameras share.
+    covariance: Float[np.ndarray, "parameters parameters"]
+    error: float  # Standard deviation of the errors, in tolerances, without the constants
+    num_blocks: int  # Blocks of time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Linearised errors of joints."""
+
+    residual: Float[np.ndarray, " rows"]
+    cameras: Int[np.ndarray, "rows 2"]
+    by_time: Float[np.ndarray, "rows 2"]
+    own_s: Float[np.ndarray, "rows 2"]
+    group: Int[np.ndarray, " rows"]
+    block: Int[np.ndarray, " rows"]
+
+
+def refine_clocks(
+    cameras: Sequence[Camera],
+    motions: Sequence[BodyMotion],
+    matches: Sequence[Match],
+    offset_s: Float[np.ndarray, " cameras"],
+    has_drift: bool,
+    reference: int = 0,
+) -> FineClocks:
+    """Refine clocks.
+
+    ``matches`` are motions of two cameras that are one person. Offsets start from ``offset_s``; without ``has_drift``
+    rates are 1. The session's clock is the clock of camera ``reference``.
+    """
+    offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
+    begin, end = (
+        min((motion.first for motion in motions), default=0),
+        max((motion.stop for motion in motions), default=0),
+    )
+    pivot_s = STEP_S * (begin + end) / 2
+    essentials = {
+        (a, b): essential_matrix(cameras[a], cameras[b])
+        for a, b in {(motions[first].camera, motions[second].camera) for first, second in matches}
+    }
+    free = np.ones(2 * len(cameras), bool)
+    free[[reference, reference + len(cameras)]] = False
+    free[len(cameras) :] &= has_drift
+    prior = np.concatenate([np.zeros(len(cameras)), np.full(len(cameras), _RATE_SIGMA**-2)])
+    step_s = _step_s(motions, matches)
+    share = min(1.0, step_s / _ERROR_LASTS_S)
+    normal, scores = np.zeros((len(prior), len(prior))), np.zeros((0, len(prior)))
+    sigma = np.nan
+    num_blocks = 0
+    for _ in range(_STEPS):
+        rows = _linearise(motions, matches, essentials, (offset_s, drift, pivot_s), step_s)
+        if not len(rows.residual):
+            break
+        jacobian = _jacobian(rows, len(cameras), pivot_s)
+        residual, jacobian, weight, sigma = _without_constants(rows, jacobian, share)
+        # A share of the rows is independent; the rest repeats their errors.
+        factor = share / sigma**2
+        scores = np.zeros((rows.block.max() + 1, 2 * len(cameras)))
+        np.add.at(scores, rows.block, factor * (weight * residual)[:, None] * jacobian)
+        normal = factor * (jacobian * weight[:, None]).T @ jacobian
+        values = np.concatenate([offset_s, drift])
+        gradient = scores.sum(0) + prior * values
+        damped = normal + np.diag(prior) + 1e-9 * np.eye(len(normal)) * max(float(np.trace(normal)), 1e-9)
+        change = np.zeros(len(values))
+        change[free] = -np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
+        change[: len(cameras)] = np.clip(change[: len(cameras)], -0.05, 0.05)
+        offset_s, drift = offset_s + change[: len(cameras)], drift + change[len(cameras) :]
+        num_blocks = len(np.unique(rows.block))
+        if np.abs(change[: len(cameras)]).max() < _CONVERGED_S:
+            break
+    covariance = _covariance(normal, scores, prior, free, num_blocks)
+    return FineClocks(offset_s, drift, pivot_s, covariance, float(sigma), num_blocks)
+
+
+def _step_s(motions: Sequence[BodyMotion], matches: Sequence[Match]) -> float:
+    """Time between two sampled instants."""
+    points = sum(min(len(motions[a].points), len(motions[b].points)) for a, b in matches)
+    return STEP_S * max(2.0, points / _MAX_INSTANTS)
+
+
+def own_times_s(
+    time_s: Float[np.ndarray, " n"], offset_s: float, drift: float, pivot_s: float
+) -> Float[np.ndarray, " n"]:
+    """Own times of a camera at session times."""
+    return (time_s - offset_s + drift * pivot_s) / (1.0 + drift)
+
+
+def _linearise(
+    motions: Sequence[BodyMotion],
+    matches: Sequence[Match],
+    essentials: dict[tuple[int, int], Float[np.ndarray, "3 3"]],
+    clocks: tuple[Float[np.ndarray, " cameras"], Float[np.ndarray, " cameras"], float],
+    step_s: float,
+) -> _Rows:
+    """Signed Sampson errors of all joints of all matches, in tolerances, and their derivatives by own times."""
+    offset_s, drift, pivot_s = clocks
+    parts: list[tuple[np.ndarray, ...]] = []
+    for number, (a, b) in enumerate(matches):
+        first, second = motions[a], motions[b]
+        ends_s = [
+            STEP_S * np.array([motion.first, motion.stop - 1]) * (1 + drift[motion.camera])
+            + offset_s[motion.camera] - drift[motion.camera] * pivot_s
+            for motion in (first, second)
+        ]  # fmt: skip
+        begin_s, end_s = max(ends_s[0][0], ends_s[1][0]), min(ends_s[0][1], ends_s[1][1])
+        time_s = step_s * np.arange(np.ceil(begin_s / step_s), np.floor(end_s / step_s) + 1)
+        if not len(time_s):
+            continue
+        own_s = [
+            own_times_s(time_s, offset_s[motion.camera], drift[motion.camera], pivot_s) for motion in (first, second)
+        ]
+        (left, left_speed), (right, right_speed) = _at(first, own_s[0]), _at(second, own_s[1])
+        essential = essentials[first.camera, second.camera]
+        line_in_right = left @ essential[:, :2].T + essential[:, 2]
+        line_in_left = right @ essential[:2] + essential[2]
+        norm = np.sqrt((line_in_right[..., :2] ** 2).sum(-1) + (line_in_left[..., :2] ** 2).sum(-1))
+        norm *= np.sqrt((first.tolerance**2 + second.tolerance**2) / 2)
+        residual = ((right * line_in_right[..., :2]).sum(-1) + line_in_right[..., 2]) / norm
+        by_first = (line_in_left[..., :2] * left_speed).sum(-1) / norm
+        by_second = (line_in_right[..., :2] * right_speed).sum(-1) / norm
+        rows, joints = np.nonzero(np.isfinite(residual))
+        parts.append(
+            (
+                residual[rows, joints],
+                np.tile([first.camera, second.camera], (len(rows), 1)),
+                np.column_stack([by_first[rows, joints], by_second[rows, joints]]),
+                np.column_stack([own_s[0][rows], own_s[1][rows]]),
+                number * residual.shape[1] + joints,
+                np.floor(time_s[rows] / _BLOCK_S).astype(np.int64),
+            )
+        )
+    if not parts:
+        none = np.empty(0, int)
+        return _Rows(np.empty(0), np.empty((0, 2), int), np.empty((0, 2)), np.empty((0, 2)), none, none)
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    columns[5] -= columns[5].min()
+    return _Rows(*columns)
+
+
+def _at(
+    motion: BodyMotion, own_s: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints 2"]]:
+    """Joints and their speeds at own times within the motion."""
+    place = np.clip(own_s / STEP_S - motion.first, 0, len(motion.points) - 1)
+    row = np.minimum(place.astype(np.int64), len(motion.points) - 2)
+    share = (place - row)[:, None, None]
+    points, speed = ((1 - share) * values[row] + share * values[row + 1] for values in (motion.points, motion.speed))
+    return points, speed
+
+
+def _jacobian(rows: _Rows, num_cameras: int, pivot_s: float) -> Float[np.ndarray, "rows parameters"]:
+    """Derivatives by offsets, then drifts, of all cameras: a later clock shows an earlier instant."""
+    jacobian = np.zeros((len(rows.residual), 2 * num_cameras))
+    index = np.arange(len(rows.residual))
+    for side in (0, 1):
+        jacobian[index, rows.cameras[:, side]] -= rows.by_time[:, side]
+        jacobian[index, num_cameras + rows.cameras[:, side]] -= rows.by_time[:, side] * (rows.own_s[:, side] - pivot_s)
+    return jacobian
+
+
+def _without_constants(
+    rows: _Rows, jacobian: Float[np.ndarray, "rows parameters"], share: float
+) -> tuple[
+    Float[np.ndarray, " rows"], Float[np.ndarray, "rows parameters"], Float[np.ndarray, " rows"], float
+]:  # fmt: skip
+    """Residuals and derivatives less the constant of each group, weights of the rows, and their deviation."""
+    num_groups = int(rows.group.max()) + 1
+    weight = np.ones(len(rows.residual))
+    sigma = np.nan
+    for _ in range(4):
+        total = np.bincount(rows.group, weight, num_groups)
+        mean = np.bincount(rows.group, weight * rows.residual, num_groups) / np.maximum(total, 1e-12)
+        rest = rows.residual - mean[rows.group]
+        sigma = max(1.4826 * float(np.median(np.abs(rest))), 0.01)
+        weight = 1.0 / (1.0 + (rest / (_ROBUST * sigma)) ** 2) ** 2
+    total = np.maximum(np.bincount(rows.group, weight, num_groups), 1e-12)
+    known = share * total / sigma**2
+    shrink = (known / (known + _CONSTANT_SIGMA**-2) / total)[rows.group]
+    residual = rows.residual - shrink * np.bincount(rows.group, weight * rows.residual, num_groups)[rows.group]
+    reduced = jacobian.copy()
+    for column in range(jacobian.shape[1]):
+        reduced[:, column] -= shrink * np.bincount(rows.group, weight * jacobian[:, column], num_groups)[rows.group]
+    return residual, reduced, weight, sigma
+
+
+def _covariance(
+    normal: Float[np.ndarray, "parameters parameters"],
+    scores: Float[np.ndarray, "blocks parameters"],
+    prior: Float[np.ndarray, " parameters"],
+    free: np.ndarray,
+    num_blocks: int,
+) -> Float[np.ndarray, "parameters parameters"]:
+    """Covariance by blocks of time that disagree (sandwich estimate, White 1982), or by curvature if it is larger."""
+    covariance = np.zeros((len(prior), len(prior)))
+    if num_blocks == 0:
+        return np.diag(np.where(free, np.inf, 0.0))
+    inner = np.ix_(free, free)
+    damped = normal + np.diag(prior)
+    inverse = np.linalg.pinv(damped[inner], hermitian=True)
+    spread = scores[:, free].T @ scores[:, free] + np.diag(prior)[inner]
+    spread *= num_blocks / max(1.0, num_blocks - 1.0)
+    sandwich = inverse @ spread @ inverse
+    scale = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.maximum(np.diag(sandwich), 1e-300)))
+    covariance[inner] = sandwich * np.outer(scale, scale)
+    return covariance
