@@ -18,7 +18,7 @@ from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.write import encode
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.requests import LIVE_STOPPED
+from pipeline.core.problems.request_codes import LIVE_STOPPED
 from pipeline.run.live.packets import Dropped
 from pipeline.run.live.packing import instant_of_json, pack_keypoints, unpack_instant
 from pipeline.run.live.records import LiveInstant

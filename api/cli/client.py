@@ -15,7 +15,7 @@ import httpx2
 
 from pipeline.core.errors import PipelineError
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import SERVICE_ERROR
+from pipeline.core.problems.finding_codes import SERVICE_ERROR
 from pipeline.core.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]

@@ -35,7 +35,7 @@ from rich.text import Text
 from pipeline.capture.preflight_record import LayoutRead
 from pipeline.core.errors import InputError, PipelineError, SessionRefused
 from pipeline.core.findings import Finding, worst_first
-from pipeline.core.problems.findings import INTERRUPTED, MEMORY_LIMIT
+from pipeline.core.problems.finding_codes import INTERRUPTED, MEMORY_LIMIT
 from pipeline.core.progress import Progress
 from pipeline.run.engine.output_folder import default_cache, is_usable
 from pipeline.run.engine.plan import STAGE_BY_NAME

@@ -5,7 +5,7 @@ import signal
 import sys
 from typing import NoReturn
 
-from pipeline.core.problems.findings import INTERRUPTED
+from pipeline.core.problems.finding_codes import INTERRUPTED
 
 
 def end_interrupted() -> NoReturn:

@@ -18,9 +18,9 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderChoice, choose_provider
 from pipeline.core.options.requirements import requirement
 from pipeline.core.options.rules import CONFIG_CHOICES, collecting, require, value_problems
-from pipeline.core.problems.findings import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import FRAME_RANGE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
+from pipeline.core.problems.request_codes import FRAME_RANGE
 from pipeline.detection.providers.find import current_provider
 
 

@@ -26,8 +26,8 @@ from pipeline.capture.preflight_record import Clock
 from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.rules import collecting, require
-from pipeline.core.problems.findings import PARAMETER_UNREADABLE, SOURCES
-from pipeline.core.problems.sessions import CAMERA_WITH_TWO_FOLDERS
+from pipeline.core.problems.finding_codes import PARAMETER_UNREADABLE, SOURCES
+from pipeline.core.problems.session_codes import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
 
 

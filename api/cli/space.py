@@ -11,7 +11,7 @@ from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.requests import SPACE_MISSING
+from pipeline.core.problems.request_codes import SPACE_MISSING
 from pipeline.run.space import CameraFrames, ForeseenSpace, estimate_space, shown_bytes
 
 

@@ -14,7 +14,7 @@ from pipeline.capture.names import natural_key
 from pipeline.capture.session import Session
 from pipeline.capture.video_files import footage_in
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import TAKE_EMPTY, TAKE_UNCALIBRATED, TAKES_UNREADABLE
+from pipeline.core.problems.finding_codes import TAKE_EMPTY, TAKE_UNCALIBRATED, TAKES_UNREADABLE
 
 _KEYPOINTS, _TIMESTAMPS, _CALIBRATION = "keypoints", "timestamps.csv", "calibration.*"
 _MAX_LIST_BYTES = 2**24

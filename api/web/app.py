@@ -32,7 +32,7 @@ from api.web.jobs.routes import declare_webhooks
 from api.web.live.forks import ForkServer
 from api.web.live.places import LivePlaces
 from api.web.metrics import RequestMetrics
-from api.web.recordings.relay import RecordingRelay
+from api.web.recordings.broadcast import RecordingRelay
 from api.web.recordings.rooms import Rooms
 from api.web.resources import RESOURCES
 from api.web.sessions.preflight import PreflightProgram

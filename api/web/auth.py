@@ -22,7 +22,7 @@ from api.web.errors import ApiError
 from api.web.http.browser_cookie import NAME, cookie_name, deletion
 from api.web.http.keys_in_use import Credential
 from api.web.http.rates import client_network
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     CROSS_SITE_REQUEST,
     HEADER_INVALID,
     KEY_REQUIRED,
@@ -31,7 +31,7 @@ from pipeline.core.problems.requests import (
 )
 from worker.store.database.tables import DEFAULT_TENANT
 from worker.store.errors import NotFound
-from worker.store.model.recordings import JoinLink, UploadingPhone
+from worker.store.model.phone_records import JoinLink, UploadingPhone
 from worker.store.model.rights import Actor, Key, Link, LinkScope, Scope
 from worker.store.repositories.links import LINK_PREFIX
 from worker.store.tenant_records import TenantRecords

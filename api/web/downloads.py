@@ -15,9 +15,9 @@ from api.web.errors import ApiError, ErrorItem
 from api.web.http.conditional import NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
 from api.web.http.fair_share import FairThreads
 from api.web.http.file_names import content_disposition
-from pipeline.core.problems.requests import ARTIFACT_DAMAGED, EXPIRED, RESULT_DAMAGED
+from pipeline.core.problems.request_codes import ARTIFACT_DAMAGED, EXPIRED, RESULT_DAMAGED
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 
 _BLOCK_BYTES = 2**18
 _DAMAGED_HINT = (

@@ -17,9 +17,9 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems import requests
-from pipeline.core.problems.model import Code, read_sentences, usual_status
-from pipeline.core.problems.requests import (
+from pipeline.core.problems import request_codes
+from pipeline.core.problems.code_group import Code, read_sentences, usual_status
+from pipeline.core.problems.request_codes import (
     ARTIFACT_DAMAGED,
     ARTIFACTS_REFUSED,
     ARTIFACTS_UNAVAILABLE,
@@ -93,7 +93,7 @@ _DETAILS: Mapping[int, str] = {
 }
 
 
-_SENTENCES = read_sentences(requests)
+_SENTENCES = read_sentences(request_codes)
 
 MEANINGS: Mapping[str, str] = {code: _SENTENCES[code][0] for code in FIELDS.places}
 """Meanings of the codes in ``errors[]`` that concern a field. The codes are part of the API and never change."""

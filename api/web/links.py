@@ -13,7 +13,7 @@ from api.web.contract.schemas import Id, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
-from pipeline.core.problems.requests import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
+from pipeline.core.problems.request_codes import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.store.errors import NotFound
 from worker.store.model.rights import Link, LinkScope
 from worker.store.tenant_records import TenantRecords

@@ -17,9 +17,9 @@ from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import Download, Stream, opened
 from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
-from pipeline.core.problems.requests import CONFLICT, NOT_FOUND
+from pipeline.core.problems.request_codes import CONFLICT, NOT_FOUND
 from pipeline.run.engine.stage import DESCRIPTION, MOTION
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 from worker.store.tenant_records import TenantRecords
 
 

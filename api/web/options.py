@@ -29,7 +29,7 @@ from pipeline.core.options.config import (
 )
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.rules import install_command
-from pipeline.core.problems.requests import NOT_FOUND
+from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
 from worker.store.repositories.work.workers import installed_detectors, writable_formats
 

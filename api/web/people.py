@@ -17,10 +17,10 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, c
 from api.web.jobs.schemas import JobOut
 from pipeline.core.errors import InputError
 from pipeline.core.options.edits import MAX_EDITS, MAX_PIECES, EditedPerson, PeopleEdit, PersonSpan, apply_edits
-from pipeline.core.problems.requests import CONFLICT
+from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
 from worker.run.planning import plan_job
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 
 _Edit = Annotated[PeopleEdit, Field(discriminator="action")]
 _NUMBERING = "They are numbered as before any cut."

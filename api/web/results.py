@@ -27,7 +27,7 @@ from api.web.http.conditional import ByteRange
 from api.web.http.file_names import archived_name, content_disposition, download_stem, result_name
 from pipeline.core.options.file_formats import FILE_FORMATS
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.model.jobs import JobRecord, Result
+from worker.store.model.job_records import JobRecord, Result
 
 
 class ResultOut(ResponseModel):

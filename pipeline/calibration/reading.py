@@ -17,8 +17,8 @@ from pipeline.calibration.unread_fields import lens_fields, size_fields
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.session_codes import (
     CALIBRATION_EMPTY,
     DUPLICATE_CAMERA,
     INVALID_SIZE,

@@ -19,9 +19,9 @@ from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, in_utf_8, parse
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import CALIBRATION_UNPOSED
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
+from pipeline.core.problems.session_codes import (
     CALIBRATION_FORMAT,
     CALIBRATION_MISSING,
     CALIBRATION_TOO_LARGE,

@@ -22,7 +22,7 @@ from pipeline.core.parsing import (
     UnreadableError,
     read_numbers,
 )
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.session_codes import (
     INVALID_DISTORTION,
     INVALID_MATRIX,
     INVALID_NAME,

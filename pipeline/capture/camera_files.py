@@ -11,7 +11,7 @@ from pipeline.capture.parts import missing_parts, recordings_of
 from pipeline.capture.video_files import VideoFiles
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.session_codes import (
     DUPLICATE_RECORDING,
     DUPLICATE_RECORDING_FILE,
     DUPLICATE_VIDEO,

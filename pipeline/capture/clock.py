@@ -12,8 +12,8 @@ from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.errors import Problem
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES
 from pipeline.core.parsing import DURATION_S, FRAME_RATE_HZ, FRAME_RATE_TOLERANCE
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import NO_OVERLAP, SESSION_TOO_LONG, TOO_MANY_FRAMES
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.session_codes import NO_OVERLAP, SESSION_TOO_LONG, TOO_MANY_FRAMES
 from pipeline.video.frame_rate import measured_rate_hz
 
 

@@ -31,9 +31,15 @@ from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
 from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
-from pipeline.core.problems.requests import SESSION_TOO_LARGE
-from pipeline.core.problems.sessions import INVALID_SIZE, KEYPOINTS_EMPTY, KEYPOINTS_LAYOUT, KEYPOINTS_MIXED, TWO_CLOCKS
+from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
+from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
+from pipeline.core.problems.session_codes import (
+    INVALID_SIZE,
+    KEYPOINTS_EMPTY,
+    KEYPOINTS_LAYOUT,
+    KEYPOINTS_MIXED,
+    TWO_CLOCKS,
+)
 from pipeline.video.info import VideoInfo
 from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 from pipeline.capture.keypoint_files import foreign, freemocap
 from pipeline.capture.keypoint_files.folders import CAPTURES, MAX_FILE_BYTES
 from pipeline.core.errors import InputError, Problem, printable
-from pipeline.core.problems.sessions import KEYPOINTS_ARCHIVE
+from pipeline.core.problems.session_codes import KEYPOINTS_ARCHIVE
 from pipeline.core.runtime.zips import ArchiveError, list_entries, name_of, read_entry, refusal
 
 _MAX_TOTAL_BYTES = 4 * 2**30

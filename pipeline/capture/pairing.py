@@ -7,9 +7,9 @@ from pipeline.capture.names import cameras_in_names, natural_key
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import CAMERA_LEFT_OUT, PAIRED_IN_SORTED_ORDER
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CAMERA_LEFT_OUT, PAIRED_IN_SORTED_ORDER
+from pipeline.core.problems.session_codes import (
     CAMERA_WITH_TWO_FOLDERS,
     CAMERA_WITH_TWO_VIDEOS,
     CAMERA_WITHOUT_FOLDER,

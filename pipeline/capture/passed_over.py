@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import FILE_IGNORED
+from pipeline.core.problems.finding_codes import FILE_IGNORED
 
 # Attributes of files and folders, by macOS in archives and on cards.
 _ATTRIBUTES, _FOLDER = "._", "__macosx"

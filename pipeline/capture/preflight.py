@@ -49,8 +49,8 @@ from pipeline.capture.preflight_record import (
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding
-from pipeline.core.problems.requests import SESSION_TOO_LARGE
-from pipeline.core.problems.sessions import IMAGES_ARCHIVE
+from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
+from pipeline.core.problems.session_codes import IMAGES_ARCHIVE
 from pipeline.core.runtime.checking import print_answer
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz
 from pipeline.video.images.files import is_sequence

@@ -20,7 +20,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import SESSION_WARNING
+from pipeline.core.problems.finding_codes import SESSION_WARNING
 from pipeline.core.runtime.npz import decode_arrays, encode_arrays
 from pipeline.video.info import VideoInfo
 

@@ -24,7 +24,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     CALIBRATION_ADAPTED,
     CALIBRATION_NOTE,
     FIRST_PICTURE_MOVED,
@@ -32,7 +32,7 @@ from pipeline.core.problems.findings import (
     PARTS_JOINED,
     SOUND_DELAY_UNKNOWN,
 )
-from pipeline.core.problems.sessions import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
+from pipeline.core.problems.session_codes import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz, without_rounding
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.image_probe import at_rate

@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import FRAME_RATE_HZ
-from pipeline.core.problems.findings import SLOW_MOTION
+from pipeline.core.problems.finding_codes import SLOW_MOTION
 from pipeline.video.frame_rate import measured_rate_hz
 
 # 50 in 25 frames a second up to 1000 in 25: factors of cameras and phones.

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import COARSE_CLOCK
-from pipeline.core.problems.sessions import NO_CREATION_TIME, NO_TIMECODE
+from pipeline.core.problems.finding_codes import COARSE_CLOCK
+from pipeline.core.problems.session_codes import NO_CREATION_TIME, NO_TIMECODE
 from pipeline.video.info import Timecode, VideoInfo
 
 _DECLARED = "Omit the clock and state the offsets of the videos."

@@ -9,8 +9,8 @@ from pathlib import Path
 from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import FILE_IGNORED
-from pipeline.core.problems.sessions import TOO_FEW_VIDEOS
+from pipeline.core.problems.finding_codes import FILE_IGNORED
+from pipeline.core.problems.session_codes import TOO_FEW_VIDEOS
 from pipeline.video.images.files import ENDINGS
 
 _VIDEO_ENDINGS = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts", ".mpg", ".mpeg"})

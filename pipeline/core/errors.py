@@ -17,9 +17,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from pipeline.core.problems.findings import CHILD_FAILED, INPUT_ERROR, MODEL_ERROR, PIPELINE_ERROR, SESSION_REFUSED
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import MORE_PROBLEMS
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CHILD_FAILED, INPUT_ERROR, MODEL_ERROR, PIPELINE_ERROR, SESSION_REFUSED
+from pipeline.core.problems.request_codes import MORE_PROBLEMS
 
 DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Numbers of ``OSError`` that mean a full disk; the input is not at fault."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from pipeline.core.errors import Problem, printable
-from pipeline.core.problems.findings import TOO_FEW_CAMERAS, WORLD_UNIT
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import CALIBRATION_UNPOSED
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import TOO_FEW_CAMERAS, WORLD_UNIT
+from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
 
 Severity = Literal["error", "warning", "info"]
 _SEVERITIES: tuple[Severity, ...] = get_args(Severity)

@@ -9,7 +9,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.detections import DamagedVideo, PictureChanges
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.sessions import VIDEO_DAMAGED
+from pipeline.core.problems.session_codes import VIDEO_DAMAGED
 from pipeline.video.timeline import frames_in, session_timebase, span_s
 
 _SAMPLES_A_SIDE = 64

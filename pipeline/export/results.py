@@ -19,8 +19,8 @@ from pipeline.core.options.config import Body, JobChoices, Preset, Timeline
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, file_ending, formats_of_people, installed_formats
 from pipeline.core.options.rules import file_problems, format_problems, require
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import TAKE_TOO_LARGE
-from pipeline.core.problems.requests import VALUE_NOT_ALLOWED
+from pipeline.core.problems.finding_codes import TAKE_TOO_LARGE
+from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
 from pipeline.core.progress import OnShare, ignore, part_of, split
 from pipeline.export.person_files import (
     SKELETONS,

@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.session_codes import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.confinement import (
     READY,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
+from pipeline.core.problems.finding_codes import FRAME_RATE_VARIES, FRAMES_DROPPED, FRAMES_TOO_CLOSE
 
 DEFAULT_RATE = Fraction(25)
 """Rate of a camera with a single frame, in frames a second."""

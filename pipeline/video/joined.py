@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.sessions import PARTS_DIFFER, PARTS_GAP
+from pipeline.core.problems.session_codes import PARTS_DIFFER, PARTS_GAP
 from pipeline.video.frame_rate import measured_rate_hz
 from pipeline.video.images.files import SEQUENCE
 from pipeline.video.info import VideoInfo

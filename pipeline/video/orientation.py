@@ -10,7 +10,7 @@ from av.sidedata.sidedata import Type
 from av.video.frame import VideoFrame
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import SHOWN_MIRRORED
+from pipeline.core.problems.finding_codes import SHOWN_MIRRORED
 
 # FFmpeg's kinds of side data that PyAV does not know, such as EXIF data: it gives no side data of a frame with one.
 _UNKNOWN_KINDS = sorted(set(range(48)) - {kind.value for kind in Type})

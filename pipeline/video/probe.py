@@ -24,8 +24,8 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import Problem, UnusableError
-from pipeline.core.problems.findings import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.finding_codes import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
+from pipeline.core.problems.session_codes import (
     NO_FRAMES,
     NO_KEYFRAMES,
     NO_VIDEO_STREAM,

@@ -27,7 +27,7 @@ from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
 from tests.warm_programs import WarmPrograms
 from worker.store.files.keys import result_key
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 from worker.store.model.work import Claim
 
 # Replaces the real preflight: the first bytes of a video choose the behaviour.

@@ -6,7 +6,7 @@ import sqlalchemy as sa
 
 from tests.worker.store.conftest import PREFLIGHT
 from worker.store.model.rights import Scope
-from worker.store.model.sessions import InputFile
+from worker.store.model.session_records import InputFile
 from worker.store.model.work import ChunkPlan, StagePlan
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore

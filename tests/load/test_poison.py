@@ -37,7 +37,7 @@ from worker.store.errors import Conflict
 from worker.store.files.artifacts import LocalArtifacts
 from worker.store.files.keys import record_key
 from worker.store.model.rights import Scope
-from worker.store.model.sessions import InputFile
+from worker.store.model.session_records import InputFile
 from worker.store.model.states import FINISHED, JobState
 from worker.store.model.work import WorkerState
 from worker.store.queue import WorkQueue

@@ -34,7 +34,7 @@ from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES
 from worker.run.planning import plan_job
 from worker.store.database.tables import chunks, jobs
 from worker.store.model.rights import Scope
-from worker.store.model.sessions import InputFile
+from worker.store.model.session_records import InputFile
 from worker.store.model.states import ChunkState, JobState
 from worker.store.model.work import WorkerState
 from worker.store.queue import WorkQueue

@@ -41,8 +41,8 @@ from worker.run.chunk import Work
 from worker.run.planning import plan_job
 from worker.run.runner import Runner
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.model.jobs import JobRecord
-from worker.store.model.sessions import InputFile, Session
+from worker.store.model.job_records import JobRecord
+from worker.store.model.session_records import InputFile, Session
 from worker.store.model.work import Ability
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore

@@ -15,7 +15,7 @@ import structlog
 
 from worker.store.errors import DamagedDatabase
 from worker.store.files.artifacts import ArtifactStore
-from worker.store.model.sessions import Session
+from worker.store.model.session_records import Session
 from worker.store.model.work import Claim
 from worker.store.outages import find_outage
 from worker.store.store import JobStore

@@ -18,8 +18,8 @@ from pipeline.capture.session import Session as OpenedSession
 from pipeline.core.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderName, provider_name
-from pipeline.core.problems.findings import INPUT_DAMAGED
-from pipeline.core.problems.requests import VIDEOS_DELETED
+from pipeline.core.problems.finding_codes import INPUT_DAMAGED
+from pipeline.core.problems.request_codes import VIDEOS_DELETED
 from pipeline.core.runtime.kernel_cache import is_complete
 from pipeline.detection.profiles.profile_detector import detection_joints, open_detection
 from pipeline.export.character.source import CharacterSource
@@ -33,7 +33,7 @@ from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import ArtifactStore, read_artifact
 from worker.store.files.checksums import require_file
 from worker.store.files.keys import record_key
-from worker.store.model.sessions import Session
+from worker.store.model.session_records import Session
 from worker.store.spec import JobSpec
 
 

@@ -13,16 +13,16 @@ from pipeline.run.engine.code import stage_codes
 from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, plan
 from pipeline.run.engine.stage import SessionFacts, Task
 from pipeline.run.space import foreseen_memory
-from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import JobRecord, Making, job_config
-from worker.store.model.sessions import InputFile
+from worker.store.model.character_records import JobCharacter
+from worker.store.model.job_records import JobRecord, Making, job_config
+from worker.store.model.session_records import InputFile
 from worker.store.model.work import ChunkPlan, Claim, StagePlan
 from worker.store.spec import JobSpec
 
 
 @runtime_checkable
 class PlannableSession(Protocol):
-    """A session whose files were checked; ``worker.store.model.sessions.Session``."""
+    """A session whose files were checked; ``worker.store.model.session_records.Session``."""
 
     @property
     def files(self) -> tuple[InputFile, ...]:
@@ -51,7 +51,7 @@ def plan_job(
 
     ``codes`` are digests of the stages' code, by default this process's for the execution provider of networks with the
     identity ``provider``; ``making``, ``edits``, ``revision`` and ``character`` are as in
-    ``worker.store.model.jobs.JobRecord``.
+    ``worker.store.model.job_records.JobRecord``.
     """
     return plan_config(session, job_config(spec, making, edits, revision, character), codes, provider)
 

@@ -1,12 +1,12 @@
 """Problems of jobs made from exceptions: sentences for the client, and whether another attempt may succeed."""
 
 from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused, listed
-from pipeline.core.problems.findings import MEMORY_LIMIT, TIME_LIMIT
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import MEMORY_LIMIT, TIME_LIMIT
+from pipeline.core.problems.request_codes import ARTIFACTS_REFUSED, INTERNAL_ERROR, STORAGE_FULL
 from worker.store.errors import ArtifactsRefused
 from worker.store.files.disk import is_disk_full
-from worker.store.model.jobs import JobProblem, SessionError
+from worker.store.model.job_records import JobProblem, SessionError
 from worker.store.outages import Outage
 
 _NAMES = {Outage.DATABASE: "database", Outage.ARTIFACTS: "artifact store", Outage.BROKER: "broker"}

@@ -10,7 +10,7 @@ from worker.store.database.connection import Database
 from worker.store.database.quotas import NO_QUOTAS, Quotas
 from worker.store.database.tables import sessions
 from worker.store.database.totals import read_figures
-from worker.store.model.recordings import UploadingPhone
+from worker.store.model.phone_records import UploadingPhone
 from worker.store.model.rights import Actor
 from worker.store.model.work import Figures
 from worker.store.repositories.audit import Audit

@@ -18,9 +18,9 @@ import numpy as np
 import psutil
 
 from api.cli.benchmark.cost_tables import MINUTE_CAMERA_FRAMES, SCHEMA_VERSION, cost_tables
+from api.cli.benchmark.long_takes import peak_rss_mib
 from api.cli.benchmark.profiles import looped_sample
 from api.cli.benchmark.providers import sample_pictures
-from api.cli.benchmark.takes import peak_rss_mib
 from api.cli.benchmark.tracking import crowd
 from api.cli.console import JsonOption, console, emit, print_table, reporting
 from pipeline.capture.keypoints import KeypointSession

@@ -10,7 +10,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from api.cli.benchmark.takes import longer_motion, longer_observations, longer_track, peak_rss_mib
+from api.cli.benchmark.long_takes import longer_motion, longer_observations, longer_track, peak_rss_mib
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracking_parameters import derive_parameters

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from api.cli.benchmark.takes import longer_observations, longer_track
+from api.cli.benchmark.long_takes import longer_observations, longer_track
 from api.cli.console import JsonOption, emit, reporting, show_sizes
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracking_parameters import derive_parameters

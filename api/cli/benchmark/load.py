@@ -16,7 +16,7 @@ import httpx2
 import numpy as np
 import typer
 
-from api.cli.benchmark.takes import loop_video
+from api.cli.benchmark.long_takes import loop_video
 from api.cli.client import Client, Json, ServiceError
 from api.cli.console import JsonOption, emit, reporting
 from api.cli.served import served

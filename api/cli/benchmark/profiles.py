@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.benchmark.takes import loop_video
+from api.cli.benchmark.long_takes import loop_video
 from api.cli.console import JsonOption, console, emit, print_table, reporting
 from pipeline.capture.session import open_session
 from pipeline.core.options.config import JOINTS, PROFILES, Detector, ReconstructionConfig

@@ -22,7 +22,7 @@ from pipeline.capture.preflight_record import Preflight, PreflightCamera, Prefli
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from worker.run.planning import plan_job
-from worker.store.model.sessions import InputFile
+from worker.store.model.session_records import InputFile
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
 

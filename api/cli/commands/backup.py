@@ -11,8 +11,8 @@ from rich.text import Text
 from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
 from api.cli.store import settings_in
 from api.web.settings import Settings
-from pipeline.core.problems.findings import BACKUP_FAILED, BAD_USAGE
-from pipeline.core.problems.requests import DATABASE_DAMAGED
+from pipeline.core.problems.finding_codes import BACKUP_FAILED, BAD_USAGE
+from pipeline.core.problems.request_codes import DATABASE_DAMAGED
 from worker.store.backup.archive import BackupError, BackupUsageError
 from worker.store.backup.contents import BackupReport
 from worker.store.backup.create import create_backup

@@ -20,12 +20,12 @@ from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.identity import identity
 from api.cli.benchmark.length import length
-from api.cli.benchmark.live import live
+from api.cli.benchmark.live_latency import live
 from api.cli.benchmark.load import load
+from api.cli.benchmark.long_takes import loop_video, peak_rss_mib
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
 from api.cli.benchmark.queue import queue
-from api.cli.benchmark.takes import loop_video, peak_rss_mib
 from api.cli.benchmark.tracking import tracking
 from api.cli.client import Json
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting

@@ -44,8 +44,8 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
-from pipeline.core.problems.findings import SOURCES
-from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN
+from pipeline.core.problems.finding_codes import SOURCES
+from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN
 from pipeline.core.progress import Progress
 from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people

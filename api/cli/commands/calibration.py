@@ -34,8 +34,8 @@ from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.parsing import SIDE_PX
-from pipeline.core.problems.findings import CALIBRATION_NOTE, PARAMETER_UNREADABLE
-from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
+from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, PARAMETER_UNREADABLE
+from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 from pipeline.export.quality.report import join_findings, people_findings, quality_report
 from pipeline.geometry.camera import center_in_world
 from pipeline.run.engine.local import reconstruct

@@ -37,7 +37,7 @@ from pipeline.calibration.registry import read_calibration
 from pipeline.core.errors import ChildError, InputError, Problem
 from pipeline.core.options.config import PROFILES
 from pipeline.core.options.rules import collecting, require
-from pipeline.core.problems.findings import OUTPUT_EXISTS, PARAMETER_RANGE
+from pipeline.core.problems.finding_codes import OUTPUT_EXISTS, PARAMETER_RANGE
 from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.run.live.cameras.detector_pool import DetectorPool, start_detecting
 from pipeline.run.live.cameras.run import CameraRun, LiveListener

@@ -16,7 +16,7 @@ from api.cli.space import document, require_space, session_space
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.config import method_warnings
 from pipeline.core.options.rules import config_problems, require
-from pipeline.core.problems.sessions import BONES_INVALID
+from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.export.character.character_files import DESCRIPTION
 from pipeline.export.character.mapping import read_bone_table
 from pipeline.export.character.source import CharacterSource

@@ -27,7 +27,7 @@ from api.web.page import PortalFiles
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import PARAMETER_RANGE
+from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 from pipeline.motion.skeleton.model import SKELETON
 from pipeline.run.live.cameras.run import LiveListener
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals

@@ -25,11 +25,11 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import listed
 from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.core.options.rules import installation_problems
-from pipeline.core.problems.requests import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
+from pipeline.core.problems.request_codes import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
 from worker.run import tracing
 from worker.run.planning import has_videos, plan_job
-from worker.store.model.jobs import JobRecord
-from worker.store.model.sessions import Session
+from worker.store.model.job_records import JobRecord
+from worker.store.model.session_records import Session
 from worker.store.model.work import StagePlan
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords

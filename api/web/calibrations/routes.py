@@ -31,7 +31,7 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, c
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.jobs.schemas import JobOut
 from api.web.sessions.receiving import Creation, Texts, add_creation
-from pipeline.core.problems.requests import NOT_FINISHED, NOT_FOUND
+from pipeline.core.problems.request_codes import NOT_FINISHED, NOT_FOUND
 from worker.store.files.unneeded import remove_files
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])

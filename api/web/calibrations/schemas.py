@@ -20,7 +20,7 @@ from pipeline.core.options.job_choices import (
     CalibrationChoices,
     KnownPoint,
 )
-from worker.store.model.sessions import Calibration
+from worker.store.model.session_records import Calibration
 from worker.store.model.states import JobState
 
 Method = Literal["file", "board", "people"]

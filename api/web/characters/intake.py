@@ -23,12 +23,12 @@ from api.web.sessions.preflight import (
     character_wait_s,
 )
 from api.web.sessions.receiving import Sent, adopted, document, sent_form, spool_folder
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import MISSING_PART
-from pipeline.core.problems.sessions import BONES_INVALID
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import MISSING_PART
+from pipeline.core.problems.session_codes import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.keys import character_key, character_prefix
-from worker.store.model.characters import Character, StoredCharacterFile
+from worker.store.model.character_records import Character, StoredCharacterFile
 from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords
 

@@ -29,7 +29,7 @@ from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.sessions.preflight import CharacterContents
 from api.web.sessions.receiving import Creation, Texts, add_creation
 from worker.store.files.unneeded import remove_files
-from worker.store.model.characters import Character
+from worker.store.model.character_records import Character
 from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/characters", tags=["characters"])

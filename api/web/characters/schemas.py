@@ -7,7 +7,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
-from worker.store.model.characters import Character, CharacterSummary
+from worker.store.model.character_records import Character, CharacterSummary
 
 Method = Literal["vrm", "names", "shape", "table"]
 _METHODS = (

@@ -3,7 +3,7 @@
 from typing import Any
 
 from api.web.errors import status_title
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     CHECKSUM_MISMATCH,
     CLIENT_TOO_SLOW,
     CONFLICT,

@@ -5,8 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from api.web.contract.documentation import write_or_check
-from pipeline.core.problems import findings, requests, sessions
-from pipeline.core.problems.model import Code, CodeGroup, read_sentences
+from pipeline.core.problems import finding_codes as findings
+from pipeline.core.problems import request_codes as requests
+from pipeline.core.problems import session_codes as sessions
+from pipeline.core.problems.code_group import Code, CodeGroup, read_sentences
 
 PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 

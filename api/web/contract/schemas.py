@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from pipeline.core.findings import Severity
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import CONTROL_CHARACTERS
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import CONTROL_CHARACTERS
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]

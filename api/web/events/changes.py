@@ -10,9 +10,9 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.errors import ApiError
-from pipeline.core.problems.requests import TOO_MANY_STREAMS
+from pipeline.core.problems.request_codes import TOO_MANY_STREAMS
 from worker.store.errors import DamagedDatabase, NotFound
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import FINISHED
 from worker.store.model.work import Change
 from worker.store.store import JobStore

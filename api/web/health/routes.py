@@ -18,7 +18,7 @@ from api.web.errors import ErrorItem, database_damaged, problem_response, servic
 from api.web.metrics import RequestMetrics
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.options.rules import install_command
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     ARTIFACTS_UNAVAILABLE,
     BROKER_UNAVAILABLE,
     DATABASE_UNAVAILABLE,

@@ -12,7 +12,7 @@ from fastapi import Header, Response
 from pydantic import BaseModel
 
 from api.web.errors import ApiError
-from pipeline.core.problems.requests import CHANGED_MEANWHILE, RANGE_NOT_SATISFIABLE
+from pipeline.core.problems.request_codes import CHANGED_MEANWHILE, RANGE_NOT_SATISFIABLE
 
 _ONE_RANGE = re.compile(r"bytes[ \t]*=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.ASCII | re.IGNORECASE)
 _ETAG = re.compile(r'(?:W/)?("[^"]*")')

@@ -13,7 +13,7 @@ import anyio
 from anyio import CapacityLimiter
 
 from api.web.errors import ApiError, service_unavailable
-from pipeline.core.problems.requests import CHECKS_BUSY, SERVICE_BUSY, TOO_MANY_AT_ONCE, TOO_MANY_CHECKS
+from pipeline.core.problems.request_codes import CHECKS_BUSY, SERVICE_BUSY, TOO_MANY_AT_ONCE, TOO_MANY_CHECKS
 
 _Result = TypeVar("_Result")
 

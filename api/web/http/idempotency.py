@@ -26,7 +26,7 @@ from starlette.concurrency import run_in_threadpool
 from api.web.auth import RecordsDep, UploadsDep
 from api.web.dependencies import ServicesDep
 from api.web.errors import ApiError
-from pipeline.core.problems.requests import HEADER_INVALID
+from pipeline.core.problems.request_codes import HEADER_INVALID
 from worker.store.repositories.idempotency_keys import KeyClaim
 from worker.store.tenant_records import TenantRecords
 

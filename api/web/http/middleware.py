@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.web.errors import ApiError, handle, problem_response
 from api.web.metrics import RequestMetrics
-from pipeline.core.problems.requests import HOST_NOT_ALLOWED, ORIGIN_NOT_ALLOWED
+from pipeline.core.problems.request_codes import HOST_NOT_ALLOWED, ORIGIN_NOT_ALLOWED
 
 _log = structlog.get_logger(__name__)
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from starlette.requests import HTTPConnection
 
 from api.web.errors import ApiError
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import TOO_MANY_REQUESTS, TOO_MANY_WRONG_KEYS
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import TOO_MANY_REQUESTS, TOO_MANY_WRONG_KEYS
 
 RATE_HEADERS = ("RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset")
 """Headers of the IETF's draft: requests a minute, requests left, and seconds until the limit resets."""

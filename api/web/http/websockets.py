@@ -17,7 +17,7 @@ from api.web.errors import ApiError, ErrorItem, as_api_error, problem_response
 from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.validation import model_items
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 
 WRONG_DATA, REFUSED, TOO_LARGE, FAILED, LATER = 1007, 1008, 1009, 1011, 1013
 """Codes of RFC 6455, and 1013 of its registry, with which connections are closed."""

@@ -22,7 +22,7 @@ from pipeline.core.errors import Problem
 from pipeline.core.findings import CERTAIN
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.core.options.rules import Installed, installation_problems, session_problems
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     CALLBACK_INVALID,
     CALLBACK_NOT_HTTPS,
     CALLBACK_NOT_PUBLIC,
@@ -36,8 +36,8 @@ from worker.run.planning import PlannableSession, has_videos, plan_config, plan_
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.keys import job_character_key, job_prefix
-from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import JobRecord
+from worker.store.model.character_records import JobCharacter
+from worker.store.model.job_records import JobRecord
 from worker.store.outages import is_perhaps_recorded
 from worker.store.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.store.spec import JobSpec

@@ -27,11 +27,11 @@ from api.web.sessions.form import CAPTURE_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job
 from api.web.sessions.receiving import Creation, Texts, add_creation
 from pipeline.core.options.rules import installation_problems
-from pipeline.core.problems.requests import CONFLICT
+from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
 from worker.run.planning import has_videos, plan_again, plan_visuals
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import JobKind, JobRecord
+from worker.store.model.job_records import JobKind, JobRecord
 from worker.store.model.states import RETRYABLE, JobState
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords

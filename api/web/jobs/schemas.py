@@ -6,9 +6,9 @@ from pydantic import AwareDatetime, Field
 
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
 from pipeline.core.options.providers import ProviderName, provider_name
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME
-from worker.store.model.jobs import (
+from worker.store.model.job_records import (
     Attempt,
     Failure,
     JobKind,

@@ -19,7 +19,7 @@ from api.web.live.forks import ForkServer, start_limit_s
 from api.web.live.problems import failed
 from api.web.live.schemas import LiveStart
 from api.web.sessions.preflight import NICE, InvalidFilesError, PreflightProgram, cpu_limit_s
-from pipeline.core.problems.requests import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE, LIVE_FIELDS
+from pipeline.core.problems.request_codes import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE, LIVE_FIELDS
 from pipeline.core.runtime.forks import NUMBER, ForkRequest
 from worker.store.errors import NotFound
 from worker.store.tenant_records import TenantRecords

@@ -12,7 +12,7 @@ from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
 from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     LIVE_CAMERA,
     LIVE_FIELDS,
     LIVE_JOINTS,

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Iterator
 
 from api.web.errors import ApiError, service_unavailable
 from api.web.http.rates import MovingMinute
-from pipeline.core.problems.requests import CAPTURES_BUSY, TOO_MANY_BAD_CAPTURES, TOO_MANY_CAPTURES
+from pipeline.core.problems.request_codes import CAPTURES_BUSY, TOO_MANY_BAD_CAPTURES, TOO_MANY_CAPTURES
 
 _RETRY_AFTER_S = 10
 # Pause behind a start: this many times as long, and at most so many seconds.

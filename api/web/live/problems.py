@@ -1,7 +1,7 @@
 """Problems that end live captures from several places."""
 
 from api.web.http.websockets import FAILED, TOO_LARGE, WRONG_DATA, SocketProblem
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     LIVE_CAMERA,
     LIVE_FAILED,
     LIVE_FIELDS,

@@ -22,7 +22,7 @@ from api.web.live.process import CaptureProcess
 from api.web.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
 from api.web.metrics import LiveMetrics
 from api.web.settings import Settings
-from pipeline.core.problems.requests import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
+from pipeline.core.problems.request_codes import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
 from pipeline.run.live.packets import CaptureAnswer, Dropped, with_dropped
 
 # Backlogs of a connection: some seconds of a few cameras, and of instants.

@@ -29,7 +29,7 @@ from api.web.live.relay import Relay, receive
 from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
 from api.web.metrics import LiveMetrics
 from api.web.sessions.receiving import spool_folder
-from pipeline.core.problems.requests import LIVE_FIELDS, LIVE_MESSAGE
+from pipeline.core.problems.request_codes import LIVE_FIELDS, LIVE_MESSAGE
 from pipeline.run.live.packets import CaptureAnswer
 from worker.store.model.rights import Actor
 

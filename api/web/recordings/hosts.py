@@ -27,7 +27,7 @@ from api.web.recordings.rooms import HostSide, RecordingOver, Room
 from api.web.recordings.schemas import RecordingOut
 from api.web.settings import Settings
 from worker.store.files.disk import DiskSpace
-from worker.store.model.recordings import RecordingSession
+from worker.store.model.phone_records import RecordingSession
 from worker.store.tenant_records import TenantRecords
 
 # Time from a host's request to the start and the stop of a take: phones at other processes may learn of it by rows.

@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from api.web.http.rates import Pace
 from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem, wrong_message
 from api.web.settings import Settings
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     RECORDING_FIELDS,
     RECORDING_IDLE,
     RECORDING_MESSAGE,

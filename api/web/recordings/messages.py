@@ -8,7 +8,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from api.web.contract.schemas import ResponseModel, printable_name
 from api.web.http.websockets import SocketProblemOut
 from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
-from worker.store.model.recordings import TakeState
+from worker.store.model.phone_records import TakeState
 
 _Number = Annotated[int, Field(ge=1, le=100_000)]
 _Count = Annotated[int, Field(ge=0, le=10**15)]

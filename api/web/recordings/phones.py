@@ -34,8 +34,8 @@ from api.web.recordings.messages import (
 from api.web.recordings.rooms import RecordingOver, Room, Side
 from api.web.recordings.schemas import VideoSettings
 from api.web.settings import Settings
-from pipeline.core.problems.requests import RECORDING_MESSAGE, RECORDING_TOO_FAST
-from worker.store.model.recordings import (
+from pipeline.core.problems.request_codes import RECORDING_MESSAGE, RECORDING_TOO_FAST
+from worker.store.model.phone_records import (
     ClipFile,
     RecordingLimits,
     RecordingSession,

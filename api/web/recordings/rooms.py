@@ -14,10 +14,10 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.http.websockets import LATER, SocketProblem
-from api.web.recordings.relay import RecordingRelay, RelayKind
-from pipeline.core.problems.requests import RECORDING_BUSY
+from api.web.recordings.broadcast import RecordingRelay, RelayKind
+from pipeline.core.problems.request_codes import RECORDING_BUSY
 from worker.store.errors import NotFound
-from worker.store.model.recordings import RecordingSession
+from worker.store.model.phone_records import RecordingSession
 from worker.store.store import JobStore
 from worker.store.tenant_records import TenantRecords
 

@@ -29,8 +29,8 @@ from api.web.recordings.schemas import (
 )
 from api.web.recordings.taking import made_calibration, made_session, used_take
 from api.web.sessions.receiving import spool_folder
-from pipeline.core.problems.requests import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
-from worker.store.model.recordings import RecordingSession
+from pipeline.core.problems.request_codes import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
+from worker.store.model.phone_records import RecordingSession
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], route_class=SmallBodyRoute)
 

@@ -11,8 +11,8 @@ from api.web.calibrations.schemas import BOARD_PATTERN
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
-from pipeline.core.problems.requests import WRONG_FORMAT
-from worker.store.model.recordings import (
+from pipeline.core.problems.request_codes import WRONG_FORMAT
+from worker.store.model.phone_records import (
     RecordingSession,
     RecordingTake,
     TakeClip,

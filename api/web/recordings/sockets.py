@@ -21,7 +21,7 @@ from api.web.recordings.intake import RecordingIntake
 from api.web.recordings.messages import EndedOut, RecordingProblemOut
 from api.web.recordings.phones import PhoneConnection, recording_limits, said_hello, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
-from pipeline.core.problems.requests import LINK_UNKNOWN, RECORDING_BUSY, RECORDING_LINK_ENDED
+from pipeline.core.problems.request_codes import LINK_UNKNOWN, RECORDING_BUSY, RECORDING_LINK_ENDED
 from worker.store.errors import NotFound, PhoneRemoved
 from worker.store.model.rights import Actor
 from worker.store.tenant_records import TenantRecords

@@ -27,9 +27,9 @@ from api.web.sessions.form import CAPTURE_FORM, SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job, stored
 from api.web.sessions.receiving import Sent
 from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
-from pipeline.core.problems.requests import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
+from pipeline.core.problems.request_codes import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
 from worker.store.errors import NotFound
-from worker.store.model.recordings import ClipFile, RecordingSession, RecordingTake, TakeState
+from worker.store.model.phone_records import ClipFile, RecordingSession, RecordingTake, TakeState
 from worker.store.tenant_records import TenantRecords
 
 # A first frame that is further before or behind the take is one of a wrong clock.

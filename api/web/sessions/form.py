@@ -17,8 +17,8 @@ from api.web.http.bodies.form_kinds import (
 from api.web.jobs import examples as job_examples
 from api.web.sessions import examples
 from api.web.sessions.schemas import Manifest, UploadedCapture, UploadedSession
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import MISSING_PART, PART_NOT_ALLOWED
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import MISSING_PART, PART_NOT_ALLOWED
 from worker.store.spec import JobSpec
 
 

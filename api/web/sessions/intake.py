@@ -33,8 +33,8 @@ from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, 
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import PAIRED_IN_SORTED_ORDER
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.finding_codes import PAIRED_IN_SORTED_ORDER
+from pipeline.core.problems.request_codes import (
     CALIBRATION_UNKNOWN,
     CALIBRATION_UNMADE,
     CALIBRATION_UNPOSED,
@@ -42,11 +42,11 @@ from pipeline.core.problems.requests import (
     FRAMES_TOO_LARGE,
     WRONG_FORMAT,
 )
-from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
+from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.store.errors import NotFound
 from worker.store.files.keys import input_key, record_key, session_prefix, thumbnail_key
-from worker.store.model.jobs import JobRecord
-from worker.store.model.sessions import InputFile, Purpose, Session
+from worker.store.model.job_records import JobRecord
+from worker.store.model.session_records import InputFile, Purpose, Session
 from worker.store.outages import is_perhaps_recorded
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords

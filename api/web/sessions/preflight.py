@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from api.web.errors import ApiError, ErrorItem
 from api.web.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
-from pipeline.core.problems.requests import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
+from pipeline.core.problems.request_codes import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
 from pipeline.core.runtime.resources import lower_priority
 
 _log = structlog.get_logger(__name__)

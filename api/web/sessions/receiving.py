@@ -35,7 +35,7 @@ from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     MALFORMED_JSON,
     PART_NOT_ALLOWED,
     SESSION_UNKNOWN,

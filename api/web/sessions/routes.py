@@ -17,7 +17,7 @@ from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Creation, Texts, add_creation
 from api.web.sessions.schemas import SessionChanges, SessionOut, SessionPage
 from worker.store.files.unneeded import remove_files
-from worker.store.model.sessions import Capture
+from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])

@@ -13,9 +13,9 @@ from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, 
 from api.web.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
-from pipeline.core.problems.requests import JSON_VALUE
+from pipeline.core.problems.request_codes import JSON_VALUE
 from pipeline.run.space import foreseen_space
-from worker.store.model.sessions import Capture
+from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

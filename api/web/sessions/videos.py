@@ -12,12 +12,12 @@ from api.web.downloads import ConditionsDep, Download, file_responses, send_file
 from api.web.errors import VIDEOS_DELETED_HINT, ApiError
 from pipeline.capture.preflight_record import PreflightCamera
 from pipeline.core.options.job_choices import blurred_name, proxy_name
-from pipeline.core.problems.requests import NOT_FINISHED, VIDEOS_DELETED
+from pipeline.core.problems.request_codes import NOT_FINISHED, VIDEOS_DELETED
 from worker.run.planning import has_videos
 from worker.store.errors import NotFound
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import Result
-from worker.store.model.sessions import Session
+from worker.store.model.job_records import Result
+from worker.store.model.session_records import Session
 from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/videos", tags=["sessions"])

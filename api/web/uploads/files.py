@@ -25,7 +25,7 @@ from api.web.uploads.spool import (
 )
 from worker.store.errors import NotFound
 from worker.store.files.disk import DiskSpace, sync
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 from worker.store.store import JobStore
 
 # Bytes between syncs: at the end of a long piece only the last bytes have to be synced.

@@ -27,7 +27,7 @@ from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, Writers, els
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, NotFound
 from worker.store.files.disk import DiskSpace
 from worker.store.files.s3 import open_bucket, reached
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 from worker.store.store import JobStore
 
 _log = structlog.get_logger(__name__)

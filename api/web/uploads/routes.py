@@ -22,14 +22,14 @@ from api.web.http.bodies.form import name_error, too_large
 from api.web.http.bodies.reading import announced_bytes, drain
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
 from api.web.uploads.spool import Checksum
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     CHECKSUM_INVALID,
     HEADER_INVALID,
     METADATA_INVALID,
     TUS_VERSION,
     UNSUPPORTED_MEDIA_TYPE,
 )
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords
 

@@ -14,7 +14,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.errors import ApiError
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.request_codes import (
     CHECKSUM_MISMATCH,
     CONTENT_TOO_LARGE,
     OFFSET_MISMATCH,
@@ -23,7 +23,7 @@ from pipeline.core.problems.requests import (
 )
 from worker.store.errors import DamagedDatabase
 from worker.store.files.disk import DiskSpace
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 from worker.store.store import JobStore
 
 BLOCK_BYTES = 2**20

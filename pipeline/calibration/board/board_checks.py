@@ -11,7 +11,7 @@ from pipeline.calibration.board.intrinsics import MIN_VIEWS
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     BOARD_AMBIGUOUS,
     BOARD_DISAGREES,
     BOARD_FEW_SHARED,
@@ -20,7 +20,7 @@ from pipeline.core.problems.findings import (
     BOARD_MIRRORED,
     BOARD_POOR_COVERAGE,
 )
-from pipeline.core.problems.sessions import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
+from pipeline.core.problems.session_codes import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
 
 # Two cameras are linked by at least this many instants that agree, and this share of the instants that they share.
 _MIN_AGREEING, _MIN_AGREEING_SHARE = 3, 0.4

@@ -39,7 +39,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import KnownPoint
-from pipeline.core.problems.sessions import KNOWN_POINTS_INVALID
+from pipeline.core.problems.session_codes import KNOWN_POINTS_INVALID
 from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.camera import center_in_world
 

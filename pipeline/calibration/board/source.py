@@ -16,7 +16,7 @@ from pipeline.calibration.board.views import BoardViews
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import BOARD_FRAMES
-from pipeline.core.problems.sessions import IMAGE_SIZE, IMAGE_UNREADABLE, IMAGES_MISSING
+from pipeline.core.problems.session_codes import IMAGE_SIZE, IMAGE_UNREADABLE, IMAGES_MISSING
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.sessions import BOARD_INVALID
+from pipeline.core.problems.session_codes import BOARD_INVALID
 
 FORMS = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
 _SPEC = re.compile(

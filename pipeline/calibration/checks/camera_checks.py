@@ -9,7 +9,7 @@ from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import CERTAIN, Finding, Severity
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     DISTORTION_FOLDS,
     FOCAL_LENGTH,
     NO_COMMON_VIEW,

@@ -9,7 +9,7 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     CAMERA_BELOW_FLOOR,
     NOT_UPRIGHT,
     SAME_PLACE,
@@ -17,7 +17,7 @@ from pipeline.core.problems.findings import (
     UPSIDE_DOWN,
     WORLD_UNIT,
 )
-from pipeline.core.problems.requests import CALIBRATION_UNPOSED
+from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
 from pipeline.geometry.camera import center_in_world
 
 UP_AXIS_CODES = (UPSIDE_DOWN, NOT_UPRIGHT, UP_AXIS_UNKNOWN)

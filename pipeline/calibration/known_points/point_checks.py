@@ -7,7 +7,7 @@ from math import dist, hypot
 
 from pipeline.core.errors import Problem
 from pipeline.core.options.job_choices import KnownPoint
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.session_codes import (
     CAMERA_UNKNOWN,
     KNOWN_POINTS_FEW,
     KNOWN_POINTS_INVALID,

@@ -11,7 +11,7 @@ from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     PEOPLE_FEW_VIEWS,
     PEOPLE_POOR_FIT,
     PEOPLE_SAME_PLACE,
@@ -20,7 +20,7 @@ from pipeline.core.problems.findings import (
     PEOPLE_UNCERTAIN_FOCAL,
     PEOPLE_UNCERTAIN_POSE,
 )
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.session_codes import (
     PEOPLE_DISAGREE,
     PEOPLE_NOT_FOUND,
     PEOPLE_NOT_WHOLE,

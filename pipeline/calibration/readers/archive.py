@@ -19,7 +19,7 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, in_utf_8, parse
-from pipeline.core.problems.sessions import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
+from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CALIBRATION_UNREADABLE
 
 _MAX_ENTRIES = 2 * MAX_CAMERAS
 _MAX_UNPACKED_BYTES = 16 * 2**20

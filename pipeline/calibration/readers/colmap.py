@@ -23,7 +23,7 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.errors import InputError
 from pipeline.core.parsing import UnreadableError
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
 CAMERAS_HEAD = "CAMERA_ID, MODEL, WIDTH, HEIGHT"
 IMAGES_HEAD = "IMAGE_ID, QW, QX, QY, QZ"

@@ -15,7 +15,7 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import RawCamera
 from pipeline.core.errors import listed_names
 from pipeline.core.parsing import ROTATION_VECTOR_RAD, UnreadableError, read_numbers
-from pipeline.core.problems.sessions import INVALID_ROTATION, INVALID_SIZE, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import INVALID_ROTATION, INVALID_SIZE, UNSUPPORTED_LENS
 
 _MIN_NORM, _MAX_NORM = 1e-3, 1e3
 

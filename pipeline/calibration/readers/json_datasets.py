@@ -24,7 +24,7 @@ from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.parsing import UnreadableError, read_numbers
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
 _PANOPTIC_PASSED_OVER = frozenset({"name", "type", "panel", "node"})

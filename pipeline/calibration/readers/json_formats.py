@@ -18,7 +18,7 @@ from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.data.cameras import LensModel
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, read_unique_json
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNKNOWN_VERSION, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE, UNKNOWN_VERSION, UNSUPPORTED_LENS
 
 SCHEMA_VERSION = 1
 

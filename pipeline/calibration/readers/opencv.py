@@ -28,7 +28,7 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError
-from pipeline.core.problems.sessions import CALIBRATION_EMPTY, CALIBRATION_UNREADABLE
+from pipeline.core.problems.session_codes import CALIBRATION_EMPTY, CALIBRATION_UNREADABLE
 
 _NAMES = ("name", "camera_name", "camera_id", "cam_id", "id", "serial")
 _JARVIS = frozenset({"intrinsicMatrix", "distortionCoefficients", "R", "T"})

@@ -28,7 +28,7 @@ from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.calibration.vertical import AXES, nearest_axis, turned_upright, up_of_cameras
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, read_numbers
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE
 
 _OPENCAP = frozenset({"intrinsicMat", "distortion", "imageSize"})
 _MVPOSE = frozenset({"K", "RT"})

@@ -28,7 +28,7 @@ from pipeline.calibration.formats import reader
 from pipeline.calibration.readers.xml_files import read_number, read_root, video_cameras
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.core.problems.sessions import CALIBRATION_EMPTY, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import CALIBRATION_EMPTY, UNSUPPORTED_LENS
 
 ROOT = "calibration"
 

@@ -27,7 +27,7 @@ from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, parse
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE, UNSUPPORTED_LENS
 
 _KNOWN = frozenset({"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"})
 # Fields that are not the calibration: FreeMoCap's, with the extrinsics once more, and Caliscope's.

@@ -23,7 +23,7 @@ from pipeline.calibration.readers.xml_files import NUMBER, read_root, video_came
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
 from pipeline.core.parsing import FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX, SIDE_PX, Quantity, UnreadableError
-from pipeline.core.problems.sessions import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
+from pipeline.core.problems.session_codes import INVALID_NUMBER, INVALID_ROTATION, UNSUPPORTED_LENS
 
 _ASPECT = Quantity(0.01, 100, "")
 # Coefficients in pixels are about 1e-8, 1e-15 and 1e-22.

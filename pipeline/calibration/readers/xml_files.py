@@ -9,7 +9,7 @@ from defusedxml.ElementTree import fromstring
 from pipeline.calibration.reading import Reading
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import Quantity, UnreadableError, parse
-from pipeline.core.problems.sessions import CALIBRATION_UNREADABLE, INVALID_NUMBER
+from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE, INVALID_NUMBER
 
 NUMBER = Quantity(-1e9, 1e9, "")
 """Range of every number in a file, so that the arithmetic of the readers does not overflow."""

@@ -20,8 +20,8 @@ from pipeline.core.errors import Problem, listed_names
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import FILE_IGNORED
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.finding_codes import FILE_IGNORED
+from pipeline.core.problems.session_codes import (
     DUPLICATE_KEYPOINTS,
     KEYPOINTS_MISSING,
     KEYPOINTS_NONE,

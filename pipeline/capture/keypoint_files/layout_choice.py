@@ -18,8 +18,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.layouts import KeypointLayout
-from pipeline.core.problems.findings import KEYPOINTS_FORM
-from pipeline.core.problems.sessions import KEYPOINTS_LAYOUT
+from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
+from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT
 
 Frames = Mapping[str, Mapping[int, People]]
 """People of each frame by camera and number of the frame; their points are in the order of the files."""

@@ -16,8 +16,8 @@ from pipeline.capture.keypoint_files.people import People, is_detected
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import KEYPOINT_PX
-from pipeline.core.problems.findings import KEYPOINTS_SCALE
-from pipeline.core.problems.sessions import KEYPOINTS_SCORES
+from pipeline.core.problems.finding_codes import KEYPOINTS_SCALE
+from pipeline.core.problems.session_codes import KEYPOINTS_SCORES
 
 _Frames = dict[int, People]
 

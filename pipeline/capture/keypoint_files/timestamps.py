@@ -14,8 +14,8 @@ from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
-from pipeline.core.problems.findings import FRAMES_DROPPED
-from pipeline.core.problems.sessions import (
+from pipeline.core.problems.finding_codes import FRAMES_DROPPED
+from pipeline.core.problems.session_codes import (
     FRAME_RATE,
     NO_FRAME_RATE,
     TIMESTAMPS_INVALID,

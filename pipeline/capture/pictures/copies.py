@@ -8,7 +8,7 @@ from jaxtyping import Float
 from pipeline.capture.pictures.figures import DETAIL_MIN, PictureFigures, correlation, detail, largest_change
 from pipeline.capture.pictures.picture_checks import PICTURES, STILL, CameraPictures, is_dark
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import SAME_VIDEO
+from pipeline.core.problems.finding_codes import SAME_VIDEO
 
 # Correlation of the detail of two views: a camera with itself at other times is 0.7 to 1, since people cover
 # parts of it; two cameras have 0 up to chance, unless the place is symmetric.

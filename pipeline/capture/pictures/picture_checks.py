@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from pipeline.capture.pictures.figures import PictureFigures, largest_change
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import PICTURE_BLURRED, PICTURE_DARK, PICTURE_FROZEN
+from pipeline.core.problems.finding_codes import PICTURE_BLURRED, PICTURE_DARK, PICTURE_FROZEN
 
 # In a picture with so many dark pixels even what is bright is dark.
 _DARK_SHARE = 0.98

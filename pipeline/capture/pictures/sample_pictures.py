@@ -19,7 +19,7 @@ from pipeline.capture.pictures.picture_checks import CameraPictures, check_pictu
 from pipeline.capture.session import CaptureSession
 from pipeline.core.errors import ChildError, InputError
 from pipeline.core.findings import Finding, Severity, from_problem
-from pipeline.core.problems.findings import PICTURES_LEFT_OUT
+from pipeline.core.problems.finding_codes import PICTURES_LEFT_OUT
 from pipeline.video.container import reading_s
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo

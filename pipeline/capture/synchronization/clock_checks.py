@@ -10,7 +10,7 @@ from pipeline.capture.synchronization.coarse import CameraSplit
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion
 from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     SYNC_AMBIGUOUS,
     SYNC_IMPRECISE,
     SYNC_LITTLE_OVERLAP,

@@ -23,7 +23,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, from_problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import CLOCK_MEASURED, SYNC_AS_DECLARED, SYNC_BEYOND_DECLARED
+from pipeline.core.problems.finding_codes import CLOCK_MEASURED, SYNC_AS_DECLARED, SYNC_BEYOND_DECLARED
 from pipeline.core.progress import OnShare, ignore
 from pipeline.video.sound import listen_in_child
 from pipeline.video.timeline import session_timebase

@@ -14,7 +14,7 @@ from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes, Synchron
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import SYNC_BY_SOUND, SYNC_CONTRADICTION
+from pipeline.core.problems.finding_codes import SYNC_BY_SOUND, SYNC_CONTRADICTION
 from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.camera import center_in_world
 

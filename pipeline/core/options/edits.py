@@ -13,7 +13,7 @@ from operator import attrgetter
 from typing import Any, ClassVar, Literal, NoReturn
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.requests import EDIT_IMPOSSIBLE, EDITS_FRAGMENTED
+from pipeline.core.problems.request_codes import EDIT_IMPOSSIBLE, EDITS_FRAGMENTED
 
 MAX_EDITS = 1000
 """Largest number of edits of a take."""

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import (
     INVALID_VALUE,
     OUT_OF_RANGE,
     VALUE_NOT_ALLOWED,

@@ -16,8 +16,8 @@ from pipeline.core.options.choices import Choice, declared_choices
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES, NETWORKS, JobChoices, ReconstructionConfig, Smoothing
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, installed_formats
 from pipeline.core.options.requirements import Steps, faults, path_text, requirement
-from pipeline.core.problems.findings import PARAMETER_RANGE, UNKNOWN_PARAMETER
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.finding_codes import PARAMETER_RANGE, UNKNOWN_PARAMETER
+from pipeline.core.problems.request_codes import (
     BODY_NOT_INSTALLED,
     CUTOFF_RANGE,
     DETECTOR_NOT_INSTALLED,
@@ -25,7 +25,7 @@ from pipeline.core.problems.requests import (
     FORMAT_NOT_INSTALLED,
     FRAME_RANGE,
 )
-from pipeline.core.problems.sessions import TOO_MANY_FRAMES
+from pipeline.core.problems.session_codes import TOO_MANY_FRAMES
 
 CONFIG_CHOICES = {choice.name: choice for choice in declared_choices(ReconstructionConfig)}
 """Choices of a reconstruction on this machine by name: choices of jobs, and others."""

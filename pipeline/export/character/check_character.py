@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
+from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
 from pipeline.core.runtime.checking import print_answer
 from pipeline.export.character.bone_names import REQUIRED
 from pipeline.export.character.figure import CharacterFigure, measure

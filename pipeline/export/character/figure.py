@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.joints import FINGERS
-from pipeline.core.problems.sessions import CHARACTER_BONES
+from pipeline.core.problems.session_codes import CHARACTER_BONES
 from pipeline.export.character.bone_names import HEAD, HIPS, SIDES
 from pipeline.export.character.gltf_reader import CharacterFile
 from pipeline.export.character.mapping import BoneMapping, connected

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import printable
 from pipeline.core.parsing import UnreadableError, read_json
-from pipeline.core.problems.sessions import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
+from pipeline.core.problems.session_codes import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
 from pipeline.export.character.rig import (
     MAX_COORDINATE,
     MAX_LEVELS,

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.core.errors import InputError, Problem, listed_names, printable
 from pipeline.core.parsing import UnreadableError, read_json
-from pipeline.core.problems.sessions import BONES_INVALID, CHARACTER_BONES
+from pipeline.core.problems.session_codes import BONES_INVALID, CHARACTER_BONES
 from pipeline.export.character.bone_names import (
     HEAD,
     HIPS,

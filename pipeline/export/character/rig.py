@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import CHARACTER_UNREADABLE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.session_codes import CHARACTER_UNREADABLE
 
 MAX_NODES = 20_000
 """Largest number of nodes of a file."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE
+from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE
 from pipeline.core.runtime.packages.storage import sha256_of
 from pipeline.export.character.fbx.content import is_fbx
 from pipeline.export.character.fbx.reader import decode_fbx_character

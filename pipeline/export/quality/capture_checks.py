@@ -17,7 +17,7 @@ from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import Finding, SessionCheck
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     APPROXIMATE_ASSOCIATION,
     CALIBRATION_KEPT,
     CALIBRATION_REFINED,

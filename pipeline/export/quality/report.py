@@ -43,7 +43,7 @@ from pipeline.core.data.people import Doubt, Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import CERTAIN, Finding, Severity
 from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
-from pipeline.core.problems.findings import CALIBRATION_KEPT, CAMERA_DISAGREES
+from pipeline.core.problems.finding_codes import CALIBRATION_KEPT, CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers

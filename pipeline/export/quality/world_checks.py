@@ -17,7 +17,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import (
     CAMERA_BELOW_FLOOR,
     CAMERA_DISAGREES,
     FLOOR_NOT_AT_ZERO,
@@ -27,7 +28,6 @@ from pipeline.core.problems.findings import (
     STATURE_OUT_OF_RANGE,
     UPSIDE_DOWN,
 )
-from pipeline.core.problems.model import Code
 from pipeline.export.quality.camera_shifts import CameraShift
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG

@@ -12,7 +12,7 @@ from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
-from pipeline.core.problems.requests import OUT_OF_RANGE, VALUE_NOT_ALLOWED, WRONG_LENGTH
+from pipeline.core.problems.request_codes import OUT_OF_RANGE, VALUE_NOT_ALLOWED, WRONG_LENGTH
 from pipeline.detection.appearance import NUM_BINS, PARTS
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.run.live.frames import FrameQueue, LiveFrame, make_frame

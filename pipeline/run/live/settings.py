@@ -12,7 +12,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.findings import PARAMETER_RANGE
+from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 from pipeline.motion.skeleton.model import SKELETON
 from pipeline.run.live.skeleton import learn_bones
 

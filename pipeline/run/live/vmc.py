@@ -19,7 +19,7 @@ from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import PARAMETER_RANGE
+from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import SKELETON, rest_offsets_m
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton

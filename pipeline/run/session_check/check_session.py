@@ -15,7 +15,7 @@ from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.data.detections import Detections, DetectionsByCamera, PafFields
 from pipeline.core.findings import Finding, SessionCheck, has_error
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import CAMERA_HANGS_TURNED, CLOCKS_DISAGREE
+from pipeline.core.problems.finding_codes import CAMERA_HANGS_TURNED, CLOCKS_DISAGREE
 from pipeline.detection.bodies import ImageBodies
 from pipeline.detection.chunk import concatenate, stack_bodies
 from pipeline.detection.decoders.fields import ImageFields

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
-from pipeline.core.problems.findings import (
+from pipeline.core.problems.finding_codes import (
     CALIBRATION_OF_ANOTHER_RIG,
     CAMERA_DISAGREES,
     CAMERA_SEES_NOBODY,

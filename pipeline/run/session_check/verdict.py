@@ -13,7 +13,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem, SessionRefused
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.findings import CALIBRATION_OF_ANOTHER_RIG, CAMERA_DISAGREES, NOT_UPRIGHT, UPSIDE_DOWN
+from pipeline.core.problems.finding_codes import CALIBRATION_OF_ANOTHER_RIG, CAMERA_DISAGREES, NOT_UPRIGHT, UPSIDE_DOWN
 from pipeline.export.quality.report import join_findings
 
 # Errors that refinement of the calibration may mend: it moves cameras, and levels the world.

@@ -11,7 +11,12 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import CAMERA_BELOW_FLOOR, FLOOR_NOT_AT_ZERO, MIRRORED_WORLD, STATURE_OUT_OF_RANGE
+from pipeline.core.problems.finding_codes import (
+    CAMERA_BELOW_FLOOR,
+    FLOOR_NOT_AT_ZERO,
+    MIRRORED_WORLD,
+    STATURE_OUT_OF_RANGE,
+)
 from pipeline.export.quality.report import estimate_stature_m
 from pipeline.export.quality.world_checks import (
     MIRRORED_SHARE,

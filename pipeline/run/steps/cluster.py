@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.requests import FRAME_RANGE
+from pipeline.core.problems.request_codes import FRAME_RANGE
 from pipeline.run.engine.stage import (
     DETECT,
     LENGTHS,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.core.options.file_formats import FILE_FORMATS, file_ending
-from pipeline.core.problems.findings import OPENSIM_FAILED
+from pipeline.core.problems.finding_codes import OPENSIM_FAILED
 from pipeline.run.engine.stage import (
     EXPORT,
     IDENTIFY,

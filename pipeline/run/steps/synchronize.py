@@ -1,7 +1,7 @@
 """Synchronise cameras: when the frames of each were taken. The output is a ``Synchronization``."""
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import SYNC_NEEDS_BODIES
+from pipeline.core.problems.finding_codes import SYNC_NEEDS_BODIES
 from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Stage, Task
 
 

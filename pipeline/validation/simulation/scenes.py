@@ -13,7 +13,7 @@ from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
-from pipeline.core.problems.findings import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
+from pipeline.core.problems.finding_codes import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.motion.angles.compute import segment_angles
 from pipeline.validation.simulation.acrobatics.acrobat import (
     Acrobat,

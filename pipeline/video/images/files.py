@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from pipeline.core.errors import UnusableError
-from pipeline.core.problems.sessions import IMAGES_ARCHIVE, NO_IMAGES
+from pipeline.core.problems.session_codes import IMAGES_ARCHIVE, NO_IMAGES
 from pipeline.core.runtime.zips import ArchiveError, list_entries, name_of, read_entry
 
 SEQUENCE = "images"

@@ -8,7 +8,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 
 from pipeline.core.errors import UnusableError
-from pipeline.core.problems.sessions import NO_FRAMES, VIDEO_CHANGES_SIZE
+from pipeline.core.problems.session_codes import NO_FRAMES, VIDEO_CHANGES_SIZE
 from pipeline.video.frame_rate import uneven_times, without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.images.frames import decode_images

@@ -17,8 +17,8 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import VIDEO_DAMAGED, VIDEO_UNREADABLE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.session_codes import VIDEO_DAMAGED, VIDEO_UNREADABLE
 from pipeline.core.runtime.confinement import (
     EXIT_OUT_OF_MEMORY,
     EXIT_REFUSED,

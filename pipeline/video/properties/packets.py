@@ -10,8 +10,8 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from pipeline.core.errors import Problem, UnusableError
-from pipeline.core.problems.findings import SOUND_DELAY_UNKNOWN
-from pipeline.core.problems.sessions import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
+from pipeline.core.problems.finding_codes import SOUND_DELAY_UNKNOWN
+from pipeline.core.problems.session_codes import VIDEO_TIMES, VIDEO_TOO_LONG, VIDEO_TRUNCATED
 from pipeline.video.container import DECODE_ERRORS, open_container
 from pipeline.video.stamps import read_packets
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from pipeline.core.options.edits import PersonSpan
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.api.conftest import RESULT, Live, problem_of
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.store import MAX_ATTEMPTS
 
 FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))

@@ -17,14 +17,14 @@ import pytest
 
 from api.cli.client import Client, ServiceError
 from api.web.settings import Settings
-from pipeline.core.problems.requests import INTERNAL_ERROR
-from pipeline.core.problems.sessions import VIDEO_TRUNCATED
+from pipeline.core.problems.request_codes import INTERNAL_ERROR
+from pipeline.core.problems.session_codes import VIDEO_TRUNCATED
 from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.cases import slow_but
 from tests.s3 import S3
 from worker.run.reaper import Reaper
 from worker.store.files.keys import result_key
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 
 # More than the buffers of a connection hold.
 LARGE = os.urandom(2**20) * 64

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.calibration.report import CalibrationResult, CameraReport, report_document
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import FEW_VIEWS
+from pipeline.core.problems.finding_codes import FEW_VIEWS
 
 
 def test_report_as_json_has_no_number_that_is_not_finite() -> None:

@@ -8,7 +8,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import CALIBRATION_NOTE
+from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
 
 RNG = np.random.default_rng(3)

@@ -1,7 +1,7 @@
 import pickle
 
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.sessions import VIDEO_DAMAGED
+from pipeline.core.problems.session_codes import VIDEO_DAMAGED
 
 
 def test_problems_survive_way_out_of_detection_process() -> None:

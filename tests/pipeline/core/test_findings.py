@@ -2,9 +2,9 @@ import json
 
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding, documents, from_problem, has_error
-from pipeline.core.problems.findings import FILE_IGNORED, FOCAL_LENGTH
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import INVALID_MATRIX, INVALID_NAME
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import FILE_IGNORED, FOCAL_LENGTH
+from pipeline.core.problems.session_codes import INVALID_MATRIX, INVALID_NAME
 
 DOUBT = Finding(FOCAL_LENGTH, "Odd.", "cam\x1b_1", evidence={"angle_deg": 1.23456, "file": "a\x00.mp4", "views": 3})
 NOTE = Finding(FILE_IGNORED, "Ignored.", severity="info")

@@ -5,7 +5,7 @@ from pipeline.run.engine.stage import BLUR, DETECT, HEADS
 from tests.worker.conftest import RESULT, RunnerBench
 from worker.run.planning import plan_job, plan_visuals
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.errors import PipelineError
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PeopleEdit, Remove, Rename
-from pipeline.core.problems.findings import NOBODY_FOUND
+from pipeline.core.problems.finding_codes import NOBODY_FOUND
 from pipeline.run.engine.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT, WRITE, Output, ResultFile
 from tests.cases import slow_but
 from tests.worker.conftest import FOUND, RESULT, RunnerBench
@@ -18,7 +18,7 @@ from worker.run.planning import plan_job
 from worker.store.errors import Conflict
 from worker.store.files.keys import results_prefix
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
 
 FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")

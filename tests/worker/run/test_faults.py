@@ -24,7 +24,7 @@ from tests.worker.conftest import RESULT, RunnerBench, new_session, open_bench
 from worker.run import embedded
 from worker.run.planning import plan_job
 from worker.store.database.totals import Total
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import FINISHED, JobState
 from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.queue import Queue, WorkQueue

@@ -12,7 +12,7 @@ from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_job
 from worker.store.backup.create import create_backup
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

@@ -40,7 +40,7 @@ from pipeline.run.engine.stage import (
 )
 from pipeline.run.steps.detect import LOOKED_AT_FRAMES
 from worker.run.planning import plan_job, session_facts
-from worker.store.model.sessions import InputFile, Session
+from worker.store.model.session_records import InputFile, Session
 from worker.store.model.work import StagePlan
 from worker.store.spec import JobSpec
 

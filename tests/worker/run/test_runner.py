@@ -34,7 +34,7 @@ from tests.worker.conftest import (
 from worker.run import chunk
 from worker.run.chunk import Work
 from worker.run.planning import plan_job
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import ChunkState, JobState
 from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.spec import JobSpec

@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.core.errors import ChildError, InputError, ModelError, Problem
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import NOBODY_FOUND
-from pipeline.core.problems.sessions import VIDEO_EMPTY, VIDEO_TRUNCATED
+from pipeline.core.problems.finding_codes import NOBODY_FOUND
+from pipeline.core.problems.session_codes import VIDEO_EMPTY, VIDEO_TRUNCATED
 from pipeline.run.engine.stage import ASSOCIATE, DETECT, EXPORT, Output
 from tests.worker.conftest import RESULT, RunnerBench, detect, export, fail_with
 from worker.run.chunk import Work

@@ -13,7 +13,7 @@ from worker.run.reaper import Reaper
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.disk import DiskSpace
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

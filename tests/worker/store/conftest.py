@@ -17,8 +17,8 @@ from alembic.migration import MigrationContext
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.store.database.tables import metadata
-from worker.store.model.jobs import JobRecord, Result
-from worker.store.model.sessions import InputFile
+from worker.store.model.job_records import JobRecord, Result
+from worker.store.model.session_records import InputFile
 from worker.store.model.work import ChunkPlan, Claim, StagePlan
 from worker.store.spec import JobSpec, Priority
 from worker.store.store import JobStore

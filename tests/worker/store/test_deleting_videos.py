@@ -8,7 +8,7 @@ import pytest
 from pipeline.core.options.job_choices import BLURRED_KIND
 from tests.worker.store.conftest import StoreBench, stages
 from worker.store.errors import Conflict, VideosDeleted
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

@@ -2,10 +2,10 @@
 
 import sqlalchemy as sa
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import LEASE_S, StoreBench, stages
 from worker.store.database.tables import events
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 
 
 def noted(jobs: StoreBench, job_id: str) -> list[tuple[str, str]]:

@@ -8,9 +8,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, UNITS, StoreBench, new_session, stages
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.states import FINISHED, ChunkState, JobState
 from worker.store.model.work import Claim
 from worker.store.store import JobStore

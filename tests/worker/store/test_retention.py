@@ -4,10 +4,10 @@ import time
 
 import pytest
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import LEASE_S, StoreBench, stages
 from worker.store.errors import Conflict
-from worker.store.model.jobs import JobProblem, JobRecord
+from worker.store.model.job_records import JobProblem, JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 

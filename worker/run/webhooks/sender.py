@@ -23,7 +23,7 @@ from standardwebhooks import Webhook
 
 from worker.run.webhooks.addresses import is_public, url_fault
 from worker.store.errors import DamagedDatabase
-from worker.store.model.jobs import Delivery, WebhookSecret
+from worker.store.model.job_records import Delivery, WebhookSecret
 from worker.store.repositories.webhooks import MAX_TRIES
 from worker.store.store import JobStore
 

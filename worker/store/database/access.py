@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Connection, Table, true
 from worker.store.database.connection import lock
 from worker.store.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
 from worker.store.database.tables import DEFAULT_TENANT
-from worker.store.model.recordings import UploadingPhone
+from worker.store.model.phone_records import UploadingPhone
 from worker.store.model.rights import Actor
 
 

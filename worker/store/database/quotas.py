@@ -6,7 +6,7 @@ from sqlalchemy import Connection, func, select
 
 from worker.store.database.tables import artifacts, calibrations, characters, jobs, results, sessions, uploads
 from worker.store.errors import QuotaExceeded
-from worker.store.model.jobs import SIDE_KINDS
+from worker.store.model.job_records import SIDE_KINDS
 from worker.store.model.rights import Usage
 from worker.store.model.states import UNFINISHED, JobState
 

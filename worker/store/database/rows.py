@@ -19,9 +19,9 @@ from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, jobs, sessions
-from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
-from worker.store.model.sessions import InputFile, Session
+from worker.store.model.character_records import JobCharacter
+from worker.store.model.job_records import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
+from worker.store.model.session_records import InputFile, Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
 

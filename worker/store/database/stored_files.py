@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Text, cast, delete, insert, se
 from pipeline.core.options.job_choices import VISUAL_KINDS
 from worker.store.database.connection import now
 from worker.store.database.tables import idempotency_keys, removals, results
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 
 # Files of a session take less than this to reach the artifact store; a session that is not added by then never is.
 _ARRIVAL = timedelta(days=1)

@@ -8,8 +8,8 @@ from typing import Any
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit
 from pipeline.core.options.providers import CPU, Provider
-from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import Making, job_config
+from worker.store.model.character_records import JobCharacter
+from worker.store.model.job_records import Making, job_config
 from worker.store.spec import JobSpec
 
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, insert, select
 from worker.store.database.connection import now
 from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import attempts, failures
-from worker.store.model.jobs import Attempt, Failure, JobProblem
+from worker.store.model.job_records import Attempt, Failure, JobProblem
 from worker.store.model.states import FINISHED, JobState
 
 _KEPT = ("attempt", "state", "problem", "queued_at", "started_at", "finished_at")

@@ -16,8 +16,8 @@ from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.keys import job_prefix, session_prefix
-from worker.store.model.jobs import JobRecord
-from worker.store.model.sessions import Calibration, MadeCalibration
+from worker.store.model.job_records import JobRecord
+from worker.store.model.session_records import Calibration, MadeCalibration
 from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.audit import AuditAction, record_event
 
@@ -31,7 +31,7 @@ class Calibrations:
     def add(self, name: str, source: Mapping[str, Any], files: Mapping[str, str]) -> Calibration:
         """Add a calibration that was sent as a file.
 
-        ``source`` and ``files`` are like in ``worker.store.model.sessions.Calibration``. Raises ``QuotaExceeded``.
+        ``source`` and ``files`` are like in ``session_records.Calibration``. Raises ``QuotaExceeded``.
         """
         return self._insert(str(uuid7()), name, "file", source, files)
 

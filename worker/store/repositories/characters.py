@@ -15,7 +15,7 @@ from worker.store.database.stored_files import forget_answers, keep, remove_late
 from worker.store.database.tables import characters
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.keys import character_prefix
-from worker.store.model.characters import Character, CharacterSummary, StoredCharacterFile
+from worker.store.model.character_records import Character, CharacterSummary, StoredCharacterFile
 from worker.store.repositories.audit import AuditAction, record_event
 
 CharacterT = TypeVar("CharacterT", bound=CharacterSummary)
@@ -53,7 +53,7 @@ class Characters:
         character_id
             Made by ``reserve_id``.
         facts, bones, corrections
-            See ``worker.store.model.characters.Character``.
+            See ``worker.store.model.character_records.Character``.
 
         Raises
         ------

@@ -24,8 +24,8 @@ from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
-from worker.store.model.characters import JobCharacter
-from worker.store.model.jobs import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
+from worker.store.model.character_records import JobCharacter
+from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
 from worker.store.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, StagePlan
 from worker.store.repositories.attempts import keep_attempt, read_attempts
@@ -73,7 +73,7 @@ class Jobs:
         trace
             W3C traceparent of the request, for the workers.
         making
-            See ``worker.store.model.jobs.JobRecord``.
+            See ``worker.store.model.job_records.JobRecord``.
         moved
             Id of the job, made by ``reserve_id``, and the character that it moves, whose copy is stored.
 

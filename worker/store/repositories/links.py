@@ -17,7 +17,7 @@ from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.tables import jobs, keys, links, recordings
 from worker.store.errors import Conflict, NotFound
-from worker.store.model.recordings import JoinLink
+from worker.store.model.phone_records import JoinLink
 from worker.store.model.rights import Link, LinkScope
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.jobs import job_row

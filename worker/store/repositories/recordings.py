@@ -19,7 +19,7 @@ from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers
 from worker.store.database.tables import clips, phones, recordings, takes, uploads
 from worker.store.errors import Conflict, NotFound, PhoneRemoved
-from worker.store.model.recordings import (
+from worker.store.model.phone_records import (
     ClipFile,
     JoinedPhone,
     RecordingLimits,

@@ -8,7 +8,7 @@ from worker.store.database.access import Access
 from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import jobs, results
 from worker.store.errors import NoResults, NotFinished, NotFound
-from worker.store.model.jobs import Result, is_worth_a_retry
+from worker.store.model.job_records import Result, is_worth_a_retry
 from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.jobs import job_row
 

@@ -20,8 +20,8 @@ from worker.store.database.stored_files import forget_answers, keep, remove_late
 from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.keys import job_prefix, session_prefix, thumbnails_prefix
-from worker.store.model.jobs import SIDE_KINDS, NewestJob
-from worker.store.model.sessions import Capture, InputFile, Purpose, Session
+from worker.store.model.job_records import SIDE_KINDS, NewestJob
+from worker.store.model.session_records import Capture, InputFile, Purpose, Session
 from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
@@ -67,7 +67,7 @@ class Sessions:
         record_sha256
             Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
         purpose, chunk_frames
-            See ``worker.store.model.sessions.Session``.
+            See ``worker.store.model.session_records.Session``.
 
         Raises
         ------

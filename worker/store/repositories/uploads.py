@@ -13,8 +13,8 @@ from worker.store.database.connection import lock, now
 from worker.store.database.rows import read
 from worker.store.database.tables import uploads
 from worker.store.errors import Conflict, NotFound
-from worker.store.model.recordings import UploadingPhone
-from worker.store.model.sessions import Upload
+from worker.store.model.phone_records import UploadingPhone
+from worker.store.model.session_records import Upload
 from worker.store.repositories.audit import AuditAction, record_event
 
 

@@ -13,7 +13,7 @@ from worker.store.database.rows import read_edits, read_jobs, select_jobs
 from worker.store.database.tables import jobs, sessions
 from worker.store.database.transitions import delete_visuals_job, note
 from worker.store.errors import Conflict
-from worker.store.model.jobs import JobRecord, job_config
+from worker.store.model.job_records import JobRecord, job_config
 from worker.store.model.states import RETRYABLE, JobState
 from worker.store.model.work import Precedence, StagePlan
 from worker.store.repositories.audit import AuditAction, record_event

@@ -16,7 +16,7 @@ from worker.store.database.access import Transactions
 from worker.store.database.connection import now
 from worker.store.database.rows import read, read_jobs, select_jobs
 from worker.store.database.tables import UtcTimestamp, deliveries, jobs, webhook_secrets
-from worker.store.model.jobs import Delivery, WebhookSecret
+from worker.store.model.job_records import Delivery, WebhookSecret
 from worker.store.model.rights import Actor
 from worker.store.model.states import JobState
 from worker.store.repositories.audit import AuditAction, record_event

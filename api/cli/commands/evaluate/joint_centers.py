@@ -12,7 +12,7 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting,
 from api.cli.options import checked, with_choices
 from pipeline.capture.session import open_session
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.findings import DATASET_INCOMPLETE
+from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.evaluation.datasets.rendered import load_rendered
 from pipeline.validation.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people

@@ -19,7 +19,7 @@ from pipeline.core.data.people import People
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import Method
-from pipeline.core.problems.findings import NO_ABLATION
+from pipeline.core.problems.finding_codes import NO_ABLATION
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.warm_up import warm_up

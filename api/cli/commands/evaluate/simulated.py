@@ -21,7 +21,7 @@ from pipeline.core.data.people import People
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_18, FINGER_JOINTS, JointSet
 from pipeline.core.options.config import Method, ReconstructionConfig
-from pipeline.core.problems.findings import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
+from pipeline.core.problems.finding_codes import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
 from pipeline.motion.skeleton.animate import animate
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics

@@ -19,8 +19,8 @@ from api.web.errors import ApiError, ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
 from pipeline.capture.parts import recordings_of
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import (
     CONTENT_TOO_LARGE,
     DUPLICATE_FILE_NAME,
     DUPLICATE_PART,

@@ -16,7 +16,7 @@ from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, FormLimits, Parts, too_large
 from api.web.http.bodies.form_kinds import FORM_TYPE, FormKind
 from api.web.http.bodies.reading import announced_bytes, blocks, drain
-from pipeline.core.problems.requests import MALFORMED_MULTIPART, UNSUPPORTED_MEDIA_TYPE
+from pipeline.core.problems.request_codes import MALFORMED_MULTIPART, UNSUPPORTED_MEDIA_TYPE
 from worker.store.files.disk import DiskSpace
 
 # Boundaries and headers of the parts, in addition to the bytes of the files.

@@ -21,8 +21,8 @@ from starlette.responses import Response
 from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces, place_path
 from pipeline.core.options.requirements import Schema, Steps, path_text, requirement, resolve, schema_branches
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import (
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import (
     INVALID_VALUE,
     MALFORMED_JSON,
     MISSING_FIELD,

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.core.problems.sessions import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
+from pipeline.core.problems.session_codes import CHARACTER_FORMAT, CHARACTER_TOO_LARGE
 from pipeline.export.character.rig import MAX_COORDINATE, MIN_SCALE, CharacterFileError
 from pipeline.export.writers.fbx_nodes import ArrayProperty, FbxError, Node, read
 from pipeline.export.writers.fbx_scene import SETTINGS

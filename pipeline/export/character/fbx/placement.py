@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from pipeline.core.problems.sessions import CHARACTER_TOO_LARGE
+from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import EXPORT_AGAIN, FbxContent
 from pipeline.export.character.rig import MAX_LEVELS, MAX_NODES, MAX_SCALE, MIN_SCALE, CharacterFileError
 from pipeline.export.writers.fbx_nodes import FbxError, Node

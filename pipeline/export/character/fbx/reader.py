@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from pipeline.core.errors import printable
-from pipeline.core.problems.sessions import CHARACTER_BONES, CHARACTER_TOO_LARGE
+from pipeline.core.problems.session_codes import CHARACTER_BONES, CHARACTER_TOO_LARGE
 from pipeline.export.character.fbx.content import EXPORT_AGAIN, FbxContent, is_invertible
 from pipeline.export.character.fbx.placement import ModelTree, bind, file_axes
 from pipeline.export.character.gltf_reader import CharacterFile, build_character, decomposed

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import IO, Any, cast
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import STREAM_SILENT
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import STREAM_SILENT
+from pipeline.core.problems.session_codes import VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
 from pipeline.core.runtime.child_processes import module_command, uninterrupted
 from pipeline.core.runtime.confinement import READY, child_environment
 from pipeline.run.live.cameras.sources import CameraSource

@@ -11,7 +11,7 @@ from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import STREAM_SILENT
+from pipeline.core.problems.finding_codes import STREAM_SILENT
 from pipeline.detection.bodies import boxes_around
 from pipeline.run.live.records import DetectedFrame
 

@@ -17,7 +17,7 @@ from pipeline.core.data.turns import upright_size_px
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import MotionChoices
-from pipeline.core.problems.sessions import SIZE_MISMATCH
+from pipeline.core.problems.session_codes import SIZE_MISMATCH
 from pipeline.detection.models import verify
 from pipeline.detection.profiles.profile_detector import detection_joints, mark_offsets
 from pipeline.detection.upright import turn_of_roll

@@ -9,9 +9,9 @@ from typing import Literal
 from urllib.parse import urlsplit
 
 from pipeline.core.errors import InputError, Problem, listed_names
-from pipeline.core.problems.findings import CAMERA_SOURCE
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import VIDEO_MISSING
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CAMERA_SOURCE
+from pipeline.core.problems.session_codes import VIDEO_MISSING
 
 SourceKind = Literal["rtsp", "http", "device", "file"]
 """Kind of a source. A file is played at its own pace."""

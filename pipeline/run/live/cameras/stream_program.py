@@ -31,8 +31,13 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import UnusableError
-from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
-from pipeline.core.problems.sessions import NO_VIDEO_STREAM, UNSUPPORTED_CODEC, VIDEO_CHANGES_SIZE, VIDEO_UNREADABLE
+from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
+from pipeline.core.problems.session_codes import (
+    NO_VIDEO_STREAM,
+    UNSUPPORTED_CODEC,
+    VIDEO_CHANGES_SIZE,
+    VIDEO_UNREADABLE,
+)
 from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
 from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind

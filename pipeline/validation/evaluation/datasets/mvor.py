@@ -24,7 +24,7 @@ from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.parsing import KEYPOINT_PX, UnreadableError, read_numbers
-from pipeline.core.problems.findings import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
+from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.geometry.camera import center_in_world
 from pipeline.validation.evaluation.datasets.documents import check_crowd, read_document
 from pipeline.video.images.files import ENDINGS

@@ -25,7 +25,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.joints import JointSet
 from pipeline.core.parsing import UnreadableError, read_numbers
-from pipeline.core.problems.findings import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
+from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at, score_poses
 from pipeline.validation.evaluation.datasets.documents import check_crowd, read_document
 from pipeline.validation.evaluation.mpjpe import accuracy, select_joints

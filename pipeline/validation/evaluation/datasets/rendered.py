@@ -17,7 +17,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.findings import DATASET_INCOMPLETE, TRUTH_UNREADABLE
+from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE, TRUTH_UNREADABLE
 from pipeline.export.privacy.heads import FACE, head_path, head_regions
 from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints

@@ -20,7 +20,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
-from pipeline.core.problems.findings import BENCHMARK_UNREADABLE
+from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE
 from pipeline.validation.evaluation.pcp import HEAD_RULES, benchmark_joints, score_pcp
 
 FRAME_RATE_HZ = 25.0

@@ -12,7 +12,7 @@ import pytest
 import pipeline.core.problems
 from api.web.contract.problems_page import GROUPS, PAGE, SENTENCES, document, main
 from api.web.errors import _CODES
-from pipeline.core.problems.model import Code, Place, usual_status
+from pipeline.core.problems.code_group import Code, Place, usual_status
 
 CODES = [(code, places) for group in GROUPS for code, places in group.places.items()]
 ROOT = Path(__file__).parents[4]

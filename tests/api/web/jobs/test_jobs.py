@@ -8,13 +8,13 @@ import pytest
 
 from pipeline.core.errors import Problem, SessionRefused
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import CAMERA_DISAGREES, INPUT_ERROR, MIRRORED_WORLD, NOBODY_FOUND
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.requests import INTERNAL_ERROR
-from pipeline.core.problems.sessions import VIDEO_TRUNCATED
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, INPUT_ERROR, MIRRORED_WORLD, NOBODY_FOUND
+from pipeline.core.problems.request_codes import INTERNAL_ERROR
+from pipeline.core.problems.session_codes import VIDEO_TRUNCATED
 from tests.api.conftest import Live, form, problem_of
 from worker.run.problems import job_problem
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.repositories.jobs import Jobs
 
 

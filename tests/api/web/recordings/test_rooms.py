@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from api.web.recordings.relay import RecordingRelay, RelayKind
+from api.web.recordings.broadcast import RecordingRelay, RelayKind
 from api.web.recordings.rooms import Room, Rooms
-from worker.store.model.recordings import RecordingSession
+from worker.store.model.phone_records import RecordingSession
 from worker.store.store import JobStore
 
 NOW = datetime(2026, 11, 27, tzinfo=UTC)

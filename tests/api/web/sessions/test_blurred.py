@@ -8,7 +8,7 @@ from pipeline.core.options.job_choices import BLURRED_KIND, PROXY_KIND, blurred_
 from tests.api.conftest import Live, form, problem_of
 from worker.store.files.keys import result_key
 from worker.store.files.unneeded import remove_files
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 
 SENT, BLURRED = b"sent" * 100, b"blurred" * 100
 BLUR = {"blur_faces": True}

@@ -11,7 +11,7 @@ from pipeline.core.options.job_choices import PROXY_KIND
 from tests.api.conftest import Live, problem_of, running
 from tests.s3 import S3
 from worker.store.files.keys import result_key
-from worker.store.model.jobs import Result
+from worker.store.model.job_records import Result
 
 VIDEO = os.urandom(90_000)
 

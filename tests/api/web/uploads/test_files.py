@@ -28,7 +28,7 @@ from api.web.uploads.spool import Checksum, Writers
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.store.files.disk import DiskSpace
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 from worker.store.repositories.sessions import Sessions
 from worker.store.repositories.uploads import Uploads
 

@@ -26,7 +26,7 @@ from tests.s3 import S3
 from tests.waiting import wait_for
 from worker.store.files.disk import DiskSpace
 from worker.store.files.s3 import open_bucket
-from worker.store.model.sessions import Upload
+from worker.store.model.session_records import Upload
 
 CONTENT = os.urandom(50_000)
 

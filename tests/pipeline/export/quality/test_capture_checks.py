@@ -9,8 +9,8 @@ from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import Doubt, Observations, PersonLoss
 from pipeline.core.findings import Finding, SessionCheck, Severity
 from pipeline.core.joints import COCO_17
-from pipeline.core.problems.findings import CAMERA_DISAGREES, CAMERA_SEES_NOBODY, NOBODY_DETECTED
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, CAMERA_SEES_NOBODY, NOBODY_DETECTED
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.motion.skeleton.fitting.fit import SkeletonFit

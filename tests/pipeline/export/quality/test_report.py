@@ -12,8 +12,8 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, finger_joints
-from pipeline.core.problems.findings import CAMERA_BELOW_FLOOR, DISTORTION_FOLDS
-from pipeline.core.problems.requests import CALIBRATION_UNPOSED
+from pipeline.core.problems.finding_codes import CAMERA_BELOW_FLOOR, DISTORTION_FOLDS
+from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
 from pipeline.export.quality.report import (
     acceleration_m_s2,
     bone_length_std_cm,

@@ -16,7 +16,7 @@ from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import Rename
 from pipeline.core.options.job_choices import VisualChoices
-from pipeline.core.problems.findings import CAMERA_DISAGREES, STATURE_OUT_OF_RANGE
+from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, STATURE_OUT_OF_RANGE
 from pipeline.core.progress import Progress
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from pipeline.run.engine.stage import CHECK, REFINE

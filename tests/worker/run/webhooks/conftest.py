@@ -16,7 +16,7 @@ from worker.run.planning import plan_job
 from worker.run.webhooks.sender import Courier, Sender
 from worker.store.database.connection import now
 from worker.store.database.tables import deliveries
-from worker.store.model.jobs import Delivery, JobRecord, WebhookSecret
+from worker.store.model.job_records import Delivery, JobRecord, WebhookSecret
 from worker.store.spec import JobSpec
 
 HOUR_S = 3600.0

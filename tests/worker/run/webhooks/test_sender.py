@@ -17,7 +17,7 @@ from tests.worker.run.webhooks.conftest import HOUR_S, Receiver, deliver, end_jo
 from worker.run.planning import plan_job
 from worker.run.webhooks import sender as webhooks
 from worker.run.webhooks.sender import Sender
-from worker.store.model.jobs import Delivery
+from worker.store.model.job_records import Delivery
 from worker.store.repositories.webhooks import MAX_TRIES
 from worker.store.spec import JobSpec
 

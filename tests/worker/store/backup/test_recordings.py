@@ -9,7 +9,7 @@ import uuid_utils
 from tests.worker.store.backups import Data, opened_data, restored
 from worker.store.database.quotas import Quotas
 from worker.store.errors import NotFound, PhoneRemoved
-from worker.store.model.recordings import ClipFile, RecordingLimits, TakeState, UploadingPhone
+from worker.store.model.phone_records import ClipFile, RecordingLimits, TakeState, UploadingPhone
 from worker.store.model.rights import Actor
 from worker.store.store import JobStore
 from worker.store.tenant_records import TenantRecords

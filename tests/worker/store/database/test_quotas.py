@@ -5,13 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import PREFLIGHT, StoreBench, result, stages
 from worker.store.database.quotas import Quotas
 from worker.store.errors import QuotaExceeded
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, Usage
-from worker.store.model.sessions import InputFile
+from worker.store.model.session_records import InputFile
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
 from worker.store.tenant_records import TenantRecords

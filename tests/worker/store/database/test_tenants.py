@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import PREFLIGHT, StoreBench, stages
 from worker.store.database.quotas import Quotas
 from worker.store.errors import NotFound
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, LinkScope
 from worker.store.repositories.jobs import Jobs
 from worker.store.repositories.links import Links

@@ -2,9 +2,9 @@
 
 import time
 
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, UNITS, StoreBench
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 
 
 def test_totals_of_job_count_chunks_time_and_end(jobs: StoreBench) -> None:

@@ -6,15 +6,15 @@ from itertools import product
 import pytest
 import sqlalchemy as sa
 
-from pipeline.core.problems.findings import INPUT_ERROR
-from pipeline.core.problems.requests import INTERNAL_ERROR
+from pipeline.core.problems.finding_codes import INPUT_ERROR
+from pipeline.core.problems.request_codes import INTERNAL_ERROR
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, StoreBench, stages
 from worker.store.database import tables
 from worker.store.database.connection import Database
 from worker.store.database.rows import stage_state
 from worker.store.database.transitions import move_job
 from worker.store.errors import Conflict
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
 from worker.store.model.work import Claim
 from worker.store.spec import JobSpec

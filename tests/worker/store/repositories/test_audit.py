@@ -1,7 +1,7 @@
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import PREFLIGHT, StoreBench, stages
 from worker.store.database.quotas import Quotas
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, Scope
 from worker.store.spec import JobSpec
 

@@ -5,7 +5,7 @@ import pytest
 from pipeline.core.options.job_choices import PROXY_KIND, CalibrationChoices, ProxyChoices
 from tests.worker.store.conftest import CODE, PREFLIGHT, UNITS, StoreBench, stages
 from worker.store.errors import Conflict
-from worker.store.model.jobs import NewestJob, Result, job_kind
+from worker.store.model.job_records import NewestJob, Result, job_kind
 from worker.store.model.states import JobState
 from worker.store.model.work import ChunkPlan, StagePlan
 from worker.store.spec import JobSpec

@@ -10,7 +10,7 @@ from tests.worker.store.conftest import PREFLIGHT, StoreBench, stages
 from worker.store.database.quotas import Quotas
 from worker.store.database.tables import idempotency_keys
 from worker.store.errors import Conflict, KeyBusy, KeyReused
-from worker.store.model.jobs import JobRecord
+from worker.store.model.job_records import JobRecord
 from worker.store.model.rights import Actor
 from worker.store.repositories.idempotency_keys import KeyClaim
 from worker.store.spec import JobSpec

@@ -7,7 +7,7 @@ import pytest
 from tests.worker.store.conftest import StoreBench
 from worker.store.database.quotas import Quotas
 from worker.store.errors import Conflict, NotFound, PhoneRemoved
-from worker.store.model.recordings import ClipFile, RecordingLimits, TakeState, UploadingPhone
+from worker.store.model.phone_records import ClipFile, RecordingLimits, TakeState, UploadingPhone
 from worker.store.model.rights import Actor, Scope
 from worker.store.repositories import recordings as module
 from worker.store.repositories.recordings import Recordings

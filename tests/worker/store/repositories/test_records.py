@@ -7,14 +7,14 @@ import sqlalchemy as sa
 import uuid_utils
 
 from pipeline.core.findings import Finding
-from pipeline.core.problems.findings import FEW_VIEWS
-from pipeline.core.problems.model import Code
-from pipeline.core.problems.sessions import VIDEO_TRUNCATED
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import FEW_VIEWS
+from pipeline.core.problems.session_codes import VIDEO_TRUNCATED
 from tests.worker.store.conftest import PREFLIGHT, UNITS, StoreBench, new_session, result, stages
 from worker.store.database import tables
 from worker.store.errors import Conflict, NoResults, NotFinished, NotFound
-from worker.store.model.jobs import JobProblem
-from worker.store.model.sessions import InputFile
+from worker.store.model.job_records import JobProblem
+from worker.store.model.session_records import InputFile
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore

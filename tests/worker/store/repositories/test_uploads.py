@@ -8,7 +8,7 @@ from worker.store.database.quotas import Quotas
 from worker.store.database.tables import uploads
 from worker.store.errors import Conflict, NotFound, QuotaExceeded
 from worker.store.model.rights import Actor
-from worker.store.model.sessions import Session
+from worker.store.model.session_records import Session
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 

@@ -10,7 +10,7 @@ from uuid_utils import uuid7
 
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
-from pipeline.core.problems.findings import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from pipeline.core.problems.finding_codes import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read, read_edits, read_job_character, read_making, read_spec
@@ -26,8 +26,8 @@ from worker.store.database.transitions import (
     set_waiting,
     settle_canceling,
 )
-from worker.store.model.jobs import JobProblem, Result
-from worker.store.model.sessions import MadeCalibration
+from worker.store.model.job_records import JobProblem, Result
+from worker.store.model.session_records import MadeCalibration
 from worker.store.model.states import AT_WORK, ChunkState, JobState
 from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
 from worker.store.repositories.attempts import note_failure

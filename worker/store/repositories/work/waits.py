@@ -4,11 +4,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, case, delete, select, update
 
-from pipeline.core.problems.findings import WORKER_LOST
+from pipeline.core.problems.finding_codes import WORKER_LOST
 from worker.store.database.access import Transactions
 from worker.store.database.tables import chunks, failures, jobs
 from worker.store.database.transitions import lock_job, set_waiting
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.states import AT_WORK, ChunkState
 from worker.store.model.work import Claim
 from worker.store.outages import Outage

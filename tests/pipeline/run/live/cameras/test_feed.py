@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from pipeline.core.errors import Problem
-from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
-from pipeline.core.problems.sessions import NO_VIDEO_STREAM, VIDEO_UNREADABLE
+from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
+from pipeline.core.problems.session_codes import NO_VIDEO_STREAM, VIDEO_UNREADABLE
 from pipeline.run.live.cameras import feed as feeds
 from pipeline.run.live.cameras.feed import (
     CameraFeed,

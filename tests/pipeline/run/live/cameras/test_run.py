@@ -14,8 +14,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.problems.findings import STREAM_REFUSED, STREAM_SILENT
-from pipeline.core.problems.sessions import SIZE_MISMATCH
+from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
+from pipeline.core.problems.session_codes import SIZE_MISMATCH
 from pipeline.detection.appearance import NUM_BINS, PARTS
 from pipeline.run.live.cameras import feed as feeds
 from pipeline.run.live.cameras import offsets

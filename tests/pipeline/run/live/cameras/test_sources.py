@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.core.errors import InputError
-from pipeline.core.problems.findings import CAMERA_SOURCE
-from pipeline.core.problems.sessions import VIDEO_MISSING
+from pipeline.core.problems.finding_codes import CAMERA_SOURCE
+from pipeline.core.problems.session_codes import VIDEO_MISSING
 from pipeline.run.live.cameras.sources import CameraSource, read_sources
 
 

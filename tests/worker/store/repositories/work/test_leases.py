@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 
-from pipeline.core.problems.findings import INPUT_ERROR
-from pipeline.core.problems.requests import INTERNAL_ERROR
+from pipeline.core.problems.finding_codes import INPUT_ERROR
+from pipeline.core.problems.request_codes import INTERNAL_ERROR
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, PREFLIGHT, UNITS, StoreBench, result, stages
 from worker.store.database.quotas import NO_QUOTAS
 from worker.store.database.tables import chunks
-from worker.store.model.jobs import JobProblem
+from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, Scope
 from worker.store.model.states import ChunkState, JobState
 from worker.store.model.work import ChunkOutput, Claim, WorkerState, WorkerStatus

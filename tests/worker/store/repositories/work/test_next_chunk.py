@@ -8,13 +8,13 @@ import pytest
 import sqlalchemy as sa
 
 from pipeline.core.options.providers import CPU, Provider
-from pipeline.core.problems.findings import TIME_LIMIT
+from pipeline.core.problems.finding_codes import TIME_LIMIT
 from tests.worker.store.conftest import EXPIRED_S, LEASE_S, StoreBench, stages
 from tests.worker.store.repositories.work.test_workers import READY
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks
-from worker.store.model.jobs import JobProblem
-from worker.store.model.sessions import Session
+from worker.store.model.job_records import JobProblem
+from worker.store.model.session_records import Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.model.work import Ability, ChunkPlan, Claim, StagePlan, WorkerStatus
 from worker.store.spec import JobSpec

@@ -1,6 +1,6 @@
 """Problem codes of the files that users send: calibrations, videos, keypoints, times of frames, characters."""
 
-from pipeline.core.problems.model import CodeGroup
+from pipeline.core.problems.code_group import CodeGroup
 
 CALIBRATIONS = CodeGroup(
     "Calibration",

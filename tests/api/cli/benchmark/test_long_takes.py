@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from api.cli.benchmark.takes import longer_motion
+from api.cli.benchmark.long_takes import longer_motion
 from pipeline.core.data.animation import FootContact, SkeletonMotion
 from pipeline.motion.skeleton.model import SKELETON
 

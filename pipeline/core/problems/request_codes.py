@@ -1,6 +1,6 @@
 """Problem codes of the web API: answers, fields and parts of requests, live captures, recordings, readiness."""
 
-from pipeline.core.problems.model import CodeGroup
+from pipeline.core.problems.code_group import CodeGroup
 
 ANSWERS = CodeGroup(
     "Responses of the API",

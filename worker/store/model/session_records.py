@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
-from worker.store.model.jobs import JobProblem, NewestJob
+from worker.store.model.job_records import JobProblem, NewestJob
 from worker.store.model.states import JobState
 
 

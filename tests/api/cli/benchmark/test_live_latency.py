@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from api.cli.benchmark import live
 from api.cli.benchmark.tracking import crowd
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.records import LiveInstant

@@ -1,6 +1,6 @@
 """Problem codes of work: failed jobs, findings of checks, warnings of a result, and the command line."""
 
-from pipeline.core.problems.model import CodeGroup
+from pipeline.core.problems.code_group import CodeGroup
 
 FILES = CodeGroup(
     "Findings about files",

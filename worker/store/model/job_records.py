@@ -10,9 +10,9 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, PersonSpan
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
-from pipeline.core.problems.model import Code
+from pipeline.core.problems.code_group import Code
 from pipeline.run.space import ForeseenSpace
-from worker.store.model.characters import JobCharacter
+from worker.store.model.character_records import JobCharacter
 from worker.store.model.states import RETRYABLE, ChunkState, JobState
 from worker.store.spec import JobSpec
 
