@@ -18,7 +18,7 @@ const VIEWS = {
   record: () => import("./record/view.js"),
   live: () => import("./live/view.js"),
   calibrations: () => import("./calibrations/view.js"),
-  jobs: () => import("./look/view.js"),
+  jobs: () => import("./jobs/view.js"),
 };
 const NAV = [["new", "New capture", "write"], ["captures", "Captures", "read"], ["record", "Record", "write"], ["live", "Live", "write"], ["calibrations", "Calibrations", "read"]];
 

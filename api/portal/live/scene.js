@@ -3,7 +3,7 @@
 import { directionBar } from "../viewer/controls.js";
 import { el, graphics } from "../viewer/dom.js";
 import { about, chooseOrigin } from "../viewer/motion/records.js";
-import { SceneView } from "../viewer/scene/view.js";
+import { SceneView } from "../viewer/scene/scene_view.js";
 
 /**
  * 3D view of a live capture in an element.

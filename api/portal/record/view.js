@@ -67,7 +67,7 @@ class RecordingPlace {
 
   constructor(place, id) {
     render(html`<h1 class="title">Record</h1><p class="quiet">Loading …</p>`, place);
-    persistently(() => import("./host/view.js"), { isOver: () => this.#isClosed }).then(({ RecordingView }) => {
+    persistently(() => import("./host/host.js"), { isOver: () => this.#isClosed }).then(({ RecordingView }) => {
       if (!this.#isClosed) this.#view = new RecordingView(place, id);
     }, () => render(problemBox({ message: "The view can't be loaded. Reload the page." }), place));
   }

@@ -8,7 +8,7 @@ import { countCameraFrames, estimateTime } from "../shared/jobs.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
 import { ChosenCalibration } from "./calibration.js";
-import { planCapture, findFaults, jobBody, partsOf, groupRows, sessionBody, videosByCamera } from "./capture.js";
+import { planCapture, findFaults, jobBody, partsOf, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
 import { addFiles, emptyDraft, needsCamera, loadDraft, saveDraft } from "./files.js";
 import { inOrder, matchCameras } from "./matching.js";
 import { UploadQueue } from "./uploads.js";

@@ -8,7 +8,7 @@ import { html, live, nothing, problemBox, render, repeat, typed } from "../share
 import { address, go } from "../shared/page.js";
 import { characters, readCalibrations } from "../shared/resources.js";
 import { calibrationPart } from "./calibration.js";
-import { MEASURED, findDoubled } from "./capture.js";
+import { MEASURED, findDoubled } from "./capture_plan.js";
 import { choicesForm } from "./choices.js";
 import { ACCEPTED, droppedFiles } from "./files.js";
 import { fileTable, goPanel } from "./rows.js";

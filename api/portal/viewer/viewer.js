@@ -3,7 +3,7 @@
 import { listenToKeys, ShapeChoice, transport, viewControls } from "./controls.js";
 import { el, graphics } from "./dom.js";
 import { frameRange, SPEEDS } from "./player.js";
-import { SceneView } from "./scene/view.js";
+import { SceneView } from "./scene/scene_view.js";
 import { Strips } from "./timeline.js";
 
 export class Viewer {

@@ -6,7 +6,7 @@ import { stateOf } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, readOptions } from "../shared/resources.js";
-import { captureCard } from "./capture.js";
+import { captureCard } from "./capture_card.js";
 
 const PAGE = 20;
 const MOST = 200; // sessions that the service lists in one answer

@@ -18,8 +18,8 @@ PORTAL = Path(__file__).parents[3] / "api" / "portal"
     ("path", "some"),
     [
         ("/", {"/portal/main.js", "/portal/shared/base.css", "/docs", "/openapi.json"}),
-        ("/record", {"/portal/record/phone/main.js", "/portal/shared/base.css"}),
-        ("/portal/record/board.html", {"/portal/record/board/page.js"}),
+        ("/record", {"/portal/record/phone/start.js", "/portal/shared/base.css"}),
+        ("/portal/record/board.html", {"/portal/record/board/board.js"}),
     ],
 )
 def test_page_and_all_that_it_refers_to(live: Live, path: str, some: set[str]) -> None:

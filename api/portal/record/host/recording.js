@@ -3,7 +3,7 @@
 import { call, persistently } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { announce } from "../../shared/page.js";
-import { ServerClock } from "../clock.js";
+import { ServerClock } from "../service_clock.js";
 import { keptJoin, keepJoin, RoomConnection } from "../room.js";
 
 const PING_MS = 2000;

@@ -7,9 +7,9 @@ import { stateOf } from "../../shared/jobs.js";
 import { confirm, html, live as held, nothing, repeat, typed, warningList } from "../../shared/lit.js";
 import { address } from "../../shared/page.js";
 import { dated } from "../../shared/resources.js";
-import { errorBox } from "../../watch/job.js";
+import { errorBox } from "../../watch/job_row.js";
 import { cleanName } from "../room.js";
-import { clipLosses, clipState, takeDurationS, videoWords } from "./words.js";
+import { clipLosses, clipState, takeDurationS, videoWords } from "./state_words.js";
 
 const READY = ["ready", "sending"];
 

@@ -1,6 +1,6 @@
 // The phone of a recording: its camera, its clock, what it records when the host says so, and what it sends.
 
-import { ServerClock } from "../clock.js";
+import { ServerClock } from "../service_clock.js";
 import { cleanName, RoomConnection } from "../room.js";
 import { adjust, cameraProblem, factsOf, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
 import { describeDevice, keepIdentity, readBattery, readFreeBytes, WakeLock } from "./identity.js";

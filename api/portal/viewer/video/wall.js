@@ -2,7 +2,7 @@
 
 import { el, graphics, iconButton } from "../dom.js";
 import { between } from "../motion/kinematics.js";
-import { FrameClock } from "./clock.js";
+import { FrameClock } from "./frame_times.js";
 import { Film } from "./film.js";
 import { SkeletonDrawing } from "./overlay.js";
 import { Pictures } from "./pictures.js";

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { robustSlope, ServerClock } from "../../../../api/portal/record/clock.js";
+import { robustSlope, ServerClock } from "../../../../api/portal/record/service_clock.js";
 import { PreviewFrames, frameTime } from "../../../../api/portal/record/phone/camera.js";
 import { estimateFirstFrame } from "../../../../api/portal/record/phone/take_recorder.js";
 

@@ -5,7 +5,7 @@ import test from "node:test";
 
 import { boardName } from "../../../../api/portal/record/board/charuco.js";
 import { isOfThisMachine } from "../../../../api/portal/record/room.js";
-import { bestVideo, clipLosses, clipState, commonVideos, phoneFacts, phoneState, takeDurationS, videoWords } from "../../../../api/portal/record/host/words.js";
+import { bestVideo, clipLosses, clipState, commonVideos, phoneFacts, phoneState, takeDurationS, videoWords } from "../../../../api/portal/record/host/state_words.js";
 import { adjust, factsOf, heldConstraints, smallSize } from "../../../../api/portal/record/phone/camera.js";
 import { describeDevice, readJoin } from "../../../../api/portal/record/phone/identity.js";
 import { bitsPerS, endingOf } from "../../../../api/portal/record/phone/take_recorder.js";

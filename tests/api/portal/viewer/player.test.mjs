@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Player, frameRange } from "../../../../api/portal/viewer/player.js";
-import { FrameClock } from "../../../../api/portal/viewer/video/clock.js";
+import { FrameClock } from "../../../../api/portal/viewer/video/frame_times.js";
 
 const player = () => new Player({ startS: 2, rateHz: 25, numFrames: 100 });
 

@@ -4,10 +4,10 @@ import { call, persistently, readTagged } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { hasEnded } from "../../shared/jobs.js";
 import { announce } from "../../shared/page.js";
-import { describe } from "./words.js";
+import { describe } from "./person_names.js";
 
 // Event `change`: something that is shown has changed.
-export class Editing extends EventTarget {
+export class EditQueue extends EventTarget {
   people = null; // from GET /v1/jobs/{id}/people
   problem = null;
   conflict = null; // changes that were refused because of somebody else's: { words, changes }

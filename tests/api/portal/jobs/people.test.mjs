@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { colorOf, framesOf, sharedFrames } from "../../../../api/portal/look/people/words.js";
+import { colorOf, framesOf, sharedFrames } from "../../../../api/portal/jobs/people/person_names.js";
 
 const person = (...pieces) => ({ pieces: pieces.map(([start_frame, stop_frame]) => ({ person: 1, start_frame, stop_frame })) });
 

@@ -3,7 +3,7 @@
 import { count } from "../../shared/format.js";
 import { confirm, html, nothing, typed } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
-import { framesOf, sharedFrames } from "./words.js";
+import { framesOf, sharedFrames } from "./person_names.js";
 
 const MAX_NAME = 100;
 

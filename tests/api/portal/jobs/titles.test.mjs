@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { titleJobs } from "../../../../api/portal/look/titles.js";
+import { titleJobs } from "../../../../api/portal/jobs/titles.js";
 
 const options = {
   choices: [

@@ -7,8 +7,8 @@ import { hasEnded } from "../../shared/jobs.js";
 import { html, nothing, problemBox, render, repeat, styled } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
 import { actions } from "./actions.js";
-import { Editing } from "./editing.js";
-import { colorOf, describe, isNumbering, nameOf } from "./words.js";
+import { EditQueue } from "./edit_queue.js";
+import { colorOf, describe, isNumbering, nameOf } from "./person_names.js";
 
 export class PeoplePanel {
   selected = null; // id of the person that actions are for
@@ -18,7 +18,7 @@ export class PeoplePanel {
   // `motion` is what the viewer shows; its play head says which frame is meant. `onpeople` is called when the people may be others.
   constructor(place, job, motion, onpeople) {
     Object.assign(this, { place, motion });
-    this.editing = new Editing(job);
+    this.editing = new EditQueue(job);
     this.editing.addEventListener("change", () => {
       this.draw();
       onpeople();

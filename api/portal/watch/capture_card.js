@@ -9,7 +9,7 @@ import { countCameraFrames, estimateTime, hasEnded } from "../shared/jobs.js";
 import { confirm, html, nothing, problemBox, repeat, warningList } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
-import { jobRow } from "./job.js";
+import { jobRow } from "./job_row.js";
 
 function factsOf(session) {
   const { cameras, timebase } = session.preflight;

@@ -1,4 +1,4 @@
-// Motion of a job in the view Look: the viewer, and another job of the capture beside it.
+// Motion of a job: the viewer, and another job of the capture beside it.
 
 import { addressed, call, persistently, reached, RequestProblem } from "../shared/api.js";
 import { html, nothing, problemBox, render } from "../shared/lit.js";

@@ -1,4 +1,4 @@
-// View Look: one job, its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
+// View of one job: its motion, its people, its files and its public links. A guest, who has a link alone, reads only.
 
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
@@ -6,20 +6,20 @@ import { factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, warningList } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
-import { choiceList, errorBox, stageList, waitingBox } from "../watch/job.js";
+import { choiceList, errorBox, stageList, waitingBox } from "../watch/job_row.js";
 import { downloads } from "./downloads.js";
-import { JobMotion } from "./motion.js";
+import { JobMotion } from "./job_motion.js";
 import { PeoplePanel } from "./people/panel.js";
-import { colorOf } from "./people/words.js";
+import { colorOf } from "./people/person_names.js";
 import { Sharing } from "./sharing.js";
 
 export function open(place, route, caller) {
-  const view = new Look(place, route.id, caller);
+  const view = new JobView(place, route.id, caller);
   view.start();
   return { title: "Look", close: () => view.close() };
 }
 
-class Look {
+class JobView {
   job = null;
   session = null;
   results = null;

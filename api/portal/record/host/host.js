@@ -10,7 +10,7 @@ import { shownBoard } from "../board/charuco.js";
 import { cleanName, isOfThisMachine, keepJoin } from "../room.js";
 import { HostedRecording } from "./recording.js";
 import { calibrationPart, recordPart, takesPart } from "./takes_part.js";
-import { bestVideo, commonVideos, phoneFacts, phoneState, videoWords } from "./words.js";
+import { bestVideo, commonVideos, phoneFacts, phoneState, videoWords } from "./state_words.js";
 
 const TICK_MS = 500;
 

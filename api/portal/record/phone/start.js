@@ -1,6 +1,6 @@
 // Starts the phone's page, which `/record` is.
 
-import("./view.js").then(({ open }) => open(document.getElementById("phone")), () => {
+import("./phone_view.js").then(({ open }) => open(document.getElementById("phone")), () => {
   const place = document.getElementById("phone");
   const say = (tag, text) => place.append(Object.assign(document.createElement(tag), { textContent: text }));
   place.replaceChildren();
