@@ -4,7 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from playwright.sync_api import Page, expect
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
@@ -70,7 +73,7 @@ def test_report_from_file_plays_without_network(report: Path) -> None:
         before = picture(page)
         page.locator("canvas.look-canvas").press("Home")
         assert clock.inner_text().endswith("frame 0 of 40 (5 of the source)")
-        assert picture(page) != before
+        assert not is_same(picture(page), before)
         page.locator("canvas.look-canvas").press("Shift+ArrowRight")
         assert clock.inner_text().endswith("frame 10 of 40 (15 of the source)")
         page.keyboard.press("Space")
@@ -88,9 +91,9 @@ def test_report_from_file_plays_without_network(report: Path) -> None:
         page.mouse.down()
         page.mouse.move(scene["x"] + 300, scene["y"] + 180)
         page.mouse.up()
-        assert picture(page) != orbited
+        assert not is_same(picture(page), orbited)
         page.get_by_role("combobox", name="View").select_option(index=1)
-        assert picture(page) != orbited
+        assert not is_same(picture(page), orbited)
         page.get_by_role("button", name="Show frame").first.click()
         assert not clock.inner_text().endswith("frame 10 of 40 (15 of the source)")
     assert requests == [report.as_uri()]
@@ -104,9 +107,9 @@ def test_bodies_are_humans_or_capsules(report: Path) -> None:
         assert bodies.input_value() == "human"
         humans = picture(page)
         bodies.select_option("capsule")
-        assert picture(page) != humans
+        assert not is_same(picture(page), humans)
         bodies.select_option("human")
-        assert picture(page) == humans
+        assert is_same(picture(page), humans)
 
 
 def ready(page: Page) -> None:
@@ -119,11 +122,18 @@ def settled(page: Page) -> None:
     page.wait_for_timeout(700)
 
 
-def picture(page: Page) -> bytes:
-    """What the 3D view shows, once it is at rest and nothing in it has the focus."""
+def picture(page: Page) -> NDArray[np.uint8]:
+    """Picture of the 3D view, once it is at rest and nothing in it has the focus."""
     page.evaluate("document.activeElement.blur()")
     settled(page)
-    return page.locator(".look-view").screenshot()
+    shown = cv2.imdecode(np.frombuffer(page.locator(".look-view").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    return shown.astype(np.uint8)
+
+
+def is_same(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
+    """Tell whether two pictures show the same; Chromium shades single pixels by one or two levels anew."""
+    return bool((cv2.absdiff(one, other) > 8).sum() < 20)
 
 
 def test_names_of_strangers_are_text(report: Path) -> None:
