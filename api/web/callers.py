@@ -1,12 +1,12 @@
 """Routes of the caller: its tenant and quotas, and signing a browser in and out."""
 
-from typing import Annotated, Any, Self
+from typing import Self
 
-from fastapi import APIRouter, Body, Request, Response, status
+from fastapi import APIRouter, Request, Response, status
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.auth import AnyCallerDep, wrong_key
-from api.web.contract.description import Resource, answer, problems
+from api.web.contract.description import Resource, problems
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.http.bodies.reading import SmallBodyRoute
@@ -18,8 +18,8 @@ from worker.store.model.rights import Scope, Usage
 class QuotaOut(ResponseModel):
     """Usage and limit of a quota."""
 
-    used: int = Field(description="Present usage of the tenant.")
-    limit: int | None = Field(description="Largest allowed usage; null without a limit.")
+    used: int = Field(description="Present usage of the tenant.", examples=[12])
+    limit: int | None = Field(description="Largest allowed usage; null without a limit.", examples=[100])
 
 
 class QuotasOut(ResponseModel):
@@ -28,7 +28,8 @@ class QuotasOut(ResponseModel):
     sessions: QuotaOut = Field(description="Number of sessions.")
     unfinished_jobs: QuotaOut = Field(description="Number of jobs that wait or run.")
     stored_bytes: QuotaOut = Field(
-        description="Size of all sessions with everything made from them; uploads count with their announced size."
+        description="Size of all sessions with everything made from them; uploads count with their announced size.",
+        examples=[{"used": 52_428_800_000, "limit": 1_000_000_000_000}],
     )
     uploads: QuotaOut = Field(description="Number of uploads that no session uses yet.")
 
@@ -43,11 +44,12 @@ class QuotasOut(ResponseModel):
 class CallerOut(ResponseModel):
     """Caller of a request: its tenant, key and quotas."""
 
-    tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.")
+    tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.", examples=["studio-a"])
     name: str | None = Field(
-        description="Name of the key; null for a service without keys, in which every caller has all scopes."
+        description="Name of the key; null for a service without keys, in which every caller has all scopes.",
+        examples=["portal"],
     )
-    scopes: tuple[Scope, ...] = Field(description="Scopes of the key.")
+    scopes: tuple[Scope, ...] = Field(description="Scopes of the key.", examples=[["read", "write"]])
     expires_at: AwareDatetime | None = Field(description="Time at which the key expires; null if it does not.")
     quotas: QuotasOut = Field(description="Usage and quotas of the tenant.")
 
@@ -57,23 +59,7 @@ class BrowserSession(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    key: str = Field(max_length=200, description="API key, `mc_...`.")
-
-
-ANSWERS: dict[str, Any] = {
-    "Caller": {
-        "tenant": "studio-a",
-        "name": "portal",
-        "scopes": ["read", "write"],
-        "expires_at": None,
-        "quotas": {
-            "sessions": {"used": 12, "limit": 100},
-            "unfinished_jobs": {"used": 1, "limit": 4},
-            "stored_bytes": {"used": 52428800000, "limit": None},
-            "uploads": {"used": 0, "limit": None},
-        },
-    },
-}
+    key: str = Field(max_length=200, description="API key, `mc_...`.", examples=["mc_..."])
 
 
 router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
@@ -85,7 +71,7 @@ _LIFETIME_S = 12 * 3600
     "/caller",
     operation_id="getCaller",
     summary="Read the caller and its quotas",
-    responses={200: answer("Caller"), **problems(401, 429)},
+    responses=problems(401, 429),
 )
 def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
     """Read the name, the scopes and the expiry of the caller's key, and the tenant's usage and quotas."""
@@ -110,7 +96,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
     },
 )
 def open_browser_session(
-    shown: Annotated[BrowserSession, Body(openapi_examples={"default": {"value": {"key": "mc_..."}}})],
+    shown: BrowserSession,
     request: Request,
     response: Response,
     services: ServicesDep,
@@ -142,4 +128,4 @@ def close_browser_session(request: Request, response: Response, services: Servic
     delete_cookie(request, response)
 
 
-RESOURCE = Resource(router=router, is_open=True, answers=ANSWERS)
+RESOURCE = Resource(router=router, is_open=True)

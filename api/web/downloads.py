@@ -86,7 +86,7 @@ def file_responses(content: dict[str, Any], redirect: str | None = None) -> dict
         **NOT_MODIFIED,
     }
     if redirect is not None:
-        address = {"Location": location("file", f"https://bucket.s3.example/{redirect}?X-Amz-...")}
+        address = {"Location": location("file") | {"example": f"https://bucket.s3.example/{redirect}?X-Amz-..."}}
         responses[307] = {"description": "Redirect to the artifact store, which sends the file.", "headers": address}
     return responses
 

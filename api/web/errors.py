@@ -16,6 +16,7 @@ from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
+from api.web.contract.examples import ID
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code, read_sentences, usual_status
@@ -106,14 +107,21 @@ class ErrorItem(BaseModel):
 
     code: Code = Field(
         description="Stable code, such as `video_truncated`; docs/problems.md lists all codes. Codes of fields and "
-        "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items())
+        "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items()),
+        examples=["video_truncated"],
     )
-    message: str = Field(description="One sentence for a person.")
-    pointer: str | None = Field(default=None, description="JSON pointer to the field, parameter or part of the form.")
-    file: str | None = Field(default=None, description="Name of the file.")
-    camera: str | None = Field(default=None, description="Name of the camera.")
+    message: str = Field(
+        description="One sentence for a person.", examples=["The video ends in the middle of a frame."]
+    )
+    pointer: str | None = Field(
+        default=None, description="JSON pointer to the field, parameter or part of the form.", examples=["/videos/1"]
+    )
+    file: str | None = Field(default=None, description="Name of the file.", examples=["cam_1.mp4"])
+    camera: str | None = Field(default=None, description="Name of the camera.", examples=["cam_1"])
     field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
-    hint: str | None = Field(default=None, description="Advice to the caller.")
+    hint: str | None = Field(
+        default=None, description="Advice to the caller.", examples=["Copy it from the camera again."]
+    )
 
 
 class MoreProblems(ErrorItem):
@@ -131,14 +139,14 @@ class ProblemDetails(BaseModel):
     title: str = Field(description="Name of the HTTP status.")
     status: int = Field(description="HTTP status.")
     detail: str = Field(description="Description of the problem, a sentence for a person.")
-    instance: str = Field(description="Path of the request.")
+    instance: str = Field(description="Path of the request.", examples=[f"/v1/jobs/{ID}"])
     code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
     errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the request.")
     camera: str | None = Field(default=None, description="Name of the camera, if the problem concerns one camera.")
     stage: str | None = Field(default=None, description="Name of the stage, if the problem concerns one stage.")
     hint: str | None = Field(default=None, description="Advice to the caller.")
     retryable: bool = Field(default=False, description="Whether the same request may succeed later.")
-    request_id: str = Field(description="Id of the request, also in the service's log.")
+    request_id: str = Field(description="Id of the request, also in the service's log.", examples=[ID])
 
 
 class ApiError(Exception):

@@ -1,14 +1,14 @@
 """Links: addresses that open something of a job without a key, for a while."""
 
-from typing import Annotated, Any
+from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Body, Path, status
+from fastapi import APIRouter, Path, status
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.auth import ALL_RESULTS, LINK, RecordsDep
-from api.web.contract.description import Resource, answer, problems
-from api.web.contract.examples import JOB_ID
+from api.web.contract.description import Resource, problems
+from api.web.contract.examples import ID
 from api.web.contract.schemas import Id, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable
@@ -42,6 +42,7 @@ class LinkSpec(BaseModel):
         default=None,
         max_length=255,
         description="Name of the result file, or `results.zip` for all; name of the camera of a video.",
+        examples=["person-1.bvh"],
     )
     expires_in_s: float | None = Field(
         default=None,
@@ -49,6 +50,7 @@ class LinkSpec(BaseModel):
         allow_inf_nan=False,
         description="Seconds until the link ends; by default 900, and 604,800 of the scope `job`, or the service's "
         "limit.",
+        examples=[900.0],
     )
 
     def lifetime_s(self, longest_s: float) -> float:
@@ -62,9 +64,11 @@ class LinkOut(ResponseModel):
     id: Id
     job_id: Id
     scope: Opened
-    name: str | None = Field(description="Name of the file or of the camera; null for scopes without one.")
+    name: str | None = Field(
+        description="Name of the file or of the camera; null for scopes without one.", examples=["person-1.bvh"]
+    )
     created_at: AwareDatetime = Field(description="Time of the creation.")
-    expires_at: AwareDatetime = Field(description="Time at which the link ends.")
+    expires_at: AwareDatetime = Field(description="Time at which the link ends.", examples=["2026-03-01T09:45:00Z"])
 
 
 class NewLinkOut(LinkOut):
@@ -72,7 +76,8 @@ class NewLinkOut(LinkOut):
 
     url: str = Field(
         description="Path with the secret in the parameter `link`. Of the scope `job` it is the page; the addresses of "
-        "the job, its session, its results and its motion take the same parameter."
+        "the job, its session, its results and its motion take the same parameter.",
+        examples=[f"/v1/jobs/{ID}/results/person-1.bvh?link=mcl_..."],
     )
 
 
@@ -80,25 +85,6 @@ class LinkList(ResponseModel):
     """Valid links of a job, the newest first."""
 
     links: tuple[LinkOut, ...]
-
-
-LINK_ID = "01890a66-3b8e-7a60-9d11-7c8d9e0f1a2b"
-
-SPEC: dict[str, Any] = {"scope": "file", "name": "person-1.bvh", "expires_in_s": 900.0}
-
-_LINK: dict[str, Any] = {
-    "id": LINK_ID,
-    "job_id": JOB_ID,
-    "scope": "file",
-    "name": "person-1.bvh",
-    "created_at": "2026-03-01T09:40:00Z",
-    "expires_at": "2026-03-01T09:55:00Z",
-}
-
-ANSWERS: dict[str, Any] = {
-    "NewLink": _LINK | {"url": f"/v1/jobs/{JOB_ID}/results/person-1.bvh?link=mcl_..."},
-    "LinkList": {"links": [_LINK]},
-}
 
 
 router = APIRouter(prefix="/v1", tags=["links"], route_class=SmallBodyRoute)
@@ -112,11 +98,11 @@ _DAY_S = 86_400.0
     operation_id="createLink",
     summary="Make a link",
     status_code=status.HTTP_201_CREATED,
-    responses={201: answer("NewLink"), **problems(400, 404, 409, 413, 415, 422, 507)},
+    responses=problems(400, 404, 409, 413, 415, 422, 507),
 )
 def create_link(
     job_id: JobId,
-    spec: Annotated[LinkSpec, Body(openapi_examples={"default": {"value": SPEC}})],
+    spec: LinkSpec,
     services: ServicesDep,
     records: RecordsDep,
 ) -> NewLinkOut:
@@ -137,7 +123,7 @@ def create_link(
     "/jobs/{job_id}/links",
     operation_id="listLinks",
     summary="List a job's links",
-    responses={200: answer("LinkList"), **problems(404)},
+    responses=problems(404),
 )
 def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
     """List the valid links of a job, the newest first."""
@@ -201,4 +187,4 @@ def _address(link: Link, secret: str) -> str:
     return f"{path}?{LINK}={secret}"
 
 
-RESOURCE = Resource(router=router, answers=ANSWERS)
+RESOURCE = Resource(router=router)

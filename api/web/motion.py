@@ -11,7 +11,7 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field
 
 from api.web.auth import JobViewDep
-from api.web.contract.description import Resource, answer, file_content, problems
+from api.web.contract.description import Resource, file_content, problems
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import Download, Stream, opened
@@ -26,21 +26,31 @@ from worker.store.tenant_records import TenantRecords
 class MotionSkeleton(ResponseModel):
     """Joints of the animation skeleton."""
 
-    names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
-    parents: tuple[int | None, ...] = Field(description="Number of each joint's parent; null of the root.")
+    names: tuple[str, ...] = Field(
+        description="Names of the joints, in the order of the records' positions.", examples=[["Hips", "Spine"]]
+    )
+    parents: tuple[int | None, ...] = Field(
+        description="Number of each joint's parent; null of the root.", examples=[[None, 0]]
+    )
 
 
 class MotionRecord(ResponseModel):
     """Structure of the record of a frame."""
 
-    num_bytes: int = Field(description="Size of a record.")
-    offsets: dict[str, int] = Field(description="First byte of each field; docs/formats.md describes the fields.")
-    absent: int = Field(description="Coordinate of a joint without a position, and number of an angle that is unknown.")
+    num_bytes: int = Field(description="Size of a record.", examples=[48])
+    offsets: dict[str, int] = Field(
+        description="First byte of each field; docs/formats.md describes the fields.",
+        examples=[{"origin_m": 0, "joints": 12, "skeleton": 24}],
+    )
+    absent: int = Field(
+        description="Coordinate of a joint without a position, and number of an angle that is unknown.",
+        examples=[-32_768],
+    )
     angle_step_deg: float | None = Field(
         default=None, description="Step of quantised joint angles; null of results that have none."
     )
-    error_step_px: float = Field(description="Step of quantised reprojection errors.")
-    unknown_error: int = Field(description="Value of an error that is not known.")
+    error_step_px: float = Field(description="Step of quantised reprojection errors.", examples=[0.5])
+    unknown_error: int = Field(description="Value of an error that is not known.", examples=[255])
 
 
 class MotionDoubt(ResponseModel):
@@ -55,25 +65,26 @@ class MotionIdentity(ResponseModel):
     """Confidence in a person's identity."""
 
     confidence: float = Field(description="Probability that the person is one and the same all the time.")
-    doubts: tuple[MotionDoubt, ...] = Field(description="Doubtful moments.")
+    doubts: tuple[MotionDoubt, ...] = Field(description="Doubtful moments.", examples=[[]])
 
 
 class MotionPerson(ResponseModel):
     """Person of the motion."""
 
     id: int = Field(description="Number of the person.")
-    name: str = Field(description="Name of the person, as in the names of result files.")
-    color: str = Field(description="Colour of the person in pictures and models, `#rrggbb`.")
-    start_frame: int = Field(description="First output frame.")
-    num_frames: int = Field(description="Number of frames.")
-    offset_bytes: int = Field(description="First byte of the person's records, without heads.")
-    position_step_m: float = Field(description="Step of quantised positions.")
-    coverage: float | None = Field(description="Share of measured joints.")
-    stature_m: float | None = Field(description="Estimated stature.")
-    reprojection_error_px: float | None = Field(description="Median reprojection error.")
+    name: str = Field(description="Name of the person, as in the names of result files.", examples=["person-1"])
+    color: str = Field(description="Colour of the person in pictures and models, `#rrggbb`.", examples=["#2626ff"])
+    start_frame: int = Field(description="First output frame.", examples=[0])
+    num_frames: int = Field(description="Number of frames.", examples=[300])
+    offset_bytes: int = Field(description="First byte of the person's records, without heads.", examples=[0])
+    position_step_m: float = Field(description="Step of quantised positions.", examples=[0.0001])
+    coverage: float | None = Field(description="Share of measured joints.", examples=[1.0])
+    stature_m: float | None = Field(description="Estimated stature.", examples=[1.78])
+    reprojection_error_px: float | None = Field(description="Median reprojection error.", examples=[3.1])
     identity: MotionIdentity
     contacts: tuple[tuple[int, int, int, int], ...] = Field(
-        description="Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames."
+        description="Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames.",
+        examples=[[[0, 0, 1, 2]]],
     )
     gait: dict[str, Any] | None = Field(
         default=None,
@@ -88,23 +99,33 @@ class MotionPerson(ResponseModel):
 class MotionPose(ResponseModel):
     """Extrinsics of a camera: `x_in_cam = rotation x_in_world + translation_m`."""
 
-    rotation: tuple[tuple[float, ...], ...] = Field(description="Rows of the rotation matrix.")
-    translation_m: tuple[float, float, float] = Field(description="Translation in metres.")
+    rotation: tuple[tuple[float, ...], ...] = Field(
+        description="Rows of the rotation matrix.", examples=[[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]]
+    )
+    translation_m: tuple[float, float, float] = Field(description="Translation in metres.", examples=[[0.0, 1.2, 4.0]])
 
 
 class MotionCamera(ResponseModel):
     """Camera with which the motion was computed."""
 
-    name: str = Field(description="Name of the camera.")
-    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
-    matrix: tuple[tuple[float, ...], ...] = Field(description="Rows of the camera matrix.")
-    distortion: tuple[float, ...] = Field(description="OpenCV's distortion coefficients.")
-    lens: str = Field(description="Model of the distortion: `standard` or `fisheye`.")
+    name: str = Field(description="Name of the camera.", examples=["cam_0"])
+    size_px: tuple[int, int] = Field(description="Width and height of the picture.", examples=[[1920, 1080]])
+    matrix: tuple[tuple[float, ...], ...] = Field(
+        description="Rows of the camera matrix.",
+        examples=[[[1500.0, 0.0, 959.5], [0.0, 1500.0, 539.5], [0.0, 0.0, 1.0]]],
+    )
+    distortion: tuple[float, ...] = Field(
+        description="OpenCV's distortion coefficients.", examples=[[-0.1, 0.02, 0.0, 0.0]]
+    )
+    lens: str = Field(description="Model of the distortion: `standard` or `fisheye`.", examples=["standard"])
     cam_from_world: MotionPose
-    video: str | None = Field(description="Name of the video file; null for a session of keypoints.")
+    video: str | None = Field(
+        description="Name of the video file; null for a session of keypoints.", examples=["cam_0.mp4"]
+    )
     clock: tuple[tuple[float, ...], ...] = Field(
         description="Rows of frame number, time on the session's clock and time in the video, between which the times "
-        "of all frames are interpolated."
+        "of all frames are interpolated.",
+        examples=[[[0, 0.0, 0.0], [2, 0.08, 0.08]]],
     )
 
 
@@ -133,23 +154,29 @@ class MotionStrips(ResponseModel):
     """Heat strips of all people."""
 
     frames_per_bucket: int = Field(description="Number of output frames of a bucket.")
-    columns: tuple[str, ...] = Field(description="Names of the columns.")
-    people: tuple[str, ...] = Field(description="Base64 of a byte for each column and bucket, column after column.")
+    columns: tuple[str, ...] = Field(description="Names of the columns.", examples=[["measured", "interpolated"]])
+    people: tuple[str, ...] = Field(
+        description="Base64 of a byte for each column and bucket, column after column.", examples=[["////AAAA"]]
+    )
 
 
 class MotionDescription(ResponseModel):
     """Description of a job's motion: people, joints, cameras, heat strips, structure of a record."""
 
-    revision: int = Field(description="Revision of the edits that the motion shows.")
+    revision: int = Field(description="Revision of the edits that the motion shows.", examples=[0])
     schema_version: int = Field(description="Version of the description and of the records.")
-    frame_rate_hz: float = Field(description="Rate of the output frames.")
-    start_time_s: float = Field(description="Time of output frame 0 on the session's clock.")
-    num_frames: int = Field(description="Number of output frames.")
+    frame_rate_hz: float = Field(description="Rate of the output frames.", examples=[25.0])
+    start_time_s: float = Field(description="Time of output frame 0 on the session's clock.", examples=[0.0])
+    num_frames: int = Field(description="Number of output frames.", examples=[300])
     first_source_frame: int = Field(
         default=0, description="Number of output frame 0 in the source: in files of keypoints, or in the videos."
     )
-    joint_names: tuple[str, ...] = Field(description="Names of the joints, in the order of the records' positions.")
-    bones: tuple[tuple[str, str], ...] = Field(description="Pairs of joints, for drawing.")
+    joint_names: tuple[str, ...] = Field(
+        description="Names of the joints, in the order of the records' positions.", examples=[["nose", "left_eye"]]
+    )
+    bones: tuple[tuple[str, str], ...] = Field(
+        description="Pairs of joints, for drawing.", examples=[[["nose", "left_eye"]]]
+    )
     skeleton: MotionSkeleton
     angle_names: tuple[str, ...] = Field(
         default=(), description="Names of the joint angles of the records, in their order; docs/biomechanics.md."
@@ -163,96 +190,18 @@ class MotionDescription(ResponseModel):
     is_refined: bool = Field(description="Whether the cameras were refined.")
     floor: MotionFloor | None = Field(description="Floor; null if no foot was ever seen.")
     reprojection_error_px: dict[str, float | dict[str, float | None] | None] = Field(
-        description="Figures of the reprojection error, as in `metrics.json`."
+        description="Figures of the reprojection error, as in `metrics.json`.",
+        examples=[{"median": 3.1, "by_camera": {"cam_0": 3.1}}],
     )
-    warnings: tuple[str, ...] = Field(description="Warnings about the take.")
+    warnings: tuple[str, ...] = Field(description="Warnings about the take.", examples=[[]])
     strips: MotionStrips
-
-
-_MOTION: dict[str, Any] = {
-    "revision": 0,
-    "schema_version": 1,
-    "frame_rate_hz": 25.0,
-    "start_time_s": 0.0,
-    "first_source_frame": 0,
-    "num_frames": 3,
-    "joint_names": ["nose", "left_eye"],
-    "bones": [["nose", "left_eye"]],
-    "skeleton": {"names": ["Hips", "Spine"], "parents": [None, 0]},
-    "angle_names": ["left_knee_flexion", "right_knee_flexion"],
-    "record": {
-        "num_bytes": 48,
-        "offsets": {
-            "origin_m": 0,
-            "joints": 12,
-            "skeleton": 24,
-            "angles": 36,
-            "source_views": 40,
-            "score": 42,
-            "error": 44,
-            "camera_error": 46,
-            "identity": 47,
-        },
-        "absent": -32768,
-        "angle_step_deg": 0.1,
-        "error_step_px": 0.5,
-        "unknown_error": 255,
-    },
-    "people": [
-        {
-            "id": 1,
-            "name": "person-1",
-            "color": "#2626ff",
-            "start_frame": 0,
-            "num_frames": 3,
-            "offset_bytes": 0,
-            "position_step_m": 0.0001,
-            "coverage": 1.0,
-            "stature_m": 1.78,
-            "reprojection_error_px": 3.1,
-            "identity": {"confidence": 1.0, "doubts": []},
-            "contacts": [[0, 0, 1, 2]],
-            "gait": None,
-            "movements": [],
-        }
-    ],
-    "cameras": [
-        {
-            "name": "cam_0",
-            "size_px": [1920, 1080],
-            "matrix": [[1500.0, 0.0, 959.5], [0.0, 1500.0, 539.5], [0.0, 0.0, 1.0]],
-            "distortion": [-0.1, 0.02, 0.0, 0.0],
-            "lens": "standard",
-            "cam_from_world": {
-                "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-                "translation_m": [0.0, 1.2, 4.0],
-            },
-            "video": "cam_0.mp4",
-            "clock": [[0, 0.0, 0.0], [2, 0.08, 0.08]],
-        }
-    ],
-    "clocks": None,
-    "is_refined": False,
-    "floor": {"height_m": 0.0, "slope_x": 0.0, "slope_y": 0.0},
-    "reprojection_error_px": {"median": 3.1, "p95": 8.2, "by_camera": {"cam_0": 3.1}, "by_joint": {"nose": 3.1}},
-    "warnings": [],
-    "strips": {
-        "frames_per_bucket": 1,
-        "columns": ["measured", "interpolated", "predicted", "error", "cameras", "identity"],
-        "people": ["////AAAAAAAADAwMAQEB////"],
-    },
-}
-
-ANSWERS: dict[str, Any] = {
-    "MotionDescription": _MOTION,
-}
 
 
 router = APIRouter(prefix="/v1/jobs/{job_id}/motion", tags=["results"])
 
 MEDIA_TYPE = "application/vnd.multicap.motion"
 _BLOCK_BYTES = 2**18
-_CONTENT = file_content([MEDIA_TYPE], "(16 bytes for each person, then the records of the person's frames)")
+_CONTENT = file_content([MEDIA_TYPE])
 _HEADERS = {**ETAG, "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}}}
 
 
@@ -289,7 +238,7 @@ class _Part:
     operation_id="getMotionDescription",
     summary="Describe a job's motion",
     response_model=MotionDescription,
-    responses={200: answer("MotionDescription") | {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 410)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 410)},
 )
 def get_motion_description(
     job_id: JobId, services: ServicesDep, records: JobViewDep, if_none_match: IfNoneMatch = None
@@ -416,4 +365,4 @@ def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generat
                 yield block
 
 
-RESOURCE = Resource(router=router, answers=ANSWERS)
+RESOURCE = Resource(router=router)

@@ -3,7 +3,7 @@
 import mimetypes
 from collections.abc import Collection, Mapping
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Response
@@ -11,7 +11,7 @@ from pydantic import Field
 from starlette.responses import FileResponse
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import Resource, answer, file_content, problems
+from api.web.contract.description import Resource, file_content, problems
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.errors import ApiError
@@ -37,26 +37,33 @@ from worker.store.repositories.work.workers import installed_detectors, writable
 class DetectorOut(ResponseModel):
     """Detector network that can be used alone, and whether it is installed."""
 
-    name: str = Field(description="Value of `detector` in the spec of a job.")
+    name: str = Field(description="Value of `detector` in the spec of a job.", examples=["movenet-multipose"])
     installed: bool | None = Field(
-        description="Whether all ready workers have the detector; null while no worker is ready."
+        description="Whether all ready workers have the detector; null while no worker is ready.", examples=[True]
     )
-    install: str = Field(description="Advice to the operator on the installation.")
+    install: str = Field(
+        description="Advice to the operator on the installation.",
+        examples=["Run: multicap models install movenet-multipose"],
+    )
 
 
 class ProfileNetworksOut(ResponseModel):
     """Networks of a profile for some joints, and whether they are installed."""
 
     joints: JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
-    networks: tuple[str, ...] = Field(description="Names of the networks.")
+    networks: tuple[str, ...] = Field(description="Names of the networks.", examples=[["movenet-multipose"]])
     camera_frame_s: float | None = Field(
         description="Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was "
-        "not measured. Other machines are faster or slower."
+        "not measured. Other machines are faster or slower.",
+        examples=[0.023],
     )
     installed: bool | None = Field(
-        description="Whether all ready workers have the networks; null while no worker is ready."
+        description="Whether all ready workers have the networks; null while no worker is ready.", examples=[True]
     )
-    install: str = Field(description="Advice to the operator on the installation.")
+    install: str = Field(
+        description="Advice to the operator on the installation.",
+        examples=["Run: multicap models install movenet-multipose"],
+    )
 
 
 class ProfileOut(ResponseModel):
@@ -70,19 +77,23 @@ class ProfileOut(ResponseModel):
 class ValueOut(ResponseModel):
     """Named value of a choice."""
 
-    name: str = Field(description="Value in the spec of a job.")
-    label: str = Field(description="Label of the value for people.")
-    note: str = Field(description="Further sentence, such as a measured cost; empty for none.")
+    name: str = Field(description="Value in the spec of a job.", examples=["tracking"])
+    label: str = Field(description="Label of the value for people.", examples=["Tracking of whole bodies"])
+    note: str = Field(description="Further sentence, such as a measured cost; empty for none.", examples=[""])
 
 
 class ChoiceOut(ResponseModel):
     """Choice of a job, as a field of a form."""
 
-    name: str = Field(description="Name of the field in the spec of a job.")
-    label: str = Field(description="Heading of the field in a form.")
-    description: str = Field(description="Meaning of the choice, a sentence for people.")
+    name: str = Field(description="Name of the field in the spec of a job.", examples=["method"])
+    label: str = Field(description="Heading of the field in a form.", examples=["Method"])
+    description: str = Field(
+        description="Meaning of the choice, a sentence for people.",
+        examples=["Method that matches detections to people."],
+    )
     group: Group = Field(
-        description="Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else."
+        description="Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else.",
+        examples=["advanced"],
     )
     kind: Kind = Field(
         description="`one` of the values, a list of `several` of them, a `flag`: true or false, a `number`, a "
@@ -91,7 +102,7 @@ class ChoiceOut(ResponseModel):
     values: tuple[ValueOut, ...] = Field(
         description="Named values; for numbers, the names allowed in place of a number."
     )
-    default: bool | str | float | tuple[str, ...] | None = Field(description="Default value.")
+    default: bool | str | float | tuple[str, ...] | None = Field(description="Default value.", examples=["tracking"])
     unset: str | None = Field(description="Meaning of null, if null is the default.")
     minimum: float | None = Field(description="Smallest number.")
     exclusive_minimum: float | None = Field(description="Number that the value must exceed.")
@@ -123,10 +134,16 @@ class ChoiceOut(ResponseModel):
 class PurposeOut(ResponseModel):
     """Purpose of a take, and the choices of a job that files for it need."""
 
-    name: str = Field(description="Name of the purpose.")
-    label: str = Field(description="Label of the purpose for people.")
-    note: str = Field(description="Sentence that tells which files it gives.")
-    spec: dict[str, str | tuple[str, ...]] = Field(description="Fields of the spec of a job, with their values.")
+    name: str = Field(description="Name of the purpose.", examples=["blender"])
+    label: str = Field(description="Label of the purpose for people.", examples=["Blender"])
+    note: str = Field(
+        description="Sentence that tells which files it gives.",
+        examples=["BVH and FBX in names that Blender's symmetry tools know."],
+    )
+    spec: dict[str, str | tuple[str, ...]] = Field(
+        description="Fields of the spec of a job, with their values.",
+        examples=[{"exports": ["bvh", "fbx"], "bvh": "blender"}],
+    )
 
 
 class Options(ResponseModel):
@@ -146,85 +163,24 @@ class Options(ResponseModel):
 class SampleFileOut(ResponseModel):
     """File of the sample capture."""
 
-    name: str = Field(description="Name of the file.")
-    media_type: str = Field(description="Content type of the file.")
-    num_bytes: int = Field(description="Size of the file.")
-    link: str = Field(description="Path of the file.")
+    name: str = Field(description="Name of the file.", examples=["cam01.mp4"])
+    media_type: str = Field(description="Content type of the file.", examples=["video/mp4"])
+    num_bytes: int = Field(description="Size of the file.", examples=[950_272])
+    link: str = Field(description="Path of the file.", examples=["/v1/sample/cam01.mp4"])
 
 
 class SampleOut(ResponseModel):
     """Sample capture: a real take to try the service with."""
 
-    installed: bool = Field(description="Whether the machine of the web API has the sample capture.")
-    install: str = Field(description="Advice to the operator on the installation.")
-    attribution: str = Field(description="Source and licence, to show with the capture.")
+    installed: bool = Field(description="Whether the machine of the web API has the sample capture.", examples=[True])
+    install: str = Field(
+        description="Advice to the operator on the installation.", examples=["Run: multicap samples install"]
+    )
+    attribution: str = Field(
+        description="Source and licence, to show with the capture.",
+        examples=["Sample capture: demo of several people of Pose2Sim."],
+    )
     files: tuple[SampleFileOut, ...] = Field(description="Videos and calibration; none if it is not installed.")
-
-
-ANSWERS: dict[str, Any] = {
-    "Sample": {
-        "installed": True,
-        "install": "Run: multicap samples install",
-        "attribution": "Sample capture: demo of several people of Pose2Sim.",
-        "files": [
-            {"name": "cam01.mp4", "media_type": "video/mp4", "num_bytes": 950272, "link": "/v1/sample/cam01.mp4"}
-        ],
-    },
-    "Options": {
-        "profiles": [
-            {
-                "name": "fast",
-                "default_joints": "body",
-                "joints": [
-                    {
-                        "joints": "body",
-                        "networks": ["movenet-multipose-int8"],
-                        "camera_frame_s": 0.023,
-                        "installed": True,
-                        "install": "Run: multicap models install movenet-multipose-int8",
-                    }
-                ],
-            }
-        ],
-        "detectors": [
-            {
-                "name": "movenet-multipose",
-                "installed": True,
-                "install": "Run: multicap models install movenet-multipose",
-            }
-        ],
-        "choices": [
-            {
-                "name": "method",
-                "label": "Method",
-                "description": "Method that matches detections to people.",
-                "group": "advanced",
-                "kind": "one",
-                "values": [
-                    {"name": "tracking", "label": "Tracking of whole bodies", "note": ""},
-                    {
-                        "name": "clustering",
-                        "label": "Clustering of joints for crowds and people who touch",
-                        "note": "",
-                    },
-                ],
-                "default": "tracking",
-                "unset": None,
-                "minimum": None,
-                "exclusive_minimum": None,
-                "maximum": None,
-            }
-        ],
-        "purposes": [
-            {
-                "name": "unreal",
-                "label": "Unreal Engine",
-                "note": "FBX and BVH in the names of the mannequin and of MetaHuman.",
-                "spec": {"exports": ["bvh", "fbx"], "bvh": "unreal"},
-            }
-        ],
-    },
-}
 
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -246,7 +202,7 @@ _INSTALL = "Run: multicap samples install"
     operation_id="getOptions",
     summary="Read the choices of a job",
     response_model=Options,
-    responses={200: answer("Options") | {"headers": ETAG}, **NOT_MODIFIED},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED},
 )
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """List the choices of a job with their values, limits and defaults, and the networks that are installed."""
@@ -280,7 +236,7 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
     return conditional(options, if_none_match)
 
 
-@router.get("/sample", operation_id="getSample", summary="Read the sample capture", responses={200: answer("Sample")})
+@router.get("/sample", operation_id="getSample", summary="Read the sample capture")
 def get_sample(_: RecordsDep) -> SampleOut:
     """List the files of the sample capture, a real take to try the service with."""
     paths = _sample_paths()
@@ -308,7 +264,7 @@ def get_sample(_: RecordsDep) -> SampleOut:
     responses={
         200: {
             "description": "File of the sample capture.",
-            "content": file_content(["application/octet-stream", "application/toml", "video/mp4"], "(the file)"),
+            "content": file_content(["application/octet-stream", "application/toml", "video/mp4"]),
         },
         **problems(404),
     },
@@ -345,4 +301,4 @@ def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozens
     )
 
 
-RESOURCE = Resource(router=router, answers=ANSWERS)
+RESOURCE = Resource(router=router)

@@ -1,14 +1,13 @@
 """People of a job: who was found, and the edits that put them right."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
-from fastapi import APIRouter, Body, Response, status
+from fastapi import APIRouter, Response, status
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticKnownError
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import RETRY_AFTER, Resource, Responses, answer, location, problems
-from api.web.contract.examples import JOB_ID
+from api.web.contract.description import RETRY_AFTER, Resource, Responses, location, problems
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import POLL_AFTER_S, JobId, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
@@ -40,7 +39,8 @@ class PeopleEdits(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     edits: Annotated[tuple[_Edit, ...], Field(max_length=MAX_EDITS), BeforeValidator(_not_too_long)] = Field(
-        description="Each edit is applied to the people whom the edits before it leave. An empty list undoes all."
+        description="Each edit is applied to the people whom the edits before it leave. An empty list undoes all.",
+        examples=[[{"action": "merge", "person": 1, "other": 3}, {"action": "rename", "person": 1, "name": "Anna"}]],
     )
 
 
@@ -48,23 +48,23 @@ class FoundPersonOut(ResponseModel):
     """Person whom the reconstruction found, before any edit."""
 
     id: int = Field(description="Number of the person.")
-    start_frame: int = Field(description="First frame.")
-    num_frames: int = Field(description="Frames from the first to the last one.")
+    start_frame: int = Field(description="First frame.", examples=[0])
+    num_frames: int = Field(description="Frames from the first to the last one.", examples=[300])
 
 
 class PieceOut(ResponseModel):
     """Frames of a person whom the reconstruction found."""
 
     person: int = Field(description="Number of the person who was found.")
-    start_frame: int = Field(description="First frame.")
-    stop_frame: int = Field(description="Frame after the last one.")
+    start_frame: int = Field(description="First frame.", examples=[0])
+    stop_frame: int = Field(description="Frame after the last one.", examples=[300])
 
 
 class EditedPersonOut(ResponseModel):
     """Person after all edits."""
 
     id: int = Field(description="Number of the person, as in the names of the result files.")
-    name: str = Field(description="Name of the person.")
+    name: str = Field(description="Name of the person.", examples=["Anna"])
     pieces: tuple[PieceOut, ...] = Field(description=f"Frames of the people who were found. {_NUMBERING}")
 
     @classmethod
@@ -77,12 +77,14 @@ class PeopleOut(ResponseModel):
     """People of a job: who was found, the edits, and who there is after them."""
 
     revision: int = Field(description="Number of times that the edits were changed; results name it.")
-    num_frames: int = Field(description="Frames of the reconstruction, before any cut.")
+    num_frames: int = Field(description="Frames of the reconstruction, before any cut.", examples=[300])
     found: tuple[FoundPersonOut, ...] = Field(description="People whom the reconstruction found.")
-    edits: tuple[_Edit, ...] = Field(description="Edits in their order.")
+    edits: tuple[_Edit, ...] = Field(
+        description="Edits in their order.", examples=[[{"action": "rename", "person": 1, "name": "Anna"}]]
+    )
     people: tuple[EditedPersonOut, ...] = Field(description="People after all edits.")
-    start_frame: int = Field(description=f"First frame that a cut keeps. {_NUMBERING}")
-    stop_frame: int = Field(description=f"Frame after the last one that a cut keeps. {_NUMBERING}")
+    start_frame: int = Field(description=f"First frame that a cut keeps. {_NUMBERING}", examples=[0])
+    stop_frame: int = Field(description=f"Frame after the last one that a cut keeps. {_NUMBERING}", examples=[300])
 
     @classmethod
     def from_job(cls, job: JobRecord, found: tuple[PersonSpan, ...]) -> Self:
@@ -105,47 +107,10 @@ def motion_frames(job: JobRecord) -> int:
     return job.num_frames if job.spec.frame_range is None else len(range(*job.spec.frame_range))
 
 
-EDITS: dict[str, Any] = {
-    "edits": [
-        {"action": "merge", "person": 1, "other": 3},
-        {"action": "rename", "person": 1, "name": "Anna"},
-        {"action": "cut", "start_frame": 25, "stop_frame": 250},
-    ]
-}
-
-_PEOPLE: dict[str, Any] = {
-    "revision": 1,
-    "num_frames": 300,
-    "found": [
-        {"id": 1, "start_frame": 0, "num_frames": 120},
-        {"id": 2, "start_frame": 0, "num_frames": 300},
-        {"id": 3, "start_frame": 140, "num_frames": 160},
-    ],
-    "edits": EDITS["edits"],
-    "people": [
-        {
-            "id": 1,
-            "name": "Anna",
-            "pieces": [
-                {"person": 1, "start_frame": 0, "stop_frame": 120},
-                {"person": 3, "start_frame": 140, "stop_frame": 300},
-            ],
-        },
-        {"id": 2, "name": "person-2", "pieces": [{"person": 2, "start_frame": 0, "stop_frame": 300}]},
-    ],
-    "start_frame": 25,
-    "stop_frame": 250,
-}
-
-ANSWERS: dict[str, Any] = {
-    "People": _PEOPLE,
-}
-
-
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=SmallBodyRoute)
 
 _ACCEPTED: Responses = {
-    202: answer("Job") | {"headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER}},
+    202: {"headers": {"Location": location("job"), **RETRY_AFTER}},
 }
 
 
@@ -154,7 +119,7 @@ _ACCEPTED: Responses = {
     operation_id="getJobPeople",
     summary="Read a job's people",
     response_model=PeopleOut,
-    responses={200: answer("People") | {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409)},
 )
 def get_job_people(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read who was found, the edits, and who there is after them. The entity tag changes with the edits."""
@@ -173,7 +138,7 @@ def get_job_people(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatc
 )
 def edit_job_people(
     job_id: JobId,
-    edits: Annotated[PeopleEdits, Body(openapi_examples={"default": {"value": EDITS}})],
+    edits: PeopleEdits,
     services: ServicesDep,
     records: RecordsDep,
     if_match: IfMatch = None,
@@ -239,4 +204,4 @@ def _found(job: JobRecord) -> tuple[PersonSpan, ...]:
     return job.people
 
 
-RESOURCE = Resource(router=router, answers=ANSWERS)
+RESOURCE = Resource(router=router)

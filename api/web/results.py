@@ -1,15 +1,15 @@
 """Routes of results: list a job's result files, download one file, a range of it, or all files as a zip."""
 
 from collections.abc import Generator, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
-from api.web.contract.description import Resource, answer, file_content, problems
-from api.web.contract.examples import JOB_ID, SHA256
+from api.web.contract.description import Resource, file_content, problems
+from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import (
@@ -33,23 +33,29 @@ from worker.store.model.job_records import JobRecord, Result
 class ResultOut(ResponseModel):
     """Result file of a job."""
 
-    name: str = Field(description="Name of the file.")
-    kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.")
-    person: str | None = Field(description="Person in the file; null if it concerns all people.")
+    name: str = Field(description="Name of the file.", examples=["person-1.bvh"])
+    kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.", examples=["bvh"])
+    person: str | None = Field(description="Person in the file; null if it concerns all people.", examples=["person-1"])
     person_name: str | None = Field(
         description="Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all "
-        "people."
+        "people.",
+        examples=["Anna"],
     )
-    format: str | None = Field(description="Format of a person's or of all people's motion, a value of `exports`.")
-    preset: str | None = Field(description="Preset of a BVH or FBX file; null of other files.")
+    format: str | None = Field(
+        description="Format of a person's or of all people's motion, a value of `exports`.", examples=["bvh"]
+    )
+    preset: str | None = Field(description="Preset of a BVH or FBX file; null of other files.", examples=["default"])
     download_name: str = Field(
-        description="Name under which clients save the file; it tells takes, and revisions of the edits, apart."
+        description="Name under which clients save the file; it tells takes, and revisions of the edits, apart.",
+        examples=["handshake-take-3_person-1-anna.bvh"],
     )
-    media_type: str = Field(description="Content type of the file.")
-    num_bytes: int = Field(description="Size of the file.")
-    sha256: str = Field(description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.")
+    media_type: str = Field(description="Content type of the file.", examples=["text/plain; charset=utf-8"])
+    num_bytes: int = Field(description="Size of the file.", examples=[204_800])
+    sha256: str = Field(
+        description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.", examples=[SHA256]
+    )
     revision: int = Field(description="Revision of the edits that the file shows.")
-    link: str = Field(description="Path of the file.")
+    link: str = Field(description="Path of the file.", examples=[f"/v1/jobs/{ID}/results/person-1.bvh"])
 
     @classmethod
     def from_result(cls, job: JobRecord, result: Result) -> Self:
@@ -70,44 +76,6 @@ class ResultList(ResponseModel):
     results: tuple[ResultOut, ...]
 
 
-_RESULTS: dict[str, Any] = {
-    "results": [
-        {
-            "name": "person-1.bvh",
-            "kind": "bvh",
-            "person": "person-1",
-            "person_name": "person-1",
-            "format": "bvh",
-            "preset": "default",
-            "download_name": "handshake-take-3_person-1.bvh",
-            "media_type": "text/plain; charset=utf-8",
-            "num_bytes": 204800,
-            "sha256": SHA256,
-            "revision": 0,
-            "link": f"/v1/jobs/{JOB_ID}/results/person-1.bvh",
-        },
-        {
-            "name": "take.glb",
-            "kind": "glb",
-            "person": None,
-            "person_name": None,
-            "format": "glb",
-            "preset": None,
-            "download_name": "handshake-take-3_take.glb",
-            "media_type": "model/gltf-binary",
-            "num_bytes": 3145728,
-            "sha256": SHA256,
-            "revision": 0,
-            "link": f"/v1/jobs/{JOB_ID}/results/take.glb",
-        },
-    ]
-}
-
-ANSWERS: dict[str, Any] = {
-    "ResultList": _RESULTS,
-}
-
-
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
 # A file whose type is not known is declared first: generators of clients read what is declared first.
@@ -120,14 +88,14 @@ _TYPES = (
     "video/mp4",
 )
 _NAME = "person-1.bvh"
-_FILE = file_content(dict.fromkeys(_TYPES), "(the file)")
+_FILE = file_content(dict.fromkeys(_TYPES))
 
 
 @router.get(
     "/results",
     operation_id="listResults",
     summary="List a job's result files",
-    responses={200: answer("ResultList"), **problems(404, 409)},
+    responses=problems(404, 409),
 )
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of the last revision that was finished, also while those of a newer one are made."""
@@ -144,7 +112,7 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     responses={
         200: {
             "description": "Zip archive of all result files.",
-            "content": file_content(["application/zip"], "(the archive)"),
+            "content": file_content(["application/zip"]),
             "headers": {"Content-Disposition": HEADERS["Content-Disposition"]},
         },
         **problems(404, 409, 410),
@@ -194,7 +162,7 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
     operation_id="getResult",
     summary="Download a result file",
     response_class=Response,
-    responses={**file_responses(_FILE, f"jobs/{JOB_ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
+    responses={**file_responses(_FILE, f"jobs/{ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
 )
 def get_result(
     job_id: JobId,
@@ -226,4 +194,4 @@ def get_result(
     return send_file(request, services, download, conditions, may_redirect=redirect)
 
 
-RESOURCE = Resource(router=router, answers=ANSWERS)
+RESOURCE = Resource(router=router)

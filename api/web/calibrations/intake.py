@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 
 from fastapi import Request
 
-from api.web.calibrations import examples
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
-from api.web.contract.examples import UPLOAD_IDS
 from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies.form import Form, ReceivedFile
@@ -309,6 +307,4 @@ CALIBRATION_FORM = FormKind(
     },
     documents={SPEC: CalibrationSpec},
     uploaded=UploadedCalibration,
-    form_example={VIDEOS: ["cam_0.mp4", "cam_1.mp4"], SPEC: examples.SPEC},
-    uploaded_example={VIDEOS: UPLOAD_IDS[:2], **examples.SPEC},
 )

@@ -7,6 +7,7 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
+from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from api.web.jobs.schemas import JobError
@@ -78,9 +79,14 @@ class CalibrationSpec(BaseModel):
             "intrinsics from photographs, `images`; `people`: "
             "made from `videos`, or from a session, of people of known stature who walk about."
         ),
+        examples=["board"],
     )
     name: Annotated[str, AfterValidator(printable_name)] | None = Field(
-        default=None, min_length=1, max_length=200, description="Name for people; by default that of the file."
+        default=None,
+        min_length=1,
+        max_length=200,
+        description="Name for people; by default that of the file.",
+        examples=["Studio B"],
     )
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None,
@@ -103,7 +109,6 @@ class CalibrationSpec(BaseModel):
         default=(),
         max_length=MAX_STATURES,
         description="Statures of the people in metres, in any order; one is enough.",
-        examples=[[1.78, 1.65]],
     )
     session_id: UUID | None = Field(
         default=None, description="Session whose people serve; its cameras keep their intrinsics."
@@ -149,28 +154,44 @@ class CalibrationChanges(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(printable_name)] = Field(
-        min_length=1, max_length=200, description="Name of the calibration for people."
+        min_length=1, max_length=200, description="Name of the calibration for people.", examples=["Studio B, March"]
     )
 
 
 class CalibratedCamera(ResponseModel):
     """Camera of a calibration: x = K (R X + t), with OpenCV's distortion."""
 
-    name: str = Field(description="Name of the camera.")
-    size_px: tuple[int, int] | None = Field(description="Width and height of the picture; null if it is unknown.")
-    matrix: tuple[tuple[float, float, float], ...] = Field(description="Camera matrix K, 3 x 3, in pixels.")
+    name: str = Field(description="Name of the camera.", examples=["cam_0"])
+    size_px: tuple[int, int] | None = Field(
+        description="Width and height of the picture; null if it is unknown.", examples=[[1280, 720]]
+    )
+    matrix: tuple[tuple[float, float, float], ...] = Field(
+        description="Camera matrix K, 3 x 3, in pixels.",
+        examples=[[[1040.0, 0.0, 640.0], [0.0, 1040.0, 360.0], [0.0, 0.0, 1.0]]],
+    )
     lens: LensModel = Field(default="standard", description="Distortion model: OpenCV's standard or fisheye model.")
-    distortion: tuple[float, ...] = Field(description="Distortion coefficients in OpenCV's order.")
-    rotation: tuple[tuple[float, float, float], ...] = Field(description="Rotation R from world to camera, 3 x 3.")
-    translation_m: tuple[float, float, float] = Field(description="Translation t in metres.")
-    position_m: tuple[float, float, float] = Field(description="Position of the camera in the world.")
+    distortion: tuple[float, ...] = Field(
+        description="Distortion coefficients in OpenCV's order.", examples=[[-0.12, 0.03, 0.0, 0.0, 0.0]]
+    )
+    rotation: tuple[tuple[float, float, float], ...] = Field(
+        description="Rotation R from world to camera, 3 x 3.",
+        examples=[[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]],
+    )
+    translation_m: tuple[float, float, float] = Field(
+        description="Translation t in metres.", examples=[[0.0, 1.5, 4.0]]
+    )
+    position_m: tuple[float, float, float] = Field(
+        description="Position of the camera in the world.", examples=[[0.0, -4.0, 1.5]]
+    )
 
 
 class CalibrationLinks(ResponseModel):
     """Paths of a calibration and of what belongs to it."""
 
-    self: str = Field(description="Path of the calibration.")
-    file: str | None = Field(description="Path of the file; null until the calibration is ready.")
+    self: str = Field(description="Path of the calibration.", examples=[f"/v1/calibrations/{ID}"])
+    file: str | None = Field(
+        description="Path of the file; null until the calibration is ready.", examples=[f"/v1/calibrations/{ID}/file"]
+    )
     job: str | None = Field(description="Path of the job that makes it; null for a file, or once it is deleted.")
     session: str | None = Field(description="Path of the session from which it is made.")
 
@@ -179,20 +200,22 @@ class CalibrationOut(ResponseModel):
     """Calibration: cameras with their intrinsics and poses."""
 
     id: Id
-    name: str = Field(description="Name of the calibration for people.")
+    name: str = Field(description="Name of the calibration for people.", examples=["Studio B"])
     method: Method = Field(description="How it was made.")
     state: Literal["queued", "running", "canceling", "canceled", "failed", "ready"] = Field(
-        description="`ready`, or the state of the job that makes it."
+        description="`ready`, or the state of the job that makes it.", examples=["ready"]
     )
     created_at: AwareDatetime = Field(description="Time of the creation.")
     source: dict[str, Any] = Field(
-        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job."
+        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job.",
+        examples=[{"file": "Calib.toml", "format": "TOML", "units": "m"}],
     )
-    warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.")
+    warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.", examples=[[]])
     cameras: tuple[CalibratedCamera, ...] = Field(description="Cameras; none until the calibration is ready.")
     sha256: str | None = Field(
         description="SHA-256 of the file in Multicap's format: calibrations with equal cameras have equal ones. Null "
-        "until the calibration is ready."
+        "until the calibration is ready.",
+        examples=[SHA256],
     )
     report: dict[str, Any] | None = Field(
         description="Report of a calibration that was made: errors and views by camera, the world, warnings."

@@ -7,9 +7,7 @@ from pathlib import Path
 
 from fastapi import Request
 
-from api.web.characters import examples
 from api.web.characters.schemas import CharacterSpec, UploadedCharacter
-from api.web.contract.examples import UPLOAD_IDS
 from api.web.dependencies import Services
 from api.web.downloads import Download, damaged_file, missing_file
 from api.web.errors import ErrorItem, pointer_to, unprocessable
@@ -179,7 +177,5 @@ CHARACTER_FORM = FormKind(
     parts={CHARACTER: "File of the character: GLB (binary glTF 2.0) or VRM with everything inside, or binary FBX 7."},
     documents={SPEC: CharacterSpec},
     uploaded=UploadedCharacter,
-    form_example={CHARACTER: "robot.vrm", SPEC: examples.SPEC},
-    uploaded_example={CHARACTER: UPLOAD_IDS[0], **examples.SPEC},
     faults=_faults,
 )

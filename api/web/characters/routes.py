@@ -1,12 +1,9 @@
 """Characters of the user's own: send, list, read, download, change, delete."""
 
-from typing import Annotated
-
-from fastapi import APIRouter, Body, Request, Response, status
+from fastapi import APIRouter, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
-from api.web.characters import examples
 from api.web.characters.intake import (
     CHARACTER_FORM,
     MEDIA_TYPES,
@@ -19,8 +16,8 @@ from api.web.characters.intake import (
     stored_facts,
 )
 from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
-from api.web.contract.description import Resource, answer, file_content, location, problems
-from api.web.contract.examples import CHARACTER_ID
+from api.web.contract.description import Resource, file_content, location, problems
+from api.web.contract.examples import ID
 from api.web.dependencies import CharacterId, Cursor, Limit, Services, ServicesDep
 from api.web.downloads import ConditionsDep, file_responses, send_file
 from api.web.http.bodies.reading import SmallBodyRoute
@@ -36,8 +33,7 @@ router = APIRouter(prefix="/v1/characters", tags=["characters"])
 # A route that takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1/characters", tags=["characters"], route_class=SmallBodyRoute)
 
-_ONE = answer("Character")
-_FILE = file_content(MEDIA_TYPES, "(the file)")
+_FILE = file_content(MEDIA_TYPES)
 
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCharacter) -> Answer:
@@ -78,7 +74,7 @@ add_creation(
     status_code=status.HTTP_201_CREATED,
     response_model=CharacterOut,
     responses={
-        201: _ONE | {"headers": {"Location": location("character", f"/v1/characters/{CHARACTER_ID}")}},
+        201: {"headers": {"Location": location("character")}},
         **problems(400, 408, 409, 413, 415, 422, 507),
     },
 )
@@ -88,7 +84,7 @@ add_creation(
     "",
     operation_id="listCharacters",
     summary="List characters",
-    responses={200: answer("CharacterPage"), **problems(422)},
+    responses=problems(422),
 )
 def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> CharacterPage:
     """List characters without their bones, the newest first."""
@@ -104,7 +100,7 @@ def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     operation_id="getCharacter",
     summary="Read a character",
     response_model=CharacterOut,
-    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
 def get_character(character_id: CharacterId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a character: facts about its file, the bone of each joint and how it was recognised, and its skeleton."""
@@ -117,7 +113,7 @@ def get_character(character_id: CharacterId, records: RecordsDep, if_none_match:
     summary="Download a character",
     response_class=Response,
     responses={
-        **file_responses(_FILE, redirect=f"characters/{CHARACTER_ID}/file"),
+        **file_responses(_FILE, redirect=f"characters/{ID}/file"),
         **problems(404, 410, 416),
     },
 )
@@ -137,11 +133,11 @@ def get_character_file(
     operation_id="changeCharacter",
     summary="Change a character",
     response_model=CharacterOut,
-    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 409, 410, 412, 413, 415, 422, 507)},
+    responses={200: {"headers": ETAG}, **problems(400, 404, 409, 410, 412, 413, 415, 422, 507)},
 )
 async def change_character(
     character_id: CharacterId,
-    changes: Annotated[CharacterChanges, Body(openapi_examples={"default": {"value": examples.CHANGES}})],
+    changes: CharacterChanges,
     request: Request,
     services: ServicesDep,
     records: RecordsDep,
@@ -199,4 +195,4 @@ def delete_character(character_id: CharacterId, services: ServicesDep, records: 
 
 
 CREATION = Resource(router=router, forms=(CHARACTER_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS)
+RESOURCE = Resource(router=small)

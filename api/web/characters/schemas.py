@@ -5,6 +5,7 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
+from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
 from worker.store.model.character_records import Character, CharacterSummary
@@ -53,7 +54,7 @@ class CharacterChanges(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: _Name | None = Field(default=None, description="Name of the character for people.")
+    name: _Name | None = Field(default=None, description="Name of the character for people.", examples=["Robot, March"])
     bones: Corrections | None = Field(
         default=None,
         description="Corrections in place of earlier ones: bones by joint, null for a joint that has no bone. An empty "
@@ -64,27 +65,30 @@ class CharacterChanges(BaseModel):
 class CharacterLinks(ResponseModel):
     """Paths of a character and of its file."""
 
-    self: str = Field(description="Path of the character.")
-    file: str = Field(description="Path of the file.")
+    self: str = Field(description="Path of the character.", examples=[f"/v1/characters/{ID}"])
+    file: str = Field(description="Path of the file.", examples=[f"/v1/characters/{ID}/file"])
 
 
 class CharacterSummaryOut(ResponseModel):
     """Character of the user's own, without its bones."""
 
     id: Id
-    name: str = Field(description="Name of the character for people.")
+    name: str = Field(description="Name of the character for people.", examples=["Robot"])
     created_at: AwareDatetime = Field(description="Time of the creation.")
-    file: str = Field(description="Name of the file.")
-    num_bytes: int = Field(description="Size of the file.")
-    sha256: str = Field(description="SHA-256 of the file.")
-    format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.")
+    file: str = Field(description="Name of the file.", examples=["robot.vrm"])
+    num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
+    sha256: str = Field(description="SHA-256 of the file.", examples=[SHA256])
+    format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.", examples=["VRM 1.0"])
     method: Method = Field(description=f"How the bones were recognised. {_METHODS}")
     stature: float = Field(
         description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; that of FBX "
-        "is converted to metres."
+        "is converted to metres.",
+        examples=[1.72],
     )
-    num_bones: int = Field(description="Number of bones.")
-    num_vertices: int = Field(description="Number of vertices that bones move; those in compressed form don't count.")
+    num_bones: int = Field(description="Number of bones.", examples=[54])
+    num_vertices: int = Field(
+        description="Number of vertices that bones move; those in compressed form don't count.", examples=[12_480]
+    )
     links: CharacterLinks
 
     @classmethod
@@ -108,19 +112,22 @@ class CharacterSummaryOut(ResponseModel):
 class JointOut(ResponseModel):
     """Joint of Multicap's skeleton, and the bone of the character that moves with it."""
 
-    joint: str = Field(description="Name of the joint.")
-    bone: str | None = Field(description="Name of the bone; null: the joint has none.")
-    recognised_by: Method | None = Field(description="How the bone was recognised; `table`: it was stated.")
-    is_required: bool = Field(description="Whether each character must have the bone.")
+    joint: str = Field(description="Name of the joint.", examples=["LeftArm"])
+    bone: str | None = Field(description="Name of the bone; null: the joint has none.", examples=["upperarm_l"])
+    recognised_by: Method | None = Field(
+        description="How the bone was recognised; `table`: it was stated.", examples=["vrm"]
+    )
+    is_required: bool = Field(description="Whether each character must have the bone.", examples=[True])
 
 
 class BoneOut(ResponseModel):
     """Bone of a character in the rest pose."""
 
-    bone: str = Field(description="Name of the bone.")
-    parent: str | None = Field(description="Name of the next bone above; null at the top.")
+    bone: str = Field(description="Name of the bone.", examples=["upperarm_l"])
+    parent: str | None = Field(description="Name of the next bone above; null at the top.", examples=["spine"])
     position: tuple[float, float, float] = Field(
-        description="Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y."
+        description="Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y.",
+        examples=[[0.18, 0.02, 1.4]],
     )
 
 
@@ -128,15 +135,19 @@ class CharacterOut(CharacterSummaryOut):
     """Character of the user's own, with its bones."""
 
     joints: tuple[JointOut, ...] = Field(description="All joints, with and without bones.")
-    spine: tuple[str, ...] = Field(description="Bones between hips and arms, from below.")
-    neck: tuple[str, ...] = Field(description="Bones between arms and head, from below.")
+    spine: tuple[str, ...] = Field(description="Bones between hips and arms, from below.", examples=[["spine"]])
+    neck: tuple[str, ...] = Field(description="Bones between arms and head, from below.", examples=[["neck"]])
     twists: dict[str, str] = Field(description="Bones that share the twist of a limb, with the joint at its end.")
-    at_rest: tuple[str, ...] = Field(description="Bones without a counterpart, which stay at rest.")
+    at_rest: tuple[str, ...] = Field(
+        description="Bones without a counterpart, which stay at rest.", examples=[["tail"]]
+    )
     notes: tuple[str, ...] = Field(
-        description="Sentences about hands and feet that hang elsewhere than on their limbs."
+        description="Sentences about hands and feet that hang elsewhere than on their limbs.", examples=[[]]
     )
     skeleton: tuple[BoneOut, ...] = Field(description="All bones, parents before their children.")
-    corrections: dict[str, str | None] = Field(description="Bones by joint that were stated; null: no bone.")
+    corrections: dict[str, str | None] = Field(
+        description="Bones by joint that were stated; null: no bone.", examples=[{"LeftArm": "upperarm_l"}]
+    )
 
     @classmethod
     def from_bones(cls, character: Character) -> Self:

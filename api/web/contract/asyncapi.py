@@ -7,6 +7,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
+from api.web.contract.examples import derive_example
+
 _REF = "#/components/schemas/{model}"
 _SCHEMES: Mapping[str, Any] = {
     "key": {"type": "http", "scheme": "bearer"},
@@ -39,15 +41,13 @@ class SocketChannel:
     parameters: Mapping[str, str] = field(default_factory=dict)  # Descriptions of what the address names
 
 
-def describe_sockets(
-    title: str, description: str, channels: Sequence[SocketChannel], examples: Mapping[str, Any]
-) -> dict[str, Any]:
-    """AsyncAPI 3.0 document; ``examples`` are messages by the names of their models."""
+def describe_sockets(title: str, description: str, channels: Sequence[SocketChannel]) -> dict[str, Any]:
+    """AsyncAPI 3.0 document."""
     schemas: dict[str, Any] = {}
     messages: dict[str, Any] = {}
     for channel in channels:
-        messages |= _messages(channel.received, "validation", schemas, examples)
-        messages |= _messages(channel.sent, "serialization", schemas, examples)
+        messages |= _messages(channel.received, "validation", schemas)
+        messages |= _messages(channel.sent, "serialization", schemas)
         packed = {**channel.packed_received, **channel.packed_sent}
         messages |= {name: _packed(summary) for name, summary in packed.items()}
     used = {name for channel in channels for name in channel.security}
@@ -106,9 +106,7 @@ def _operation(action: str, summary: str, channel: SocketChannel, names: Iterabl
     }
 
 
-def _messages(
-    models: Iterable[type[BaseModel]], mode: JsonSchemaMode, schemas: dict[str, Any], examples: Mapping[str, Any]
-) -> dict[str, Any]:
+def _messages(models: Iterable[type[BaseModel]], mode: JsonSchemaMode, schemas: dict[str, Any]) -> dict[str, Any]:
     """Messages of models; their schemas go to ``schemas``."""
     messages: dict[str, Any] = {}
     for model in models:
@@ -120,7 +118,7 @@ def _messages(
             "summary": (model.__doc__ or "").partition("\n")[0],
             "contentType": "application/json",
             "payload": {"$ref": _REF.format(model=model.__name__)},
-            "examples": [{"payload": examples[model.__name__]}],
+            "examples": [{"payload": derive_example(schema, schemas)}],
         }
     return messages
 

@@ -1,7 +1,7 @@
 """OpenAPI document of the web API: resources, bodies and responses as their routes declare them."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
@@ -9,10 +9,11 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
-from api.web.contract import examples
-from api.web.errors import ErrorItem, ProblemDetails
+from api.web.contract.examples import ID, derive_example
+from api.web.errors import ErrorItem, ProblemDetails, status_title
 from api.web.http.bodies.form_kinds import FORM_TYPE, JSON_TYPE, VIEWS, FormKind
 from api.web.http.rates import RATE_HEADERS
+from pipeline.core.problems.request_codes import ANSWERS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,15 +26,12 @@ class Resource:
         Routes of the resource.
     is_open
         Whether its routes need no key.
-    answers
-        Examples of responses by name; see ``api.web.contract.description.answer``.
     forms
         Kinds of the forms that its routes take.
     """
 
     router: APIRouter
     is_open: bool = False
-    answers: Mapping[str, Any] = field(default_factory=dict)
     forms: tuple[FormKind, ...] = ()
 
 
@@ -44,6 +42,7 @@ _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/
 _ID = {
     "type": "string",
     "format": "uuid",
+    "examples": [ID],
     "description": "Id of a stored calibration, in place of `calibration`.",
 }
 
@@ -54,12 +53,8 @@ def request_body(kind: FormKind, types: Collection[str]) -> dict[str, Any]:
         FORM_TYPE: {
             "schema": {"$ref": SCHEMA_REF.format(model=kind.name)},
             "encoding": {part: {"contentType": JSON_TYPE} for part in kind.models},
-            "example": kind.form_example,
         },
-        JSON_TYPE: {
-            "schema": {"$ref": SCHEMA_REF.format(model=kind.uploaded.__name__)},
-            "example": kind.uploaded_example,
-        },
+        JSON_TYPE: {"schema": {"$ref": SCHEMA_REF.format(model=kind.uploaded.__name__)}},
     }
     return {"requestBody": {"required": True, "content": {name: content[name] for name in content if name in types}}}
 
@@ -70,6 +65,8 @@ def form_schema(kind: FormKind) -> dict[str, Any]:
     for part, description in kind.parts.items():
         schema = {"type": "array", "items": _FILE, "minItems": 1} if part in VIEWS else _FILE
         properties[part] = {**schema, "description": description}
+    first = next(iter(properties))
+    properties[first]["examples"] = [derive_example(properties[first], {})]
     for part, model in kind.documents.items():
         properties[part] = _ID if model is None else {"$ref": SCHEMA_REF.format(model=model.__name__)}
     return {
@@ -141,28 +138,27 @@ _MEANINGS = {
     503: "A part of the service does not respond.",
     507: "The service's disk is full; nothing of a form was kept.",
 }
+_RETRYABLE = {408, 423, 429, 460, 500, 503, 507}
 
 
-def answer(example: str) -> dict[str, Any]:
-    """Declare the example of a response, one of ``Resource.answers``."""
-    return {"content": {"application/json": {"examples": {"capture": {"$ref": f"#/components/examples/{example}"}}}}}
-
-
-def file_content(media_types: Iterable[str], example: str) -> dict[str, Any]:
+def file_content(media_types: Iterable[str]) -> dict[str, Any]:
     """Declare the content of a response that is a file of one of some media types, whose bytes clients keep.
 
     A file of JSON has no `type`: it is no text in JSON, though clients keep it as it is.
     """
     binary = {"format": "binary", "contentMediaType": "application/octet-stream"}
     return {
-        name: {"schema": binary if name == "application/json" else {"type": "string", **binary}, "example": example}
+        name: {
+            "schema": binary if name == "application/json" else {"type": "string", **binary},
+            "example": "(the file)",
+        }
         for name in media_types
     }
 
 
-def location(what: str, example: str) -> dict[str, Any]:
-    """Declare the header ``Location`` with an example."""
-    return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": example}
+def location(what: str) -> dict[str, Any]:
+    """Declare the header ``Location`` of a record."""
+    return {"description": f"Address of the {what}.", "schema": {"type": "string"}, "example": f"/v1/{what}s/{ID}"}
 
 
 def problems(*statuses: int) -> Responses:
@@ -188,7 +184,6 @@ def describe(app: FastAPI, resources: Iterable[Resource]) -> dict[str, Any]:
         for name in ("HTTPValidationError", "ValidationError"):
             schema["components"]["schemas"].pop(name, None)
         models = schema["components"]["schemas"]
-        answers = {name: value for resource in resources for name, value in resource.answers.items()}
         for model in (ErrorItem, ProblemDetails):
             _describe(models, model, "serialization")
         for form in (form for resource in resources for form in resource.forms):
@@ -196,8 +191,8 @@ def describe(app: FastAPI, resources: Iterable[Resource]) -> dict[str, Any]:
                 _describe(models, part_model, "validation")
             models[form.name] = form_schema(form)
         schema["components"] |= {
-            "examples": {name: {"value": answers[name]} for name in sorted(answers)},
-            "responses": {_problem_name(status): _problem(status) for status in _MEANINGS},
+            "examples": dict(sorted(_add_examples(schema).items())),
+            "responses": {_problem_name(status): _problem(status, models) for status in _MEANINGS},
             "schemas": dict(sorted(models.items())),
         }
         _plain_tuples(schema)
@@ -212,6 +207,19 @@ def _operations(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield operation
             for callback in operation.get("callbacks", {}).values():
                 yield from _operations({"paths": callback})
+
+
+def _add_examples(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """Refer from all bodies to examples of their models; return these by the names of the models."""
+    models, examples = schema["components"]["schemas"], {}
+    for operation in _operations(schema):
+        for body in (operation.get("requestBody", {}), *operation["responses"].values()):
+            for content in body.get("content", {}).values():
+                if "$ref" in content["schema"]:
+                    name = content["schema"]["$ref"].rpartition("/")[2]
+                    examples[name] = {"value": derive_example(content["schema"], models)}
+                    content["examples"] = {"derived": {"$ref": f"#/components/examples/{name}"}}
+    return examples
 
 
 def _finish(operation: dict[str, Any]) -> None:
@@ -251,8 +259,16 @@ def _problem_name(status: int) -> str:
     return f"Problem{status}"
 
 
-def _problem(status: int) -> dict[str, Any]:
+def _problem(status: int, models: Mapping[str, Any]) -> dict[str, Any]:
     schema = {"$ref": SCHEMA_REF.format(model=ProblemDetails.__name__)}
-    content = {"application/problem+json": {"schema": schema, "example": examples.problem(status)}}
+    example = derive_example(schema, models) | {
+        "title": status_title(status),
+        "status": status,
+        "detail": _MEANINGS[status],
+        "code": next(code for code, places in ANSWERS.places.items() if status in places),
+        "errors": [derive_example(models[ErrorItem.__name__], models)] if status == 422 else [],
+        "retryable": status in _RETRYABLE,
+    }
+    content = {"application/problem+json": {"schema": schema, "example": example}}
     headers = {"headers": _PROBLEM_HEADERS[status]} if status in _PROBLEM_HEADERS else {}
     return {"description": _MEANINGS[status], **headers, "content": content}

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
+from api.web.contract.examples import WARNING
 from pipeline.core.findings import Severity
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import CONTROL_CHARACTERS
@@ -37,16 +38,26 @@ class ResponseModel(BaseModel):
 class FindingOut(ResponseModel):
     """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
 
-    code: Code = Field(description="Stable code, such as `same_video`; docs/problems.md lists all codes.")
-    camera: str | None = Field(default=None, description="Name of the camera; null if it is not about one camera.")
+    code: Code = Field(
+        description="Stable code, such as `same_video`; docs/problems.md lists all codes.", examples=["frames_repeated"]
+    )
+    camera: str | None = Field(
+        default=None, description="Name of the camera; null if it is not about one camera.", examples=["cam_0"]
+    )
     severity: Severity = Field(
         default="warning",
         description="`error`: the result will be wrong or empty; `warning`: it may be; `info`: something to know.",
     )
-    message: str = Field(description="Sentence for people.")
-    hint: str | None = Field(default=None, description="Remedy; null if there is nothing to mend.")
+    message: str = Field(description="Sentence for people.", examples=[WARNING])
+    hint: str | None = Field(
+        default=None,
+        description="Remedy; null if there is nothing to mend.",
+        examples=["Export the video again at a constant frame rate."],
+    )
     evidence: dict[str, Any] = Field(
-        default_factory=dict, description="What was measured, by name; docs/preflight.md describes it for each code."
+        default_factory=dict,
+        description="What was measured, by name; docs/preflight.md describes it for each code.",
+        examples=[{"file": "cam_0.mp4", "num_frames": 1}],
     )
 
 

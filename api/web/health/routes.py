@@ -11,7 +11,7 @@ from pydantic import Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.web.auth import AdminDep
-from api.web.contract.description import Resource, answer, problems
+from api.web.contract.description import Resource, problems
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.errors import ErrorItem, database_damaged, problem_response, service_unavailable
@@ -40,15 +40,15 @@ class Health(ResponseModel):
     """Liveness of the API process."""
 
     status: str = "ok"
-    version: str = Field(description="Version of Multicap, as `multicap --version` prints it.")
+    version: str = Field(description="Version of Multicap, as `multicap --version` prints it.", examples=["1.0.0"])
 
 
 class ProviderOut(ResponseModel):
     """Execution provider of the networks of some worker processes."""
 
-    name: ProviderName = Field(description="Name, such as `cuda`.")
-    device: str = Field(description="Name of its device; empty if it tells none.")
-    note: str = Field(description="Why it is not the one that was asked for; empty if it is.")
+    name: ProviderName = Field(description="Name, such as `cuda`.", examples=["cuda"])
+    device: str = Field(description="Name of its device; empty if it tells none.", examples=["NVIDIA GeForce RTX 4090"])
+    note: str = Field(description="Why it is not the one that was asked for; empty if it is.", examples=[""])
     workers: int = Field(description="Number of ready worker processes with it.")
 
 
@@ -56,20 +56,11 @@ class Readiness(ResponseModel):
     """Readiness of the service: a worker could start a job now."""
 
     status: str = "ready"
-    checks: dict[str, bool] = Field(description="Passed checks by name.")
+    checks: dict[str, bool] = Field(
+        description="Passed checks by name.", examples=[{"database": True, "broker": True, "worker": True}]
+    )
     providers: tuple[ProviderOut, ...] = Field(description="Execution providers of the ready worker processes.")
-    disk_free_bytes: int = Field(description="Free bytes on the disk of the data folder.")
-
-
-ANSWERS: dict[str, Any] = {
-    "Health": {"status": "ok", "version": "1.0.0"},
-    "Readiness": {
-        "status": "ready",
-        "checks": dict.fromkeys(("database", "broker", "artifacts", "worker", "model", "disk"), True),
-        "providers": [{"name": "cuda", "device": "NVIDIA GeForce RTX 4090", "note": "", "workers": 4}],
-        "disk_free_bytes": 214748364800,
-    },
-}
+    disk_free_bytes: int = Field(description="Free bytes on the disk of the data folder.", examples=[214_748_364_800])
 
 
 router = APIRouter(tags=["health"])
@@ -85,9 +76,7 @@ _UNAVAILABLE = {
 }
 
 
-@router.get(
-    "/healthz", operation_id="getHealth", summary="Check that the service is alive", responses={200: answer("Health")}
-)
+@router.get("/healthz", operation_id="getHealth", summary="Check that the service is alive")
 def get_health() -> Health:
     """Answer while the API process is alive."""
     return Health(version=importlib.metadata.version("multicap"))
@@ -98,7 +87,6 @@ def get_health() -> Health:
     operation_id="getReadiness",
     summary="Check that the service is ready",
     response_model=Readiness,
-    responses={200: answer("Readiness")},
 )
 def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
     """Check whether a worker could start a job now. If not, `errors` lists what is missing or starting."""
@@ -211,4 +199,4 @@ def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
     return ErrorItem(code=WORKER_STARTING, message=message)
 
 
-RESOURCE = Resource(router=router, is_open=True, answers=ANSWERS)
+RESOURCE = Resource(router=router, is_open=True)

@@ -12,6 +12,7 @@ from starlette.websockets import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame, Opcode
 
+from api.web.contract.examples import ID
 from api.web.contract.schemas import ResponseModel
 from api.web.errors import ApiError, ErrorItem, as_api_error, problem_response
 from api.web.http.bodies.field_places import NO_PLACES
@@ -56,13 +57,18 @@ class SocketProblemOut(ResponseModel):
     """Base of the messages that state a problem."""
 
     type: Literal["problem"] = "problem"
-    code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
-    detail: str = Field(description="Description of the problem, a sentence for a person.")
+    code: Code = Field(
+        description="Stable name of the problem; docs/problems.md lists all codes.", examples=["internal_error"]
+    )
+    detail: str = Field(
+        description="Description of the problem, a sentence for a person.",
+        examples=["The service failed; the log says why."],
+    )
     errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the message.")
     hint: str | None = Field(default=None, description="Advice to the caller.")
     retryable: bool = Field(default=False, description="Whether the same may succeed later.")
     close_code: int | None = Field(description="Code with which the connection is closed.")
-    request_id: str = Field(description="Id of the connection, also in the service's log.")
+    request_id: str = Field(description="Id of the connection, also in the service's log.", examples=[ID])
 
 
 _Message = TypeVar("_Message", bound=SocketProblemOut)

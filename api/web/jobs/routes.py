@@ -1,20 +1,18 @@
 """Jobs: reconstruct a session, follow it, cancel, retry, delete; and the webhook of a job's end."""
 
 import uuid
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Body, FastAPI, Query, Response, status
+from fastapi import APIRouter, FastAPI, Query, Response, status
 from starlette.routing import BaseRoute
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.contract.description import RETRY_AFTER, Resource, Responses, answer, location, problems
-from api.web.contract.examples import JOB_ID, SESSION_ID
+from api.web.contract.description import RETRY_AFTER, Resource, Responses, location, problems
 from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.web.jobs import examples
 from api.web.jobs.queueing import (
     check_spec,
     installed_on_workers,
@@ -38,15 +36,10 @@ from worker.store.tenant_records import TenantRecords
 
 _ENDED = "Receive a job's end"
 _GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
-_EXAMPLE: dict[str, Any] = {
-    "type": "job.succeeded",
-    "timestamp": "2026-03-01T09:32:10.250000Z",
-    "data": {"id": JOB_ID, "session_id": SESSION_ID, "state": "succeeded", "attempt": 1, "warnings": []},
-}
 
 
 def _job_ended(
-    message: Annotated[JobEnded, Body(openapi_examples={"default": {"value": _EXAMPLE}})],
+    message: JobEnded,
 ) -> None:
     """The service sends this message to the `callback_url` of the job's spec when the job has ended.
 
@@ -75,10 +68,9 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 # One of these routes takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 
-_ONE, _PAGE = answer("Job"), answer("JobPage")
 State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
 _ACCEPTED: Responses = {
-    202: _ONE | {"headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}"), **RETRY_AFTER}},
+    202: {"headers": {"Location": location("job"), **RETRY_AFTER}},
 }
 
 
@@ -95,7 +87,7 @@ def create_job(
     session_id: SessionId,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
-    spec: Annotated[JobSpec, Body(openapi_examples={"default": {"value": examples.SPEC}})] = JobSpec(),  # noqa: B008 - frozen
+    spec: JobSpec = JobSpec(),  # noqa: B008 - frozen
 ) -> Response:
     """Reconstruct a session."""
     if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
@@ -156,7 +148,7 @@ add_creation(
 )
 
 
-@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses={200: _PAGE, **problems(422)})
+@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses=problems(422))
 def list_jobs(
     records: RecordsDep,
     state: State = None,
@@ -175,7 +167,7 @@ def list_jobs(
     "/sessions/{session_id}/jobs",
     operation_id="listSessionJobs",
     summary="List a session's jobs",
-    responses={200: _PAGE, **problems(404, 422)},
+    responses=problems(404, 422),
 )
 def list_session_jobs(
     session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
@@ -190,7 +182,7 @@ def list_session_jobs(
     operation_id="getJob",
     summary="Read a job",
     response_model=JobOut,
-    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
 def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a job: its state, its stages, how far they are."""
@@ -202,7 +194,7 @@ def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match
     "/jobs/{job_id}/attempts",
     operation_id="listAttempts",
     summary="List a job's attempts",
-    responses={200: answer("AttemptList"), **problems(404)},
+    responses=problems(404),
 )
 def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
@@ -324,4 +316,4 @@ def _accepted(job: JobRecord) -> Answer:
 
 
 CREATION = Resource(router=router, forms=(CAPTURE_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS)
+RESOURCE = Resource(router=small)

@@ -4,10 +4,12 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
+from api.web.contract.examples import ID, TIME, WARNING
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
 from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.code_group import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME
+from pipeline.run.engine.stage import DETECT
 from worker.store.model.job_records import (
     Attempt,
     Failure,
@@ -24,15 +26,15 @@ from worker.store.spec import JobSpec
 class StageOut(ResponseModel):
     """Stage of a job with its progress."""
 
-    name: str = Field(description="Name of the stage, such as `detect`.")
-    label: str = Field(description="Name of the stage for people.")
-    state: ChunkState = Field(description="State of the stage.")
-    done: int = Field(description="Units of work that are done, such as a camera's frames.")
-    total: int = Field(description="All units of work.")
+    name: str = Field(description="Name of the stage, such as `detect`.", examples=[DETECT])
+    label: str = Field(description="Name of the stage for people.", examples=["Detect 2D joints"])
+    state: ChunkState = Field(description="State of the stage.", examples=["done"])
+    done: int = Field(description="Units of work that are done, such as a camera's frames.", examples=[600])
+    total: int = Field(description="All units of work.", examples=[600])
     unit: Literal["frames", "steps"] = Field(description="Unit of `done` and `total`.")
     fraction: float = Field(ge=0, le=1, description="Share of the units that are done.")
-    started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.")
-    finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.")
+    started_at: AwareDatetime | None = Field(description="Start of the first chunk; null before.", examples=[TIME])
+    finished_at: AwareDatetime | None = Field(description="End of the last chunk; null before.", examples=[TIME])
     reused: bool = Field(description="Whether the outputs of an earlier job were used.")
 
     @classmethod
@@ -55,12 +57,15 @@ class SessionErrorOut(ResponseModel):
 class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
-    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
-    detail: str = Field(description="Description of the error, a sentence for a person.")
-    stage: str | None = Field(description="Stage that failed.")
+    code: Code = Field(description="Stable code; docs/problems.md lists all codes.", examples=["worker_lost"])
+    detail: str = Field(
+        description="Description of the error, a sentence for a person.",
+        examples=["A worker stopped responding."],
+    )
+    stage: str | None = Field(description="Stage that failed.", examples=[DETECT])
     camera: str | None = Field(description="Camera whose file caused the error.")
-    hint: str | None = Field(description="Advice to the caller.")
-    retryable: bool = Field(description="Whether another attempt may succeed.")
+    hint: str | None = Field(description="Advice to the caller.", examples=["It may lack memory."])
+    retryable: bool = Field(description="Whether another attempt may succeed.", examples=[True])
     errors: tuple[SessionErrorOut, ...] = Field(
         default=(),
         description="Errors of the session with `session_refused`; with `force` another job reconstructs it all the "
@@ -71,7 +76,7 @@ class JobError(ResponseModel):
 class FailureOut(ResponseModel):
     """Failed attempt at a chunk of a stage."""
 
-    stage: str = Field(description="Name of the stage.")
+    stage: str = Field(description="Name of the stage.", examples=[DETECT])
     chunk: int = Field(description="Number of the chunk in its stage, from 0.")
     chunk_try: int = Field(description="Number of the attempt at the chunk, from 1.")
     failed_at: AwareDatetime = Field(description="Time of the failure.")
@@ -87,9 +92,11 @@ class AttemptOut(ResponseModel):
     """Attempt of a job: its first run, or a retry."""
 
     attempt: int = Field(description="Number of the attempt, from 1.")
-    state: JobState = Field(description="State of the job in this attempt.")
+    state: JobState = Field(description="State of the job in this attempt.", examples=["running"])
     queued_at: AwareDatetime = Field(description="Time at which the attempt was queued.")
-    started_at: AwareDatetime | None = Field(description="Start of the attempt; null while it is queued.")
+    started_at: AwareDatetime | None = Field(
+        description="Start of the attempt; null while it is queued.", examples=[TIME]
+    )
     finished_at: AwareDatetime | None = Field(description="End of the attempt; null before.")
     error: JobError | None = Field(description="Error that ended the attempt; null if it did not fail.")
     failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
@@ -114,13 +121,18 @@ class WarningOut(FindingOut):
 class JobLinks(ResponseModel):
     """Paths of a job and of everything that belongs to it."""
 
-    self: str = Field(description="Path of the job.")
-    session: str = Field(description="Path of the job's session.")
-    attempts: str = Field(description="Path of the job's attempts.")
-    events: str = Field(description="Path of the job's event stream.")
-    results: str = Field(description="Path of the list of result files.")
-    results_zip: str = Field(description="Path of the archive of all result files.")
-    people: str | None = Field(description="Path of the job's people, to edit them; null until they are found.")
+    self: str = Field(description="Path of the job.", examples=[f"/v1/jobs/{ID}"])
+    session: str = Field(description="Path of the job's session.", examples=[f"/v1/sessions/{ID}"])
+    attempts: str = Field(description="Path of the job's attempts.", examples=[f"/v1/jobs/{ID}/attempts"])
+    events: str = Field(description="Path of the job's event stream.", examples=[f"/v1/jobs/{ID}/events"])
+    results: str = Field(description="Path of the list of result files.", examples=[f"/v1/jobs/{ID}/results"])
+    results_zip: str = Field(
+        description="Path of the archive of all result files.", examples=[f"/v1/jobs/{ID}/results.zip"]
+    )
+    people: str | None = Field(
+        description="Path of the job's people, to edit them; null until they are found.",
+        examples=[f"/v1/jobs/{ID}/people"],
+    )
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     visuals: str | None = Field(
         description="Path that makes overlay videos, report and recording anew; null unless they are of earlier edits "
@@ -148,22 +160,28 @@ class JobOut(ResponseModel):
     kind: JobKind = Field(description="What the job makes.")
     calibration_id: Id | None = Field(description="Calibration that the job makes; null of others.")
     session_id: Id
-    session_name: str = Field(description="Name of the session.")
-    num_frames: int = Field(description="Output frames of the whole session; `spec.frame_range` may select some.")
-    duration_s: float = Field(description="Duration of the session: output frames divided by the frame rate.")
-    state: JobState = Field(description="State of the job.")
-    spec: JobSpec = Field(description="Choices of the job.")
+    session_name: str = Field(description="Name of the session.", examples=["Handshake, take 3"])
+    num_frames: int = Field(
+        description="Output frames of the whole session; `spec.frame_range` may select some.", examples=[300]
+    )
+    duration_s: float = Field(
+        description="Duration of the session: output frames divided by the frame rate.", examples=[12.0]
+    )
+    state: JobState = Field(description="State of the job.", examples=["succeeded"])
+    spec: JobSpec = Field(description="Choices of the job.", examples=[JobSpec().model_dump(mode="json")])
     attempt: int = Field(description="Number of the current attempt, from 1.")
-    revision: int = Field(description="Number of times that the edits of the job's people were changed.")
+    revision: int = Field(description="Number of times that the edits of the job's people were changed.", examples=[0])
     results_revision: int | None = Field(
         description="Revision whose result files can be read, also while those of `revision` are made; null before the "
-        "first files are."
+        "first files are.",
+        examples=[0],
     )
     visuals_job: VisualsJobOut | None = Field(
         description="Job that makes the visuals of these edits; null without one."
     )
     provider: ProviderName | None = Field(
-        description="Execution provider that its networks run on, such as `cuda`; null if it runs none."
+        description="Execution provider that its networks run on, such as `cuda`; null if it runs none.",
+        examples=["cpu"],
     )
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
     progress: float = Field(
@@ -175,8 +193,10 @@ class JobOut(ResponseModel):
         description="Estimated seconds left, from the work that is done; null before any work is done, and at the end.",
     )
     created_at: AwareDatetime = Field(description="Time of the creation.")
-    started_at: AwareDatetime | None = Field(description="Start of the current attempt; null while it is queued.")
-    finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.")
+    started_at: AwareDatetime | None = Field(
+        description="Start of the current attempt; null while it is queued.", examples=[TIME]
+    )
+    finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.", examples=[TIME])
     expires_at: AwareDatetime | None = Field(
         description="Time at which results are deleted; null if they are kept until the job is deleted."
     )
@@ -186,7 +206,7 @@ class JobOut(ResponseModel):
         "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
     )
     warnings: tuple[str, ...] = Field(
-        description="Warnings about the files, the choices and, once finished, the result."
+        description="Warnings about the files, the choices and, once finished, the result.", examples=[[WARNING]]
     )
     result_warnings: tuple[WarningOut, ...] = Field(
         description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
@@ -248,9 +268,9 @@ class EndedJob(ResponseModel):
 
     id: Id
     session_id: Id
-    state: JobState = Field(description="State of the job at its end.")
+    state: JobState = Field(description="State of the job at its end.", examples=["succeeded"])
     attempt: int = Field(description="Number of the attempt that ended.")
-    warnings: tuple[str, ...] = Field(description="Warnings of the job.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the job.", examples=[[WARNING]])
 
 
 class JobEnded(ResponseModel):
@@ -259,6 +279,6 @@ class JobEnded(ResponseModel):
     Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
     """
 
-    type: str = Field(description="Type of the message: `job.` and the state of the job.")
+    type: str = Field(description="Type of the message: `job.` and the state of the job.", examples=["job.succeeded"])
     timestamp: AwareDatetime = Field(description="Time at which the job ended.")
     data: EndedJob

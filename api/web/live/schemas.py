@@ -5,6 +5,7 @@ from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
+from api.web.contract.examples import ID
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
 from api.web.sessions.schemas import SessionName, Up
@@ -48,7 +49,7 @@ class LiveStart(_Received):
         "`calibration_id`.",
     )
     calibration_id: UUID | None = Field(
-        default=None, description="Calibration of the service, of any format; or `calibration`."
+        default=None, description="Calibration of the service, of any format; or `calibration`.", examples=[ID]
     )
     units: Literal["m", "cm", "mm"] | None = Field(
         default=None, description="Unit of length of a calibration whose format does not state it; null: metres."
@@ -56,7 +57,7 @@ class LiveStart(_Received):
     up: Up = Field(default="z", description="Axis of the calibration that points up.")
     layout: Layout = Field(description="Points of a person, in their order.")
     frame_rate_hz: float = Field(
-        ge=1.0, le=1000.0, allow_inf_nan=False, description="Frame rate of the fastest camera."
+        ge=1.0, le=1000.0, allow_inf_nan=False, description="Frame rate of the fastest camera.", examples=[60.0]
     )
     output_rate_hz: float | None = Field(
         default=None,
@@ -112,15 +113,20 @@ class LiveKeypoints(_Received):
 
     type: Literal["keypoints"]
     camera: str | Annotated[int, Field(ge=0, le=65_535)] = Field(
-        description="Name of the camera, or its place in `cameras` of the message `ready`."
+        description="Name of the camera, or its place in `cameras` of the message `ready`.", examples=["cam_1"]
     )
     time_s: float = Field(
-        ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False, description="Time of the frame on the cameras' clock."
+        ge=-MAX_TIME_S,
+        le=MAX_TIME_S,
+        allow_inf_nan=False,
+        description="Time of the frame on the cameras' clock.",
+        examples=[12.35],
     )
     people: Annotated[tuple[_Points, ...], FailFast()] = Field(
         max_length=128,
         description="For each person all points of the layout: x and y in pixels, and the score, 0 where a point was "
         "not found.",
+        examples=[[[[612.5, 204.0, 0.98]] * 17]],
     )
 
 
@@ -137,9 +143,12 @@ class _Sent(BaseModel):
 class LiveCameraOut(_Sent):
     """Camera of a capture in metres, Z up, for those who draw it."""
 
-    name: str = Field(description="Name of the camera.")
-    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
-    matrix: tuple[tuple[float, ...], ...] = Field(description="Rows of the camera matrix.")
+    name: str = Field(description="Name of the camera.", examples=["cam_1"])
+    size_px: tuple[int, int] = Field(description="Width and height of the picture.", examples=[[1920, 1080]])
+    matrix: tuple[tuple[float, ...], ...] = Field(
+        description="Rows of the camera matrix.",
+        examples=[[[1400.0, 0.0, 959.5], [0.0, 1400.0, 539.5], [0.0, 0.0, 1.0]]],
+    )
     cam_from_world: MotionPose
 
 
@@ -147,14 +156,23 @@ class LiveReady(_Sent):
     """First message of the service: the capture has begun."""
 
     type: Literal["ready"] = "ready"
-    cameras: tuple[str, ...] = Field(description="Names of the cameras; packets state places in this list.")
+    cameras: tuple[str, ...] = Field(
+        description="Names of the cameras; packets state places in this list.", examples=[["cam_1"]]
+    )
     layout: Layout = Field(description="Layout of the keypoints.")
-    joints: tuple[str, ...] = Field(description="Names of the joints in `joints_m` of people.")
-    bones: tuple[str, ...] = Field(description="Names of the joints of skeletons.")
-    parents: tuple[str | None, ...] = Field(description="Parent of each joint of skeletons; null for the root.")
+    joints: tuple[str, ...] = Field(
+        description="Names of the joints in `joints_m` of people.", examples=[["nose", "left_eye"]]
+    )
+    bones: tuple[str, ...] = Field(description="Names of the joints of skeletons.", examples=[["Hips", "Spine"]])
+    parents: tuple[str | None, ...] = Field(
+        description="Parent of each joint of skeletons; null for the root.", examples=[[None, "Hips"]]
+    )
     rig: tuple[LiveCameraOut, ...] = Field(description="Cameras as the capture uses them, in the order of `cameras`.")
-    limits: dict[str, float] = Field(description="Limits of the connection: bytes, rates, people, times.")
-    request_id: str = Field(description="Id of the connection, also in the service's log.")
+    limits: dict[str, float] = Field(
+        description="Limits of the connection: bytes, rates, people, times.",
+        examples=[{"message_bytes": 1_048_576, "people": 32, "idle_s": 30.0}],
+    )
+    request_id: str = Field(description="Id of the connection, also in the service's log.", examples=[ID])
 
 
 class DroppedOut(_Sent):
@@ -183,7 +201,8 @@ class LivePersonOut(_Sent):
 
     id: int = Field(description="Number of the person, the same for the whole capture.")
     joints_m: tuple[_Point | None, ...] = Field(
-        description="World position of each of `joints`; null where it is unknown."
+        description="World position of each of `joints`; null where it is unknown.",
+        examples=[[[0.52, -1.13, 1.61], None]],
     )
     skeleton: LiveSkeletonOut | None = Field(description="Skeleton; null until the person's bones are learnt.")
 
@@ -194,18 +213,18 @@ class LiveInstantOut(_Sent):
     type: Literal["instant"] = "instant"
     dropped: DroppedOut
     sequence: int = Field(description="Number of the instant, from 0. Dropped instants leave gaps.")
-    time_s: float = Field(description="Time of the instant on the cameras' clock.")
-    lag_s: float = Field(description="Time from the instant to the newest frame when it became final.")
+    time_s: float = Field(description="Time of the instant on the cameras' clock.", examples=[12.35])
+    lag_s: float = Field(description="Time from the instant to the newest frame when it became final.", examples=[0.0])
     people: tuple[LivePersonOut, ...]
 
 
 class LiveCountsOut(_Sent):
     """Numbers of frames of the whole capture."""
 
-    received: int = Field(description="Frames that came.")
-    taken: int = Field(description="Frames that were used.")
-    late: int = Field(description="Frames that came after later ones, and were sorted in.")
-    too_late: int = Field(description="Frames that came too late, and were not used.")
+    received: int = Field(description="Frames that came.", examples=[7200])
+    taken: int = Field(description="Frames that were used.", examples=[7198])
+    late: int = Field(description="Frames that came after later ones, and were sorted in.", examples=[12])
+    too_late: int = Field(description="Frames that came too late, and were not used.", examples=[2])
 
 
 class LiveEnded(_Sent):
@@ -214,14 +233,16 @@ class LiveEnded(_Sent):
     type: Literal["ended"] = "ended"
     counts: LiveCountsOut
     dropped: DroppedOut
-    session_id: str | None = Field(description="Session of what was kept; null without `keep`.")
-    kept_frames: int = Field(description="Frames that were kept: fewer than `received` if a session can't have more.")
+    session_id: str | None = Field(description="Session of what was kept; null without `keep`.", examples=[ID])
+    kept_frames: int = Field(
+        description="Frames that were kept: fewer than `received` if a session can't have more.", examples=[7200]
+    )
 
 
 class LiveProblemOut(SocketProblemOut):
     """Reason why the capture ends; the service then closes the connection with `close_code`."""
 
-    close_code: int = Field(description="Code with which the connection is closed.")
+    close_code: int = Field(description="Code with which the connection is closed.", examples=[1011])
 
 
 RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveKeypoints, LiveEnd)

@@ -3,7 +3,6 @@
 from typing import Any
 
 from api.web.contract.asyncapi import SocketChannel, describe_sockets
-from api.web.recordings.examples import MESSAGES
 from api.web.recordings.messages import HOST_RECEIVED, HOST_SENT, PHONE_RECEIVED, PHONE_SENT
 
 _DESCRIPTION = """\
@@ -37,4 +36,4 @@ def describe_recordings() -> dict[str, Any]:
             parameters=_PARAMETERS,
         ),
     ]
-    return describe_sockets("Multicap recordings by phones", _DESCRIPTION, channels, MESSAGES)
+    return describe_sockets("Multicap recordings by phones", _DESCRIPTION, channels)

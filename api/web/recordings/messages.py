@@ -5,6 +5,7 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
+from api.web.contract.examples import ID
 from api.web.contract.schemas import ResponseModel, printable_name
 from api.web.http.websockets import SocketProblemOut
 from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
@@ -52,12 +53,19 @@ class PhoneHello(_Received):
     phone_id: str = Field(
         pattern=r"^[A-Za-z0-9_-]{20,64}$",
         description="Secret that the phone's browser made at random and keeps; its uploads bring it too.",
+        examples=["f3c1b8f0-5a52-4d0e-9b52-7d0c1f3e9a10"],
     )
     name: PhoneName | None = Field(default=None, description="Name that the phone proposes at its first time.")
     device: _Word = Field(default="unknown", description="Short form of the browser and the device.")
-    track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera; null until it is allowed.")
+    track: PhoneTrack | None = Field(
+        default=None,
+        description="PhoneTrack of the camera; null until it is allowed.",
+        examples=[{"width": 1920, "height": 1080, "frame_rate_hz": 30.0}],
+    )
     capabilities: Capabilities | None = Field(default=None, description="What the camera can do; null: unknown.")
-    mime_types: tuple[_Word, ...] = Field(default=(), max_length=16, description="Types of video that it records.")
+    mime_types: tuple[_Word, ...] = Field(
+        default=(), max_length=16, description="Types of video that it records.", examples=[["video/mp4;codecs=avc1"]]
+    )
 
 
 class ClientPing(_Received):
@@ -89,15 +97,23 @@ class PhoneStatus(_Received):
 
     type: Literal["status"]
     state: Literal["idle", "ready", "recording", "stopping", "sending", "hidden", "failed"] = Field(
-        description="What the phone does."
+        description="What the phone does.", examples=["recording"]
     )
     track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera, if there is one.")
-    battery: float | None = Field(default=None, ge=0.0, le=1.0, description="Charge of the battery, 0 to 1.")
+    battery: float | None = Field(
+        default=None, ge=0.0, le=1.0, description="Charge of the battery, 0 to 1.", examples=[0.82]
+    )
     charging: bool | None = Field(default=None, description="Whether it charges.")
     free_bytes: _Count | None = Field(default=None, description="Bytes that the browser may still store.")
-    clock: PhoneClock | None = Field(default=None, description="Clock; null until it is measured.")
+    clock: PhoneClock | None = Field(
+        default=None,
+        description="Clock; null until it is measured.",
+        examples=[{"offset_s": 1_772_357_100.25, "std_s": 0.0021, "drift_ppm": 3.1}],
+    )
     dropped_frames: _Count = Field(default=0, description="Frames of the take that were dropped so far.")
-    pending_bytes: _Count = Field(default=0, description="Bytes of clips that are not uploaded yet.")
+    pending_bytes: _Count = Field(
+        default=0, description="Bytes of clips that are not uploaded yet.", examples=[7_340_032]
+    )
     sending: PhoneSending | None = Field(default=None, description="Upload that it sends; null: none.")
     error: _Word | None = Field(default=None, description="What is wrong, for the host.")
 
@@ -163,7 +179,9 @@ class HostStart(_Received):
     """Start of a take on all phones."""
 
     type: Literal["start"]
-    name: TakeName | None = Field(default=None, description="Name of the take; null: `Take` and its number.")
+    name: TakeName | None = Field(
+        default=None, description="Name of the take; null: `Take` and its number.", examples=["Handshake"]
+    )
     settings: VideoSettings | None = Field(default=None, description="Size and rate; null: what phones can.")
 
 
@@ -214,7 +232,7 @@ class OfferedTake(ResponseModel):
     """Take as a phone needs to know it."""
 
     number: int
-    name: str
+    name: str = Field(examples=["Take 1"])
     state: TakeState
     start_s: ServerTime
     stop_s: ServerTime = Field(description="Time of the stop; until the host stops it, the latest one.")
@@ -228,16 +246,17 @@ class PhoneWelcome(ResponseModel):
 
     type: Literal["welcome"] = "welcome"
     number: int = Field(description="Number of the phone.")
-    name: str = Field(description="Name of the phone.")
-    recording_id: str
-    recording: str = Field(description="Name of the recording.")
+    name: str = Field(description="Name of the phone.", examples=["Phone 1"])
+    recording_id: str = Field(examples=[ID])
+    recording: str = Field(description="Name of the recording.", examples=["Rehearsal"])
     expires_at: AwareDatetime
     server_s: ServerTime
     takes: tuple[OfferedTake, ...]
     limits: dict[str, float] = Field(
-        description="Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`."
+        description="Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`.",
+        examples=[{"message_bytes": 16_384, "messages_per_s": 50.0, "idle_s": 30.0}],
     )
-    request_id: str
+    request_id: str = Field(examples=[ID])
 
 
 class StartOut(ResponseModel):
@@ -245,7 +264,7 @@ class StartOut(ResponseModel):
 
     type: Literal["start"] = "start"
     take: int
-    name: str
+    name: str = Field(examples=["Take 1"])
     at_server_s: ServerTime
     latest_stop_s: ServerTime = Field(description="Time at which the phone stops by itself.")
     settings: VideoSettings | None = None
@@ -263,7 +282,7 @@ class RenameOut(ResponseModel):
     """Name of the phone, which the host or the service has chosen."""
 
     type: Literal["rename"] = "rename"
-    name: str
+    name: str = Field(examples=["Left"])
 
 
 class UploadOut(ResponseModel):
@@ -294,7 +313,7 @@ class LivePhoneOut(ResponseModel):
     """Phone as it is at the moment."""
 
     number: int
-    is_connected: bool
+    is_connected: bool = Field(examples=[True])
     status: dict[str, Any] | None = Field(description="Last message `status` of the phone; null: none yet.")
     hello: dict[str, Any] | None = Field(
         description="`track`, `capabilities` and `mime_types` of the phone's message `hello`; null: unknown."
@@ -315,7 +334,7 @@ class HostState(ResponseModel):
         "all; recording goes on."
     )
     server_s: ServerTime
-    request_id: str
+    request_id: str = Field(examples=[ID])
 
 
 class RecordingProblemOut(SocketProblemOut):

@@ -4,18 +4,16 @@ import io
 from typing import Annotated
 
 import segno
-from fastapi import APIRouter, Body, Path, Request, Response, status
+from fastapi import APIRouter, Path, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
-from api.web.contract.description import Resource, answer, location, problems
-from api.web.contract.examples import JOB_ID, SESSION_ID
+from api.web.contract.description import Resource, location, problems
 from api.web.dependencies import Cursor, Limit, RecordingId, Services, ServicesDep
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.idempotency import IdempotentRequestDep
 from api.web.jobs.schemas import JobOut
-from api.web.recordings import examples
 from api.web.recordings.intake import server_s
 from api.web.recordings.schemas import (
     JoinOut,
@@ -35,7 +33,6 @@ from worker.store.model.phone_records import RecordingSession
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], route_class=SmallBodyRoute)
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
-_ONE, _NEW = answer("Recording"), answer("NewRecording")
 TakeNumber = Annotated[int, Path(ge=1, le=100_000, description="Number of a take.")]
 
 
@@ -45,12 +42,12 @@ TakeNumber = Annotated[int, Path(ge=1, le=100_000, description="Number of a take
     summary="Open a recording",
     status_code=status.HTTP_201_CREATED,
     responses={
-        201: _NEW | {"headers": {"Location": location("recording", f"/v1/recordings/{examples.RECORDING_ID}")}},
+        201: {"headers": {"Location": location("recording")}},
         **problems(400, 409, 413, 415, 422, 507),
     },
 )
 def open_recording(
-    spec: Annotated[RecordingSpec, Body(openapi_examples={"default": {"value": examples.SPEC}})],
+    spec: RecordingSpec,
     request: Request,
     response: Response,
     services: ServicesDep,
@@ -75,7 +72,7 @@ def open_recording(
     "",
     operation_id="listRecordings",
     summary="List recordings",
-    responses={200: answer("RecordingPage"), **problems(422)},
+    responses=problems(422),
 )
 def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> RecordingPage:
     """List recordings that have not ended, the newest first."""
@@ -90,7 +87,7 @@ def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     "/{recording_id}",
     operation_id="getRecording",
     summary="Read a recording",
-    responses={200: _ONE, **problems(404)},
+    responses=problems(404),
 )
 def get_recording(recording_id: RecordingId, records: RecordsDep) -> RecordingOut:
     """Read a recording: its phones, and its takes with the clips of the phones."""
@@ -102,7 +99,7 @@ def get_recording(recording_id: RecordingId, records: RecordsDep) -> RecordingOu
     operation_id="renewRecordingLink",
     summary="Make another link for phones",
     status_code=status.HTTP_201_CREATED,
-    responses={201: _NEW, **problems(404, 507)},
+    responses=problems(404, 507),
 )
 def renew_link(
     recording_id: RecordingId, request: Request, services: ServicesDep, records: RecordsDep
@@ -131,14 +128,14 @@ def delete_recording(recording_id: RecordingId, services: ServicesDep, records: 
     status_code=status.HTTP_201_CREATED,
     response_model=TakeSessionOut,
     responses={
-        201: answer("TakeSession") | {"headers": {"Location": location("session", f"/v1/sessions/{SESSION_ID}")}},
+        201: {"headers": {"Location": location("session")}},
         **problems(400, 404, 409, 410, 413, 415, 421, 422, 507),
     },
 )
 async def create_take_session(
     recording_id: RecordingId,
     take: TakeNumber,
-    spec: Annotated[TakeSessionSpec, Body(openapi_examples={"default": {"value": examples.SESSION_SPEC}})],
+    spec: TakeSessionSpec,
     request: Request,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
@@ -165,14 +162,14 @@ async def create_take_session(
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
     responses={
-        202: answer("CalibrationJob") | {"headers": {"Location": location("job", f"/v1/jobs/{JOB_ID}")}},
+        202: {"headers": {"Location": location("job")}},
         **problems(400, 404, 409, 413, 415, 421, 422, 507),
     },
 )
 async def create_take_calibration(
     recording_id: RecordingId,
     take: TakeNumber,
-    spec: Annotated[TakeCalibrationSpec, Body(openapi_examples={"default": {"value": examples.CALIBRATION_SPEC}})],
+    spec: TakeCalibrationSpec,
     request: Request,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
@@ -210,4 +207,4 @@ def _new(request: Request, services: Services, recording: RecordingSession, secr
     return NewRecordingOut.from_recording(recording, server_s(), join=join)
 
 
-RESOURCE = Resource(router=router, answers=examples.ANSWERS)
+RESOURCE = Resource(router=router)

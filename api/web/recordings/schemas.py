@@ -8,6 +8,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from api.web.calibrations.schemas import BOARD_PATTERN
+from api.web.contract.examples import ID
 from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
@@ -36,13 +37,21 @@ PhoneName = Annotated[
         min_length=1,
         max_length=MAX_NAME_LENGTH,
         description="Name of the phone, and of its camera in sessions; without slashes.",
+        examples=["Left"],
     ),
 ]
 TakeName = Annotated[
     str, AfterValidator(printable_name), Field(min_length=1, max_length=200, description="Name of the take.")
 ]
 ServerTime = Annotated[
-    float, Field(ge=0.0, le=1e11, allow_inf_nan=False, description="Seconds since 1970 by the service's clock.")
+    float,
+    Field(
+        ge=0.0,
+        le=1e11,
+        allow_inf_nan=False,
+        description="Seconds since 1970 by the service's clock.",
+        examples=[1_772_357_400.0],
+    ),
 ]
 
 
@@ -52,7 +61,7 @@ class RecordingSpec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(printable_name)] = Field(
-        default="Recording", min_length=1, max_length=200, description="Name for people."
+        default="Recording", min_length=1, max_length=200, description="Name for people.", examples=["Rehearsal"]
     )
     expires_in_s: float | None = Field(
         default=None,
@@ -84,6 +93,7 @@ class TakeSessionSpec(BaseModel):
         default=None,
         description="Choices of a job that reconstructs the session at once; null: none. Without `sync`, it measures "
         "the clocks within their uncertainty (`auto`).",
+        examples=[{}],
     )
 
 
@@ -97,6 +107,7 @@ class TakeCalibrationSpec(BaseModel):
         default=(),
         max_length=MAX_STATURES,
         description="Statures in metres of the people who walk about; or `board`.",
+        examples=[[1.78]],
     )
     board: str | None = Field(
         default=None,
@@ -121,8 +132,8 @@ class PhoneOut(ResponseModel):
     """Phone of a recording."""
 
     number: int = Field(description="Number of the phone, from 1.")
-    name: str = Field(description="Name of the phone, and of its camera in sessions.")
-    device: str = Field(description="What the phone's browser says of itself.")
+    name: str = Field(description="Name of the phone, and of its camera in sessions.", examples=["Phone 1"])
+    device: str = Field(description="What the phone's browser says of itself.", examples=["Chrome, Android"])
     joined_at: AwareDatetime = Field(description="Time at which it joined first.")
     is_removed: bool = Field(description="Whether the host has removed it for good.")
 
@@ -132,11 +143,14 @@ class ClipFileOut(ResponseModel):
 
     part: int = Field(description="Number of the part, from 1; another one begins when the phone's page is reloaded.")
     upload_id: Id = Field(description="Upload with the video.")
-    num_bytes: int = Field(description="Size of the video.")
+    num_bytes: int = Field(description="Size of the video.", examples=[24_117_248])
     first_frame_s: ServerTime = Field(description="Time of the first frame by the service's clock.")
-    std_s: float = Field(description="Standard deviation of that time.")
-    duration_s: float = Field(description="Duration of the video as the phone measured it.")
-    facts: dict[str, Any] = Field(description="What else the phone says of it: the fields of its message `file`.")
+    std_s: float = Field(description="Standard deviation of that time.", examples=[0.0031])
+    duration_s: float = Field(description="Duration of the video as the phone measured it.", examples=[31.2])
+    facts: dict[str, Any] = Field(
+        description="What else the phone says of it: the fields of its message `file`.",
+        examples=[{"num_frames": 936, "dropped_frames": 0}],
+    )
 
 
 class ClipOut(ResponseModel):
@@ -161,15 +175,18 @@ class TakeOut(ResponseModel):
     """Take of a recording."""
 
     number: int = Field(description="Number of the take, from 1.")
-    name: str = Field(description="Name of the take.")
+    name: str = Field(description="Name of the take.", examples=["Take 1"])
     state: TakeState = Field(
         description="`recording`; `recorded`: the clips are on the phones or on their way; `used`: a session or a "
-        "calibration was made from it; `discarded`."
+        "calibration was made from it; `discarded`.",
+        examples=["recorded"],
     )
     start_s: ServerTime = Field(description="Time at which phones start, by the service's clock.")
-    stop_s: ServerTime = Field(description="Time at which they stop; until the host stops them, the latest one.")
+    stop_s: ServerTime = Field(
+        description="Time at which they stop; until the host stops them, the latest one.", examples=[1_772_357_431.0]
+    )
     settings: VideoSettings | None = Field(description="Size and rate that phones are asked for; null: what they can.")
-    is_upload_wanted: bool = Field(description="Whether phones are asked to send their clips.")
+    is_upload_wanted: bool = Field(description="Whether phones are asked to send their clips.", examples=[True])
     session_id: Id | None = Field(description="Session that was made from it; it may be deleted since.")
     job_id: Id | None = Field(description="Job that was queued with the session.")
     calibration_id: Id | None = Field(description="Calibration that was made from it, by the job of the same id.")
@@ -186,7 +203,7 @@ class RecordingOut(ResponseModel):
     """Recording: its phones and its takes."""
 
     id: Id
-    name: str = Field(description="Name for people.")
+    name: str = Field(description="Name for people.", examples=["Rehearsal"])
     created_at: AwareDatetime = Field(description="Time of the creation.")
     expires_at: AwareDatetime = Field(description="Time at which it ends, with its link and its unused uploads.")
     phones: tuple[PhoneOut, ...] = Field(description="Phones that have joined, in the order of their numbers.")
@@ -202,9 +219,16 @@ class RecordingOut(ResponseModel):
 class JoinOut(ResponseModel):
     """Link by which phones join, shown once."""
 
-    url: str = Field(description="Address for phones. The secret is behind the hash, which browsers do not send.")
-    secret: str = Field(description="Secret of the link, `mcl_...`, for `Authorization` and subprotocols.")
-    qr_svg: str = Field(description="Address as a QR code, an SVG.")
+    url: str = Field(
+        description="Address for phones. The secret is behind the hash, which browsers do not send.",
+        examples=[f"https://192.168.1.20:8443/record#join={ID}.mcl_..."],
+    )
+    secret: str = Field(
+        description="Secret of the link, `mcl_...`, for `Authorization` and subprotocols.", examples=["mcl_..."]
+    )
+    qr_svg: str = Field(
+        description="Address as a QR code, an SVG.", examples=['<svg xmlns="http://www.w3.org/2000/svg" ...></svg>']
+    )
     expires_at: AwareDatetime = Field(description="Time at which the link ends; another link ends it before.")
 
 
@@ -227,8 +251,10 @@ class TakeSessionOut(ResponseModel):
     session_id: Id
     job_id: Id | None = Field(description="Job that reconstructs it; null without `job`.")
     cameras: dict[str, float] = Field(
-        description="Declared offset of each camera's first frame from the start of the take, in seconds."
+        description="Declared offset of each camera's first frame from the start of the take, in seconds.",
+        examples=[{"Phone 1": 0.0124, "Phone 2": 0.0311}],
     )
     left_out: tuple[str, ...] = Field(
-        description="Sentences about phones without a clip, and about parts that are not in the session."
+        description="Sentences about phones without a clip, and about parts that are not in the session.",
+        examples=[["Phone 3 has sent no clip of this take."]],
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 
-from api.web.contract.examples import UPLOAD_IDS
 from api.web.http.bodies.form_kinds import (
     CALIBRATION,
     CALIBRATION_ID,
@@ -14,8 +13,6 @@ from api.web.http.bodies.form_kinds import (
     VIEWS,
     FormKind,
 )
-from api.web.jobs import examples as job_examples
-from api.web.sessions import examples
 from api.web.sessions.schemas import Manifest, UploadedCapture, UploadedSession
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import MISSING_PART, PART_NOT_ALLOWED
@@ -44,10 +41,6 @@ _PARTS: Mapping[str, str] = {
     CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
     TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
 }
-_FILES = {VIDEOS: ["cam_0.mp4", "cam_1.mp4"], CALIBRATION: "calibration.toml"}
-_UPLOADS = {VIDEOS: UPLOAD_IDS[:2], CALIBRATION: UPLOAD_IDS[2]}
-_SESSION = {MANIFEST: examples.MANIFEST}
-_CAPTURE = {MANIFEST: examples.MANIFEST, SPEC: job_examples.SPEC}
 
 SESSION_FORM = FormKind(
     name="SessionForm",
@@ -55,8 +48,6 @@ SESSION_FORM = FormKind(
     parts=_PARTS,
     documents={CALIBRATION_ID: None, MANIFEST: Manifest},
     uploaded=UploadedSession,
-    form_example=_FILES | _SESSION,
-    uploaded_example=_UPLOADS | _SESSION,
     faults=_session_faults,
 )
 CAPTURE_FORM = FormKind(
@@ -65,8 +56,6 @@ CAPTURE_FORM = FormKind(
     parts=_PARTS,
     documents={CALIBRATION_ID: None, MANIFEST: Manifest, SPEC: JobSpec},
     uploaded=UploadedCapture,
-    form_example=_FILES | _CAPTURE,
-    uploaded_example=_UPLOADS | _CAPTURE,
     faults=_session_faults,
     has_job=True,
 )

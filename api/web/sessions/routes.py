@@ -2,16 +2,14 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Query, Response, status
+from fastapi import APIRouter, Query, Response, status
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.contract.description import Resource, answer, location, problems
-from api.web.contract.examples import SESSION_ID
+from api.web.contract.description import Resource, location, problems
 from api.web.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
-from api.web.sessions import examples
 from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Creation, Texts, add_creation
@@ -24,7 +22,6 @@ router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 # A route that takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1/sessions", tags=["sessions"], route_class=SmallBodyRoute)
 
-_ONE = answer("Session")
 Name = Annotated[
     str | None,
     Query(min_length=1, max_length=200, description="Only sessions whose names contain this text; case is ignored."),
@@ -65,15 +62,13 @@ add_creation(
     status_code=status.HTTP_201_CREATED,
     response_model=SessionOut,
     responses={
-        201: _ONE | {"headers": {"Location": location("session", f"/v1/sessions/{SESSION_ID}")}},
+        201: {"headers": {"Location": location("session")}},
         **problems(400, 408, 409, 413, 415, 422, 507),
     },
 )
 
 
-@router.get(
-    "", operation_id="listSessions", summary="List sessions", responses={200: answer("SessionPage"), **problems(422)}
-)
+@router.get("", operation_id="listSessions", summary="List sessions", responses=problems(422))
 def list_sessions(
     records: RecordsDep, name: Name = None, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> SessionPage:
@@ -88,7 +83,7 @@ def list_sessions(
     operation_id="getSession",
     summary="Read a session",
     response_model=SessionOut,
-    responses={200: _ONE | {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
 def get_session(
     session_id: SessionId, records: JobViewDep, viewer: ViewerDep, if_none_match: IfNoneMatch = None
@@ -103,11 +98,11 @@ def get_session(
     operation_id="renameSession",
     summary="Rename a session",
     response_model=SessionOut,
-    responses={200: _ONE | {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
+    responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
 )
 def rename_session(
     session_id: SessionId,
-    changes: Annotated[SessionChanges, Body(openapi_examples={"default": {"value": examples.CHANGES}})],
+    changes: SessionChanges,
     records: RecordsDep,
     if_match: IfMatch = None,
 ) -> Response:
@@ -134,4 +129,4 @@ def delete_session(session_id: SessionId, services: ServicesDep, records: Record
 
 
 CREATION = Resource(router=router, forms=(SESSION_FORM,))
-RESOURCE = Resource(router=small, answers=examples.ANSWERS)
+RESOURCE = Resource(router=small)

@@ -9,6 +9,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
+from api.web.contract.examples import ID, SHA256, WARNING
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from pipeline.capture.preflight_record import Clock
@@ -48,7 +49,12 @@ Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 SessionName = Annotated[
     str,
     AfterValidator(printable_name),
-    Field(min_length=1, max_length=200, description="Name of the session for people."),
+    Field(
+        min_length=1,
+        max_length=200,
+        description="Name of the session for people.",
+        examples=["Handshake, take 3"],
+    ),
 ]
 
 
@@ -61,7 +67,7 @@ class CameraManifest(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(printable_name)] = Field(
-        min_length=1, max_length=64, description="Name of the camera in the calibration."
+        min_length=1, max_length=64, description="Name of the camera in the calibration.", examples=["cam_1"]
     )
     file: Annotated[str, AfterValidator(printable_name)] | None = Field(
         default=None,
@@ -69,6 +75,7 @@ class CameraManifest(BaseModel):
         max_length=200,
         description="Name of the camera's video, or of its archive of keypoints; by default the one with the camera's "
         "name.",
+        examples=["GX010042.mp4"],
     )
     more_files: tuple[Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)], ...] = Field(
         default=(),
@@ -83,6 +90,7 @@ class CameraManifest(BaseModel):
         le=86_400.0,
         allow_inf_nan=False,
         description="Time of the first frame on the clock that all cameras share.",
+        examples=[0.48],
     )
     offset_std_s: float | None = Field(
         default=None,
@@ -119,7 +127,10 @@ class Manifest(BaseModel):
         "which need one unless their cameras have a `rate`.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
-        default=(), max_length=256, description="Facts about some cameras; of keypoints only their files."
+        default=(),
+        max_length=256,
+        description="Facts about some cameras; of keypoints only their files.",
+        examples=[[{"name": "cam_1", "file": "GX010042.mp4", "offset_s": 0.48}]],
     )
     pair_by_order: bool = Field(
         default=False,
@@ -132,6 +143,7 @@ class Manifest(BaseModel):
         default=None,
         description="Unit of length of a calibration whose format does not state it (such as TOML). "
         "Null: metres; if they are not plausible, the answer `calibration_units_unstated` asks for it.",
+        examples=["mm"],
     )
     up: Up = Field(
         default="z",
@@ -159,7 +171,9 @@ class Manifest(BaseModel):
         "take, or those in which the person is there.",
     )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
-        default={}, description="Data of the client, which every response with the session repeats."
+        default={},
+        description="Data of the client, which every response with the session repeats.",
+        examples=[{"scene": 12}],
     )
 
 
@@ -173,7 +187,7 @@ class UploadedSession(UploadedFootage):
     )
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
     calibration_id: UUID | None = Field(
-        default=None, description="Id of a stored calibration, in place of `calibration`."
+        default=None, description="Id of a stored calibration, in place of `calibration`.", examples=[ID]
     )
     timestamps: UUID | None = Field(
         default=None,
@@ -185,7 +199,7 @@ class UploadedSession(UploadedFootage):
         "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are "
         "those of the session.",
     )
-    manifest: Manifest = Manifest()
+    manifest: Manifest = Field(default=Manifest(), examples=[{"name": "Handshake, take 3"}])
 
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
@@ -205,16 +219,18 @@ class UploadedSession(UploadedFootage):
 class UploadedCapture(UploadedSession):
     """Session of uploaded files with the choices of its job. Unknown fields are refused."""
 
-    spec: JobSpec = JobSpec()
+    spec: JobSpec = Field(default=JobSpec(), examples=[{"exports": ["bvh", "glb"]}])
 
 
 class FileOut(ResponseModel):
     """File of a session."""
 
-    name: str = Field(description="Name of the file.")
-    kind: str = Field(description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.")
-    num_bytes: int = Field(description="Size of the file.")
-    sha256: str = Field(description="SHA-256 of the file in hexadecimal.")
+    name: str = Field(description="Name of the file.", examples=["cam_0.mp4"])
+    kind: str = Field(
+        description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.", examples=["video"]
+    )
+    num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
+    sha256: str = Field(description="SHA-256 of the file in hexadecimal.", examples=[SHA256])
     is_deleted: bool = Field(
         default=False, description="Whether the file was deleted, and is known by its SHA-256 alone."
     )
@@ -233,21 +249,24 @@ class CameraOut(ResponseModel):
     A player shows the frame of the session's time t at ``t - start_time_s + media_start_s``.
     """
 
-    name: str = Field(description="Name of the camera in the calibration.")
-    file: str = Field(description="Name of the file with the camera's video or keypoints.")
+    name: str = Field(description="Name of the camera in the calibration.", examples=["cam_0"])
+    file: str = Field(description="Name of the file with the camera's video or keypoints.", examples=["cam_0.mp4"])
     more_files: tuple[str, ...] = Field(
         default=(), description="Names of further files in which the camera's recording goes on, in order."
     )
-    size_px: tuple[int, int] = Field(description="Width and height of the frames.")
-    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.")
-    num_frames: int = Field(description="Number of frames in the file.")
-    start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.")
-    plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.")
+    size_px: tuple[int, int] = Field(description="Width and height of the frames.", examples=[[1280, 720]])
+    frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.", examples=[25.0])
+    num_frames: int = Field(description="Number of frames in the file.", examples=[300])
+    start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.", examples=[0.0])
+    plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.", examples=[True])
     video_link: str | None = Field(
         description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
-        "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made."
+        "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made.",
+        examples=[f"/v1/sessions/{ID}/videos/cam_0"],
     )
-    media_start_s: float = Field(description="Time of the first frame on the clock of the video at `video_link`.")
+    media_start_s: float = Field(
+        description="Time of the first frame on the clock of the video at `video_link`.", examples=[0.0]
+    )
     thumbnails: tuple[ThumbnailOut, ...] = Field(
         default=(),
         description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
@@ -281,9 +300,9 @@ class CameraOut(ResponseModel):
 class TimebaseOut(ResponseModel):
     """Clock of the output frames: frame k is at ``start_time_s + k / frame_rate_hz``."""
 
-    start_time_s: float = Field(description="Time of output frame 0.")
-    frame_rate_hz: float = Field(description="Output frames a second.")
-    num_frames: int = Field(description="Number of output frames.")
+    start_time_s: float = Field(description="Time of output frame 0.", examples=[0.0])
+    frame_rate_hz: float = Field(description="Output frames a second.", examples=[25.0])
+    num_frames: int = Field(description="Number of output frames.", examples=[300])
 
 
 class LayoutOut(ResponseModel):
@@ -302,7 +321,7 @@ class PreflightOut(ResponseModel):
 
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
     timebase: TimebaseOut = Field(description="Clock of the output frames.")
-    warnings: tuple[str, ...] = Field(description="Sentences of the findings.")
+    warnings: tuple[str, ...] = Field(description="Sentences of the findings.", examples=[[WARNING]])
     findings: tuple[FindingOut, ...] = Field(
         default=(), description="Findings of the check; none for sessions of versions that had sentences only."
     )
@@ -321,8 +340,8 @@ class PreflightOut(ResponseModel):
 class SessionLinks(ResponseModel):
     """Paths of a session and of its jobs."""
 
-    self: str = Field(description="Path of the session.")
-    jobs: str = Field(description="Path of the session's jobs.")
+    self: str = Field(description="Path of the session.", examples=[f"/v1/sessions/{ID}"])
+    jobs: str = Field(description="Path of the session's jobs.", examples=[f"/v1/sessions/{ID}/jobs"])
 
 
 class NewestJobOut(ResponseModel):
@@ -344,16 +363,16 @@ class SessionOut(ResponseModel):
     """Capture session."""
 
     id: Id
-    name: str = Field(description="Name of the session for people.")
+    name: str = Field(description="Name of the session for people.", examples=["Handshake, take 3"])
     created_at: AwareDatetime = Field(description="Time of the creation.")
     files: tuple[FileOut, ...] = Field(description="Files of the session.")
-    num_bytes: int = Field(description="Size of all files that are not deleted.")
+    num_bytes: int = Field(description="Size of all files that are not deleted.", examples=[5_242_880])
     videos_deleted_at: AwareDatetime | None = Field(
         default=None,
         description="Time at which the session's videos were deleted, with their thumbnails and proxies; null: they "
         "are there, or it has keypoints.",
     )
-    duration_s: float = Field(description="Duration: output frames divided by the frame rate.")
+    duration_s: float = Field(description="Duration: output frames divided by the frame rate.", examples=[12.0])
     num_jobs: int = Field(description="Number of the session's reconstructions.")
     newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
     proxies_job: NewestJobOut | None = Field(
@@ -374,7 +393,7 @@ class SessionOut(ResponseModel):
         description="Space that a reconstruction of the session with the default choices is foreseen to need; null of "
         "a session that was sent for a calibration.",
     )
-    metadata: dict[str, Any] = Field(description="Metadata of the manifest.")
+    metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
     links: SessionLinks
 
     @classmethod

@@ -15,7 +15,7 @@ from worker.store.files.keys import thumbnail_key
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/thumbnails", tags=["sessions"])
 
-_JPEG = file_content(["image/jpeg"], "(the picture)")
+_JPEG = file_content(["image/jpeg"])
 Number = Annotated[int, Path(ge=0, le=255, description="Place of the picture in `thumbnails` of the camera.")]
 
 

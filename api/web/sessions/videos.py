@@ -22,7 +22,7 @@ from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/videos", tags=["sessions"])
 
-_VIDEO = file_content(["video/mp4", "video/webm"], "(the video)")
+_VIDEO = file_content(["video/mp4", "video/webm"])
 Camera = Annotated[
     str, Path(description="Name of a camera of the session.", openapi_examples={"camera": {"value": "cam_0"}})
 ]

@@ -15,7 +15,6 @@ from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import UploadsDep
 from api.web.contract.description import Resource, Responses, file_content, location, problems
-from api.web.contract.examples import UPLOAD_IDS
 from api.web.dependencies import Services, ServicesDep, UploadId
 from api.web.errors import ApiError
 from api.web.http.bodies.form import name_error, too_large
@@ -53,7 +52,7 @@ _HEADERS = {
         "description": "Time at which the upload is removed unless another piece arrives.",
         "schema": {"type": "string"},
     },
-    "Location": location("upload", f"/v1/uploads/{UPLOAD_IDS[0]}"),
+    "Location": location("upload"),
 }
 
 
@@ -183,7 +182,7 @@ def get_upload(
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": file_content([PIECE_TYPE], "(bytes of the file)"),
+            "content": file_content([PIECE_TYPE]),
         }
     },
 )

@@ -17,7 +17,6 @@ from structlog.testing import capture_logs
 
 from api.web.app import create_app
 from api.web.contract.openapi import COMMITTED
-from api.web.motion import ANSWERS
 from api.web.settings import Settings
 from api.web.startup import ExposedError, require_keys_if_exposed
 from pipeline.core.options.edits import PersonSpan
@@ -30,6 +29,7 @@ from worker.store.model.rights import Actor, Key, LinkScope, Scope
 from worker.store.tenant_records import TenantRecords
 
 CONTRACT = json.loads(COMMITTED.read_text(encoding="utf-8"))
+MOTION = CONTRACT["components"]["examples"]["MotionDescription"]["value"]
 OPERATIONS = [
     (method.upper(), path)
     for path, item in CONTRACT["paths"].items()
@@ -127,7 +127,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         job_id = live.job_id()
         live.finish(
             job_id,
-            motion={"motion.bin": bytes(144), "motion.json": json.dumps(ANSWERS["MotionDescription"]).encode()},
+            motion={"motion.bin": bytes(300 * 48), "motion.json": json.dumps(MOTION).encode()},
             people=[PersonSpan(1, 0, 60)],
         )
         session_id = live.client.get(f"/v1/jobs/{job_id}").json()["session_id"]

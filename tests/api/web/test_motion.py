@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from api.web.motion import ANSWERS
+from api.web.contract.openapi import COMMITTED
 from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, problem_of
 
+EXAMPLE = json.loads(COMMITTED.read_text("utf-8"))["components"]["examples"]["MotionDescription"]["value"]
 RECORD_BYTES = 48
 PEOPLE = ((1, 0, 30), (4, 20, 10), (5, 25, 35))
 
@@ -30,9 +31,9 @@ def description() -> dict[str, Any]:
     people, offset_bytes = [], 0
     for person, start, num_frames in PEOPLE:
         about = {"id": person, "start_frame": start, "num_frames": num_frames, "offset_bytes": offset_bytes}
-        people.append(ANSWERS["MotionDescription"]["people"][0] | about)
+        people.append(EXAMPLE["people"][0] | about)
         offset_bytes += num_frames * RECORD_BYTES
-    document = ANSWERS["MotionDescription"] | {"num_frames": 60, "people": people}
+    document = EXAMPLE | {"num_frames": 60, "people": people}
     del document["revision"]  # which the file lacks
     return document
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 from uuid import UUID
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from api.web.contract.examples import UPLOAD_IDS
 from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
@@ -53,7 +53,9 @@ class UploadedFootage(UploadedFiles):
     """Files of cameras that are sent as uploads. Unknown fields are refused."""
 
     videos: tuple[UUID, ...] = Field(
-        default=(), description="Uploads of the videos, one for each camera, or of a zip of its images."
+        default=(),
+        description="Uploads of the videos, one for each camera, or of a zip of its images.",
+        examples=[UPLOAD_IDS],
     )
 
     def uploads(self) -> list[tuple[str, UUID]]:
@@ -77,8 +79,6 @@ class FormKind:
         Names of the other parts, with the models of their JSON; ``None`` for an id.
     uploaded
         Model of the JSON that takes the form's place and names uploads.
-    form_example, uploaded_example
-        Examples of the form, with names of files, and of the JSON in its place.
     faults
         Code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
     has_job
@@ -90,8 +90,6 @@ class FormKind:
     parts: Mapping[str, str]
     documents: Mapping[str, type[BaseModel] | None]
     uploaded: type[UploadedFiles]
-    form_example: Mapping[str, Any]
-    uploaded_example: Mapping[str, Any]
     faults: Callable[[Mapping[str, int]], Iterable[tuple[Code, str, str]]] = lambda counts: ()
     has_job: bool = False
 

@@ -114,7 +114,7 @@ def test_parts_of_form(live: Live) -> None:
         for item in problem_of(answer, 422, "invalid_request")["errors"]
     } == {
         ("/manifest/cameras/0/name", "missing_field"): (
-            "cameras[0].name is missing. It must be a text of 1 to 64 characters."
+            "cameras[0].name is missing. It must be a text of 1 to 64 characters such as cam_1."
         ),
         ("/manifest/cameras/0/offset_s", "wrong_type"): "cameras[0].offset_s must be a number from -86400 to 86400.",
         ("/manifest/cameras/1", "wrong_type"): (
