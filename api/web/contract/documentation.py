@@ -1,23 +1,20 @@
-"""Files that are made from the code: pages of the documentation, and the contract."""
+"""``python -m api.web.contract.documentation``: write the pages of ``docs`` that are made from the code."""
 
-import argparse
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from api.web.contract import options_page, problems_page
 
-def write_or_check(path: Path, text: str, module: str, words: Sequence[str] | None) -> int:
-    """Write a file, or compare it with the code if the command line has ``--check``; return the exit code.
+FOLDER = Path(__file__).parents[3] / "docs"
+PAGES: Mapping[str, Callable[[], str]] = {"options.md": options_page.document, "problems.md": problems_page.document}
+"""Texts of the pages by their names; git ignores these files."""
 
-    ``module`` is run to write the file. ``words`` are the arguments of the command line, by default of this process.
-    """
-    name = f"{path.parent.name}/{path.name}"
-    parser = argparse.ArgumentParser(prog=f"python -m {module}", description=f"Write {name} from the code.")
-    parser.add_argument("--check", action="store_true", help="Compare with the file; exit with 1 if it differs.")
-    if not parser.parse_args(words).check:
-        path.write_text(text, encoding="utf-8")
-        return 0
-    if path.is_file() and path.read_text(encoding="utf-8") == text:
-        return 0
-    sys.stderr.write(f"{name} differs from the code. Run: python -m {module}\n")
-    return 1
+
+def write_pages(folder: Path) -> None:
+    """Write the pages as Markdown."""
+    for name, document in PAGES.items():
+        (folder / name).write_text(document(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_pages(FOLDER)

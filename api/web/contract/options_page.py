@@ -1,14 +1,9 @@
-"""``python -m api.web.contract.options_page``: write ``docs/options.md``, or compare it with the code (``--check``)."""
+"""Page ``docs/options.md``: choices of a reconstruction with their values, limits and defaults."""
 
-import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
-from api.web.contract.documentation import write_or_check
 from pipeline.core.options.choices import Choice, Value, declared_choices
 from pipeline.core.options.config import CHOICES, PURPOSES, Purpose, ReconstructionConfig
-
-PAGE = Path(__file__).parents[3] / "docs" / "options.md"
 
 _INTRODUCTION = """\
 # Options of a reconstruction
@@ -18,7 +13,7 @@ This page lists the choices of a reconstruction with their values, limits and de
 A job's `spec` has the fields of the first column ([API](../openapi/openapi.json)). `multicap reconstruct` has the
 options of the second column. `GET /v1/options` lists the same choices for a form, and the networks that are installed.
 
-This page is made from the code: `python -m api.web.contract.options_page` writes it.
+This page is made from the code: `make docs` writes it.
 """
 _PURPOSES = """\
 ## What for
@@ -101,12 +96,3 @@ def _values(choice: Choice) -> Iterator[str]:
 
 def _meaning(value: Value) -> str:
     return f"{value.label}. {value.note}" if value.note else value.label
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """Write or compare the page, and return the exit code."""
-    return write_or_check(PAGE, document(), "api.web.contract.options_page", words)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

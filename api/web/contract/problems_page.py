@@ -1,16 +1,11 @@
-"""``python -m api.web.contract.problems_page``: write ``docs/problems.md``, or check it against the code."""
+"""Page ``docs/problems.md``: problem codes with what they mean and what to do."""
 
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 
-from api.web.contract.documentation import write_or_check
 from pipeline.core.problems import finding_codes as findings
 from pipeline.core.problems import request_codes as requests
 from pipeline.core.problems import session_codes as sessions
 from pipeline.core.problems.code_group import Code, CodeGroup, read_sentences
-
-PAGE = Path(__file__).parents[3] / "docs" / "problems.md"
 
 GROUPS: tuple[CodeGroup, ...] = (
     *(requests.ANSWERS, requests.FIELDS, requests.PARTS, requests.SPECS),
@@ -38,7 +33,7 @@ at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line
 `finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
 [live capture](live_service.md), `recording` a message of a [recording](phones_service.md).
 
-This page is made from the code: `python -m api.web.contract.problems_page` writes it.
+This page is made from the code: `make docs` writes it.
 """
 
 
@@ -54,12 +49,3 @@ def _section(group: CodeGroup) -> Iterator[str]:
         meaning, remedy = SENTENCES[code]
         yield f"| `{code}` | {', '.join(map(str, places))} | {meaning} | {remedy} |"
     yield ""
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """Write or compare the page, and return the exit code."""
-    return write_or_check(PAGE, document(), "api.web.contract.problems_page", words)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

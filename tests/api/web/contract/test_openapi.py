@@ -28,7 +28,7 @@ def schema(live: Live) -> dict[str, Any]:
 
 
 def test_committed_contract_is_what_code_says() -> None:
-    assert COMMITTED.read_text(encoding="utf-8") == document()
+    assert COMMITTED.read_text(encoding="utf-8") == document(), "Run: python -P -m api.web.contract.openapi"
 
 
 def test_operations_have_examples_that_keep_contract(schema: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 import pipeline.core.problems
-from api.web.contract.problems_page import GROUPS, PAGE, SENTENCES, document, main
+from api.web.contract.problems_page import GROUPS, SENTENCES, document
 from api.web.errors import _CODES
 from pipeline.core.problems.code_group import Code, Place, usual_status
 
@@ -60,7 +60,6 @@ def test_errors_of_framework_have_their_statuses() -> None:
     assert {usual_status(code): code for code in _CODES.values()} == dict(_CODES)
 
 
-def test_page_is_what_code_says(capsys: pytest.CaptureFixture[str]) -> None:
-    assert PAGE.read_text(encoding="utf-8") == document()
-    assert main(["--check"]) == 0
-    assert capsys.readouterr().err == ""
+def test_page_has_row_for_every_code() -> None:
+    rows = re.findall(r"^\| `([a-z0-9_]+)` \| (.+?) \| (.+?) \| (.+?) \|$", document(), re.MULTILINE)
+    assert rows == [(code, ", ".join(map(str, places)), *SENTENCES[code]) for code, places in CODES]
