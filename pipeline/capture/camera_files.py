@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from pipeline.capture.names import cameras_in_names, natural_key, nfc
 from pipeline.capture.pairing import Thing
-from pipeline.capture.parts import missing_parts, recordings_of
+from pipeline.capture.parts import group_parts, missing_parts
 from pipeline.capture.video_files import VideoFiles
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
@@ -92,11 +92,11 @@ def sort_files(files: VideoFiles, recordings: Sequence[Recording], cameras: Sequ
     for camera, paths in list(stated.items()):
         if len(paths) == 1:
             first = name_of[paths[0]]
-            in_parts = next(parts for parts in recordings_of([first, *path_of]) if first in parts)
+            in_parts = next(parts for parts in group_parts([first, *path_of]) if first in parts)
             stated[camera] = tuple(path_of.pop(name, paths[0]) for name in in_parts)
     found = cameras_in_names(list(path_of), {camera.name: [camera.section] for camera in cameras})
     free: dict[str, tuple[Path, ...]] = {}
-    for recording in recordings_of(path_of):
+    for recording in group_parts(path_of):
         is_one = len({found[name] for name in recording}) == 1
         for parts in [recording] if is_one else [(name,) for name in recording]:
             free[parts[0]] = tuple(path_of[name] for name in parts)

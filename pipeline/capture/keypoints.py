@@ -108,7 +108,7 @@ class KeypointSession:
         )
 
     @property
-    def video_of(self) -> Mapping[str, VideoInfo]:
+    def camera_videos(self) -> Mapping[str, VideoInfo]:
         """Videos by camera name: there are none."""
         return {}
 

@@ -11,7 +11,7 @@ from pipeline.capture.keypoint_files import foreign, freemocap
 from pipeline.capture.keypoint_files.folders import CAPTURES, MAX_FILE_BYTES
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.problems.session_codes import KEYPOINTS_ARCHIVE
-from pipeline.core.runtime.zips import ArchiveError, list_entries, name_of, read_entry, refusal
+from pipeline.core.runtime.zips import ArchiveError, entry_name, list_entries, read_entry, refusal
 
 _MAX_TOTAL_BYTES = 4 * 2**30
 # FreeMoCap's array of all cameras: half an hour of four cameras at 30 Hz, with faces.
@@ -78,7 +78,7 @@ def _list_files(archive: Path, folder: Path, max_bytes: int) -> Sequence[zipfile
     files = list_entries(archive, CAPTURES, max_bytes) or list_entries(archive, {".txt"}, max_bytes)
     if not files:
         others = list_entries(archive, foreign.ENDINGS, sys.maxsize)
-        if known := foreign.described(name_of(entry) for entry in others):
+        if known := foreign.described(entry_name(entry) for entry in others):
             raise ArchiveError(printable(" ".join(known)))
     return files
 
@@ -89,6 +89,6 @@ def _unpack(archive: Path, files: Sequence[zipfile.ZipInfo], target: Path, max_b
     with zipfile.ZipFile(archive) as entries:
         for entry in files:
             content = read_entry(entries, entry, min(max_bytes, left_bytes - total_bytes))
-            (target / name_of(entry)).write_bytes(content)
+            (target / entry_name(entry)).write_bytes(content)
             total_bytes += len(content)
     return total_bytes

@@ -33,10 +33,11 @@ class Part(NamedTuple):
     number: int
 
 
-def part_of(name: str) -> Part | None:
+def parse_part(name: str) -> Part | None:
     """Place of a file in its recording; ``None`` if its name tells of no recording in parts.
 
-    >>> part_of("left_GX020119").number, part_of("left_GX020119").recording == part_of("left_GX010119").recording
+    >>> first, second = parse_part("left_GX010119"), parse_part("left_GX020119")
+    >>> second.number, second.recording == first.recording
     (2, True)
     """
     folded = nfc(name).casefold()
@@ -49,7 +50,7 @@ def part_of(name: str) -> Part | None:
     return None
 
 
-def recordings_of(names: Iterable[str]) -> list[tuple[str, ...]]:
+def group_parts(names: Iterable[str]) -> list[tuple[str, ...]]:
     """Sort the names of files into recordings, each with its parts in order; most recordings are one file.
 
     Names of files are in natural order by their first parts. Two files that are the same part are apart.
@@ -57,7 +58,7 @@ def recordings_of(names: Iterable[str]) -> list[tuple[str, ...]]:
     found: dict[tuple[str, ...], dict[int, str]] = {}
     alone: list[tuple[str, ...]] = []
     for name in sorted(names, key=natural_key):
-        part = part_of(name)
+        part = parse_part(name)
         if part is None or part.number in found.get(part.recording, {}):
             alone.append((name,))
         else:
@@ -68,5 +69,5 @@ def recordings_of(names: Iterable[str]) -> list[tuple[str, ...]]:
 
 def missing_parts(names: Sequence[str]) -> list[int]:
     """Numbers that are left out between the parts of a recording, which are in order."""
-    numbers = [part.number for name in names if (part := part_of(name)) is not None]
+    numbers = [part.number for name in names if (part := parse_part(name)) is not None]
     return sorted(set(range(numbers[0], numbers[-1])) - set(numbers)) if numbers else []

@@ -106,7 +106,7 @@ def _media(session: Session, recordings: Sequence[Recording]) -> Mapping[str, tu
     corrected = {recording.camera for recording in recordings if recording.frame_rate_hz is not None}
     media: dict[str, tuple[str | None, float]] = {camera.name: (None, 0.0) for camera in session.cameras}
     for camera in session.cameras:
-        if (video := session.video_of.get(camera.name)) is not None:
+        if (video := session.camera_videos.get(camera.name)) is not None:
             is_corrected = bool(corrected & {camera.name, camera.section})
             media[camera.name] = (None if is_corrected else video.browser_media_type, video.media_start_s)
     return media
@@ -116,7 +116,7 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
     """Measured rate of a camera; for keypoints the session's rate, if it is equal or the camera has too few frames."""
     time_s, session_hz = session.times[camera].time_s, session.timebase.frame_rate_hz
     camera_hz = measured_rate_hz(time_s)
-    if camera in session.video_of:
+    if camera in session.camera_videos:
         return camera_hz
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 

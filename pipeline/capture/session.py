@@ -94,7 +94,7 @@ class CaptureSession:
         )
 
     @property
-    def video_of(self) -> Mapping[str, VideoInfo]:
+    def camera_videos(self) -> Mapping[str, VideoInfo]:
         """Video of each camera, by camera name, in the cameras' order."""
         return {camera.name: video for camera, video in zip(self.cameras, self.videos, strict=True)}
 

@@ -40,7 +40,7 @@ def ignore(_: float) -> None:
     """Report nothing."""
 
 
-def part_of(on_share: OnShare, start: float, stop: float) -> OnShare:
+def sub_share(on_share: OnShare, start: float, stop: float) -> OnShare:
     """Make the callback of a part of the work. It goes from the share ``start`` of the whole work to ``stop``."""
     return lambda share: on_share(start * (1.0 - share) + stop * share)
 
@@ -52,7 +52,7 @@ def split(on_share: OnShare, weights: Sequence[int]) -> list[OnShare]:
     """
     total = sum(weights) or 1
     borders = [border / total for border in accumulate(weights, initial=0)]
-    return [part_of(on_share, *ends) for ends in pairwise(borders)]
+    return [sub_share(on_share, *ends) for ends in pairwise(borders)]
 
 
 def in_units(total: int, on_unit: Callable[[], None]) -> OnShare:

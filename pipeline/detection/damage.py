@@ -123,8 +123,8 @@ def damaged_videos(session: CaptureSession, pictures: Iterable[CheckedPictures])
     whole = session_timebase(session.times)
     output_frames = session.frames or range(whole.num_frames)
     span = span_s(whole, output_frames.start, output_frames.stop)
-    damaged: dict[str, list[int]] = {camera: [] for camera in session.video_of}
-    changes: dict[str, list[PictureChanges]] = {camera: [] for camera in session.video_of}
+    damaged: dict[str, list[int]] = {camera: [] for camera in session.camera_videos}
+    changes: dict[str, list[PictureChanges]] = {camera: [] for camera in session.camera_videos}
     for camera, frames, of_range in pictures:
         damaged[camera] += frames.tolist()
         changes[camera].append(of_range)
@@ -139,7 +139,7 @@ def damaged_videos(session: CaptureSession, pictures: Iterable[CheckedPictures])
             last_s=float(video.time_s[numbers[-1]]) if numbers else 0.0,
             doubled_s=tuple(video.time_s[doubled[camera]].tolist()),
         )
-        for camera, video in session.video_of.items()
+        for camera, video in session.camera_videos.items()
         if (numbers := damaged[camera]) or len(doubled[camera])
     )
     if problems := [_problem(video) for video in videos if video.num_damaged > MAX_DAMAGED_SHARE * video.num_frames]:

@@ -15,7 +15,7 @@ from pipeline.detection.decoders.fields import ImageFields, grid_on_image
 from pipeline.detection.decoders.grouping import group
 from pipeline.detection.decoders.movenet import decode_movenet
 from pipeline.detection.decoders.openpose import LIMBS, decode_openpose
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.letterbox import LetterBox, apply_letterbox, fit_letterbox
 from pipeline.detection.models import verify
 from pipeline.detection.network import Network, open_network
@@ -81,7 +81,7 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
 
     Raises ``ModelError`` if it is unknown or not installed, its file was changed, or it reads crops.
     """
-    entry = entry_of(name)
+    entry = find_entry(name)
     if entry.head.reads_crops or entry.own is not None:
         raise ModelError(f"{name} reads landmarks in crops, which other networks find: it is no detector alone.")
     return Detector(open_network(verify(_to_run(entry))), entry.input, entry.head, entry.joints, entry.fields)

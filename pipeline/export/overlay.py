@@ -192,7 +192,7 @@ def draw_video(
     InputError
         See ``pipeline.video.decode.decode``.
     """
-    video, times = session.video_of[camera], session.times[camera]
+    video, times = session.camera_videos[camera], session.times[camera]
     timebase = take.timebase
     frames = frames_in(times, timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
     if not frames:

@@ -18,7 +18,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.core.options.config import Body, Preset, Timeline
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
-from pipeline.core.progress import OnShare, part_of, split
+from pipeline.core.progress import OnShare, split, sub_share
 from pipeline.export.scene import file_origin_m
 from pipeline.export.timelines import presence, unknown_outside
 from pipeline.export.writers import skeletons_json
@@ -111,7 +111,7 @@ def write_person(
         found = kept.find(person, name, path)
         if found is None:
             # Writing takes about as long as reading.
-            found = _written(person, name, path, preset, skeleton_m, angles, part_of(on_file, 0.5, 1.0))
+            found = _written(person, name, path, preset, skeleton_m, angles, sub_share(on_file, 0.5, 1.0))
             kept.keep(person, name, path, found)
         on_file(1.0)
         yield name, found

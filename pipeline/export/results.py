@@ -21,7 +21,7 @@ from pipeline.core.options.rules import file_problems, format_problems, require
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import TAKE_TOO_LARGE
 from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
-from pipeline.core.progress import OnShare, ignore, part_of, split
+from pipeline.core.progress import OnShare, ignore, split, sub_share
 from pipeline.export.person_files import (
     SKELETONS,
     KeptFile,
@@ -193,7 +193,7 @@ def write_files(
         on_file(path)
 
     written: dict[str, dict[int, KeptFile]] = {name: {} for name in (SKELETONS, *exports)}
-    on_people = split(part_of(on_share, 0.0, 0.8), _num_frames(shown, timeline))
+    on_people = split(sub_share(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
         for person, on_person in zip(take_people(shown, timeline, body), on_people, strict=True):
@@ -209,7 +209,7 @@ def write_files(
     on_share(0.85)
     complete(path)
     of_takes = _TakeFiles(shown, folder, preset, body)
-    for export, on_take in zip(exports, split(part_of(on_share, 0.85, 0.95), [1] * len(exports)), strict=True):
+    for export, on_take in zip(exports, split(sub_share(on_share, 0.85, 0.95), [1] * len(exports)), strict=True):
         if of_takes.write(export, on_take):
             complete(of_takes.path(export))
         on_take(1.0)

@@ -26,7 +26,7 @@ from api.web.settings import Settings
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
 from tests.warm_programs import WarmPrograms
-from worker.store.files.keys import result_key
+from worker.store.files.file_keys import result_key
 from worker.store.model.job_records import Result
 from worker.store.model.work import Claim
 

@@ -137,7 +137,7 @@ class FirstStart:
 def starting(programs: Path, cwd: Path, folder: Path) -> Iterator[tuple[httpx2.Client, subprocess.Popen[str]]]:
     """Service that starts, with the installed networks and no kernels in its home folder."""
     try:
-        networks = [models.path_of(name) for name in JobChoices().networks.names]
+        networks = [models.installed_path(name) for name in JobChoices().networks.names]
     except ModelError as error:
         pytest.skip(str(error))
     (folder / "home" / "models").mkdir(parents=True)

@@ -28,7 +28,7 @@ from tests.waiting import wait_for
 from worker.run.planning import plan_job
 from worker.store.database.tables import jobs
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 from worker.store.model.session_records import InputFile
 from worker.store.model.states import JobState
 from worker.store.model.work import WorkerState

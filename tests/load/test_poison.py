@@ -35,7 +35,7 @@ from worker.run.supervisor import Supervisor
 from worker.store.database.totals import Total
 from worker.store.errors import Conflict
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 from worker.store.model.rights import Scope
 from worker.store.model.session_records import InputFile
 from worker.store.model.states import FINISHED, JobState

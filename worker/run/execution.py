@@ -32,7 +32,7 @@ from worker.run.planning import claimed_task, has_videos, session_facts
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import ArtifactStore, read_artifact
 from worker.store.files.checksums import require_file
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 from worker.store.model.session_records import Session
 from worker.store.spec import JobSpec
 

@@ -19,7 +19,7 @@ from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
 from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NotFound, UnknownSchema
 from worker.store.files.artifacts import ArtifactStore, read_artifact, read_interim, write_interim
-from worker.store.files.keys import result_key, stage_key
+from worker.store.files.file_keys import result_key, stage_key
 from worker.store.model.job_records import Result
 from worker.store.model.session_records import MadeCalibration
 from worker.store.model.work import Ability, Claim, KeptPiece

@@ -17,7 +17,7 @@ from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
 from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.detection.providers.find import current_provider
 
@@ -45,7 +45,7 @@ def providers(provider: ProviderOption = None, as_json: JsonOption = False) -> N
             config = ReconstructionConfig(profile=profile)
             models.install_networks(config)
             networks = config.networks
-            twin = entry_of(networks.body).single_precision
+            twin = find_entry(networks.body).single_precision
             if found.is_gpu and twin is not None:
                 networks = replace(networks, body=twin)
             detected = [_detect(name, networks, config, videos) for name in ("cpu", found.name)]

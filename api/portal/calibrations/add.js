@@ -11,7 +11,7 @@ import { announce } from "../shared/page.js";
 const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
 const MOST_SESSIONS = 100;
 
-function specOf({ source, title, board, stature, units, up, session }) {
+function calibrationSpec({ source, title, board, stature, units, up, session }) {
   return {
     method: source.value === "session" ? "people" : source.value,
     ...(title.value.trim() && { name: title.value.trim() }),
@@ -30,7 +30,7 @@ function fileForm(spec, file) {
   return form;
 }
 
-const idOf = ({ url }) => url.slice(url.lastIndexOf("/") + 1);
+const uploadId = ({ url }) => url.slice(url.lastIndexOf("/") + 1);
 
 export class AddForm {
   #source = "file";
@@ -46,7 +46,7 @@ export class AddForm {
 
   // Footage goes by resumable uploads; a calibration file is small.
   async #send({ file, footage, intrinsics, ...fields }) {
-    const spec = specOf(fields);
+    const spec = calibrationSpec(fields);
     if (file) return call("/v1/calibrations", { method: "POST", form: fileForm(spec, file.files[0]) });
     const files = [...(footage?.files ?? []), ...(intrinsics?.files ?? [])];
     const rows = files.map((file) => makeRow({ name: file.name, size: file.size, kind: "footage" }, file));
@@ -58,7 +58,7 @@ export class AddForm {
     await uploads.send(() => rows);
     this.#text = "Sent. Checking the files …";
     this.draw();
-    const ids = rows.map(idOf);
+    const ids = rows.map(uploadId);
     const numVideos = footage?.files.length ?? 0;
     const body = { ...spec, ...(numVideos && { videos: ids.slice(0, numVideos) }), ...(ids[numVideos] && { intrinsics: ids[numVideos] }) };
     return call("/v1/calibrations", { method: "POST", body });

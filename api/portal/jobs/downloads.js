@@ -25,7 +25,7 @@ const VISUALS = { report: "report", overlay: "overlay videos", rerun: "recording
 const OF_PERSON = { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV" };
 
 /** What a file is: its format, and the application that it is written for. */
-function wordsOf({ kind, format, preset, person }, options) {
+function fileWords({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (kind === "character" && person !== null) return "The character in motion";
   if (!format) return OF_ALL[kind] ?? OF_PERSON[kind] ?? kind;
@@ -36,7 +36,7 @@ function wordsOf({ kind, format, preset, person }, options) {
 
 function fileLink(result, options) {
   return html`<li><a href=${addressed(result.link)} download>
-    <span class="what">${wordsOf(result, options)}</span>
+    <span class="what">${fileWords(result, options)}</span>
     <span class="name">${result.download_name}</span> <span class="quiet">${size(result.num_bytes)}</span></a></li>`;
 }
 

@@ -126,11 +126,11 @@ export class JobMotion extends EventTarget {
     return orAway(async () => {
       const { ApiSource, mount, mountPair } = await import("../viewer/mount.js");
       const { cameras } = this.session.preflight;
-      const sourceOf = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character) });
-      this.#source = sourceOf(this.job);
+      const openSource = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character) });
+      this.#source = openSource(this.job);
       return other === null
         ? mount(this.stage, this.#source)
-        : mountPair(this.stage, [this.#source, sourceOf(other)], [this.job, other].map(({ id }) => this.#titles.get(id)));
+        : mountPair(this.stage, [this.#source, openSource(other)], [this.job, other].map(({ id }) => this.#titles.get(id)));
     });
   }
 

@@ -1,17 +1,17 @@
 // Titles of the jobs of a capture, by what tells them apart.
 
 import { moment } from "../shared/format.js";
-import { valueOf } from "../shared/resources.js";
+import { choiceText } from "../shared/resources.js";
 
 /** Title of each job by its id: the choices in which they differ, the revision, and the time where that is not enough. */
 export function titleJobs(jobs, { choices }) {
   const isVaried = ({ name }) => new Set(jobs.map(({ spec }) => JSON.stringify(spec[name] ?? null))).size > 1;
   const varied = choices.filter(isVaried);
-  const wordsOf = ({ spec, revision }) => [
+  const choiceWords = ({ spec, revision }) => [
     ...varied.map((choice) => wordsOfChoice(choice, spec[choice.name])),
     revision > 0 ? `revision ${revision}` : null,
   ].filter(Boolean).join(", ");
-  const words = new Map(jobs.map((job) => [job.id, wordsOf(job)]));
+  const words = new Map(jobs.map((job) => [job.id, choiceWords(job)]));
   const isAlone = (text) => text !== "" && [...words.values()].filter((other) => other === text).length === 1;
   return new Map(jobs.map(({ id, created_at: created }) => {
     const text = words.get(id);
@@ -21,5 +21,5 @@ export function titleJobs(jobs, { choices }) {
 
 function wordsOfChoice(choice, value) {
   if (choice.kind === "flag") return `${choice.label}: ${value ? "yes" : "no"}`;
-  return `${choice.label}: ${value === null || value === undefined ? choice.unset ?? "none" : valueOf(choice, value)}`;
+  return `${choice.label}: ${value === null || value === undefined ? choice.unset ?? "none" : choiceText(choice, value)}`;
 }

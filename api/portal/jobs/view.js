@@ -2,7 +2,7 @@
 
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
+import { jobFacts, hasEnded, hasFiles, jobState } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, warningList } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
@@ -10,7 +10,7 @@ import { choiceList, errorBox, stageList, waitingBox } from "../watch/job_row.js
 import { downloads } from "./downloads.js";
 import { JobMotion } from "./job_motion.js";
 import { PeoplePanel } from "./people/panel.js";
-import { colorOf } from "./people/person_names.js";
+import { personColor } from "./people/person_names.js";
 import { Sharing } from "./sharing.js";
 
 export function open(place, route, caller) {
@@ -120,7 +120,7 @@ class JobView {
   #showPeople() {
     const people = this.#panel?.editing.people ?? null;
     if (people === null || this.#shown === null) return;
-    const before = this.#panel.editing.peopleOf(this.#shown) ?? null;
+    const before = this.#panel.editing.peopleAt(this.#shown) ?? null;
     const isNewer = before !== null && people.revision > this.#shown;
     this.motion.preview(isNewer ? { before, after: colored(people) } : null);
   }
@@ -143,13 +143,13 @@ class JobView {
   #head() {
     const { job } = this;
     if (job === null) return html`<h1 class="title">Job</h1>${this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`}`;
-    const { words, tone } = stateOf(job);
+    const { words, tone } = jobState(job);
     return html`<div class="bar">
         ${this.caller.isGuest ? nothing : html`<p class="crumb"><a href="#/captures">Captures</a></p>`}
         <h1 class="title">${job.session_name}</h1>
         <span class="state" data-tone=${tone}>${words}</span>
         ${choiceList(job, this.options)}
-        <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
+        <p class="quiet facts">${jobFacts(job).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
       ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}
@@ -167,6 +167,6 @@ class JobView {
 const coloredPeople = new WeakMap();
 
 function colored(people) {
-  if (!coloredPeople.has(people)) coloredPeople.set(people, { ...people, people: people.people.map((person) => ({ ...person, color: colorOf(person.id) })) });
+  if (!coloredPeople.has(people)) coloredPeople.set(people, { ...people, people: people.people.map((person) => ({ ...person, color: personColor(person.id) })) });
   return coloredPeople.get(people);
 }

@@ -18,7 +18,7 @@ class PlaybackProblem extends Error {
   }
 }
 
-const numberOf = (path) => FRAME.exec(path.split("/").at(-1))?.[1];
+const frameNumber = (path) => FRAME.exec(path.split("/").at(-1))?.[1];
 const fileExtension = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).toLowerCase();
 
 /**
@@ -29,24 +29,24 @@ const fileExtension = (file) => file.name.slice(file.name.lastIndexOf(".") + 1).
 export async function sortedFiles(files) {
   const views = new Map();
   const found = { timestamps: null, calibration: null, others: [] };
-  const viewOf = (name) => views.get(name) ?? views.set(name, { name, frames: new Map() }).get(name);
+  const addView = (name) => views.get(name) ?? views.set(name, { name, frames: new Map() }).get(name);
   for (const file of [...files].filter((each) => !isPassedOver(readPath(each)))) {
     const folders = readPath(file).split("/").slice(0, -1);
-    const isFrame = file.name.endsWith("_keypoints.json") || (folders.length > 0 && numberOf(file.name) !== undefined);
+    const isFrame = file.name.endsWith("_keypoints.json") || (folders.length > 0 && frameNumber(file.name) !== undefined);
     const extension = fileExtension(file);
-    if (extension === "zip") await addZip(file, viewOf, found);
+    if (extension === "zip") await addZip(file, addView, found);
     else if (extension === "csv") found.timestamps = file;
-    else if (extension === "json" && isFrame) viewOf(folders.at(-1) ?? "").frames.set(Number(numberOf(file.name)), () => file.text());
+    else if (extension === "json" && isFrame) addView(folders.at(-1) ?? "").frames.set(Number(frameNumber(file.name)), () => file.text());
     else if (["json", "toml", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"].includes(extension)) found.calibration = file;
     else found.others.push(file.name);
   }
   return { views: [...views.values()], ...found };
 }
 
-async function addZip(file, viewOf, found) {
-  const entries = (await listEntries(file)).filter(({ name }) => !isPassedOver(name) && numberOf(name) !== undefined);
+async function addZip(file, addView, found) {
+  const entries = (await listEntries(file)).filter(({ name }) => !isPassedOver(name) && frameNumber(name) !== undefined);
   if (entries.length === 0) found.others.push(file.name);
-  for (const entry of entries) viewOf(stem(file.name)).frames.set(Number(numberOf(entry.name)), () => readText(file, entry));
+  for (const entry of entries) addView(stem(file.name)).frames.set(Number(frameNumber(entry.name)), () => readText(file, entry));
 }
 
 /** Times in seconds by camera and frame, of a file of timestamps. */
@@ -77,20 +77,20 @@ export async function openRecording({ views, timestamps }, cameras, frameRateHz)
   if (stray.length) throw new PlaybackProblem(`No camera's name is in ${stray.map(({ name }) => name || "files without a folder").join(", ")}.`, `The cameras are ${cameras.join(", ")}.`);
   if (views.length < 2) throw new PlaybackProblem("At least two cameras are needed.", "Choose a zip or a folder of keypoints of each camera.");
   const times = timestamps ? await readTimes(timestamps) : null;
-  const frames = views.flatMap((view) => framesOf(view, paired.get(`${view.name}.zip`), times, frameRateHz));
+  const frames = views.flatMap((view) => viewFrames(view, paired.get(`${view.name}.zip`), times, frameRateHz));
   frames.sort((one, other) => one.timeS - other.timeS);
   return { frames, cameras: [...new Set(frames.map(({ camera }) => camera))], ...await findLayout(frames), rateHz: times ? measuredRateHz(frames) : frameRateHz };
 }
 
-function framesOf({ frames }, camera, times, frameRateHz) {
-  const timeOf = times ? (number) => times.get(camera)?.get(number) : (number) => number / frameRateHz;
-  const timed = [...frames].map(([number, text]) => ({ camera, timeS: timeOf(number), read: () => text().then(peopleOf) }));
+function viewFrames({ frames }, camera, times, frameRateHz) {
+  const frameTimeS = times ? (number) => times.get(camera)?.get(number) : (number) => number / frameRateHz;
+  const timed = [...frames].map(([number, text]) => ({ camera, timeS: frameTimeS(number), read: () => text().then(parsePeople) }));
   if (timed.some(({ timeS }) => timeS === undefined)) throw new PlaybackProblem(`Frames of ${camera} have no time in the timestamps.`);
   return timed;
 }
 
 /** People of a frame: x, y and score of each point in a row. */
-export function peopleOf(text) {
+export function parsePeople(text) {
   let people;
   try {
     ({ people } = JSON.parse(text));
@@ -152,12 +152,12 @@ const MAX_COMMENT_BYTES = 0xffff;
 const [STORED, DEFLATED] = [0, 8];
 const MAX_CONTENT_BYTES = 4 * 2 ** 20; // as the service allows a frame
 
-const viewOf = async (blob, start, end) => new DataView(await blob.slice(start, end).arrayBuffer());
+const readView = async (blob, start, end) => new DataView(await blob.slice(start, end).arrayBuffer());
 
 /** Entries of an archive, a Blob: `{ name, start, method, packedBytes, numBytes }` each; throws if it is none. */
 export async function listEntries(blob) {
   const { start, numBytes } = await findDirectory(blob);
-  const view = await viewOf(blob, start, start + numBytes);
+  const view = await readView(blob, start, start + numBytes);
   const decoder = new TextDecoder();
   const entries = [];
   for (let at = 0; at + ENTRY_BYTES <= view.byteLength && view.getUint32(at, true) === ENTRY;) {
@@ -173,7 +173,7 @@ export async function listEntries(blob) {
 
 export async function readText(blob, { name, start, method, packedBytes, numBytes }) {
   if (numBytes > MAX_CONTENT_BYTES || ![STORED, DEFLATED].includes(method)) throw new Error(`${name} in the zip is too large, or packed in an unusual way.`);
-  const head = await viewOf(blob, start, start + LOCAL_BYTES);
+  const head = await readView(blob, start, start + LOCAL_BYTES);
   const first = start + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
   const content = blob.slice(first, first + packedBytes);
   if (method === STORED) return content.text();
@@ -195,13 +195,13 @@ function limited(name, numBytes) {
 /** Place of the list of entries. */
 async function findDirectory(blob) {
   const from = Math.max(0, blob.size - END_BYTES - MAX_COMMENT_BYTES - LOCATOR_BYTES);
-  const tail = await viewOf(blob, from, blob.size);
+  const tail = await readView(blob, from, blob.size);
   for (let at = tail.byteLength - END_BYTES; at >= 0; at--) {
     if (tail.getUint32(at, true) !== END) continue;
     const locator = at - LOCATOR_BYTES;
     if (locator < 0 || tail.getUint32(locator, true) !== LOCATOR_64) return { numBytes: tail.getUint32(at + 12, true), start: tail.getUint32(at + 16, true) };
     const place = Number(tail.getBigUint64(locator + 8, true));
-    const end = await viewOf(blob, place, place + 56);
+    const end = await readView(blob, place, place + 56);
     if (end.byteLength === 56 && end.getUint32(0, true) === END_64) return { numBytes: Number(end.getBigUint64(40, true)), start: Number(end.getBigUint64(48, true)) };
   }
   throw new Error("The file is no zip.");

@@ -87,7 +87,7 @@ const KEPT_S = 1.6;
 const HUE_STEP = 0.618034; // as pipeline/export/scene.py
 
 /** Colour of a person, the same as in results. */
-export const colorOf = (id) => `hsl(${((id * HUE_STEP) % 1) * 360}, 100%, 57.5%)`;
+export const personColor = (id) => `hsl(${((id * HUE_STEP) % 1) * 360}, 100%, 57.5%)`;
 
 /**
  * Store of the latest instants. Frames are numbers of instants, from 0.
@@ -123,7 +123,7 @@ export class LiveStore {
     const known = this.description.people.map(({ id }) => id);
     const seen = [...new Set(this.#kept.flatMap((instant) => (instant ? [...instant.keys()] : [])))].sort((one, other) => one - other);
     if (seen.length === known.length && seen.every((id, place) => id === known[place])) return false;
-    this.description = { ...this.description, people: seen.map((id) => ({ id, name: `Person ${id}`, color: colorOf(id), contacts: [] })) };
+    this.description = { ...this.description, people: seen.map((id) => ({ id, name: `Person ${id}`, color: personColor(id), contacts: [] })) };
     return true;
   }
 

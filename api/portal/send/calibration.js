@@ -8,7 +8,7 @@ import { ACCEPTED_CALIBRATIONS, AXES } from "./files.js";
 
 const UNITS = [["", "as the file states, or metres"], ["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
 
-function factsOf(calibration) {
+function calibrationFacts(calibration) {
   const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
   const errors = (calibration.report?.cameras ?? []).map((camera) => camera.reprojection_error_px).filter((errorPx) => errorPx != null);
   const facts = [count(calibration.cameras.length, "camera"), sizes.join(", ")];
@@ -42,7 +42,7 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
     </div>
     ${problemBox(away && { message: `The stored calibrations can't be loaded. ${away.message}` })}
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
-    ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${factsOf(chosen)}</span></p>
+    ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${calibrationFacts(chosen)}</span></p>
       ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
     ${rig.file ? html`<div class="pair">
       ${choice("Unit of length", UNITS, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}

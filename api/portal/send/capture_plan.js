@@ -39,7 +39,7 @@ export function groupRows(rows) {
 
 // Rows with the video of a camera in order, if they are the parts of one recording: by their names, or as was said; else
 // null.
-export function partsOf(rows) {
+export function orderParts(rows) {
   const recordings = groupRows(rows);
   if (recordings.length < 2) return recordings[0] ?? null;
   return rows.every(({ isJoined }) => isJoined) ? [...rows].sort((one, other) => naturalOrder(one.name, other.name)) : null;
@@ -57,7 +57,7 @@ export function videosByCamera(rows) {
 export function sessionBody({ name, files, calibration, clock, frameRate_hz, layout, spec }) {
   const ids = (kind) => files.filter((row) => row.kind === kind).map(({ url }) => url.slice(url.lastIndexOf("/") + 1));
   const cameras = [...videosByCamera(files)].map(([name, rows]) => {
-    const [first, ...more] = partsOf(rows) ?? rows;
+    const [first, ...more] = orderParts(rows) ?? rows;
     return {
       name, file: first.name, ...(more.length && { more_files: more.map((row) => row.name) }),
       offset_s: first.offset_s, ...(first.rate !== null && { rate: first.rate }),
@@ -86,7 +86,7 @@ const MIN_CAMERAS = 2;
 const asksForUnit = (problem) => problem.items?.some(({ code }) => code === "calibration_units_unstated");
 // Files of cameras that have several which are no parts of one recording.
 export function findDoubled(views) {
-  const joined = [...videosByCamera(views).values()].filter((rows) => partsOf(rows) !== null).flat();
+  const joined = [...videosByCamera(views).values()].filter((rows) => orderParts(rows) !== null).flat();
   return views.filter((row) => row.camera && !joined.includes(row) && views.some((other) => other !== row && other.camera === row.camera));
 }
 

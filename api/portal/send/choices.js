@@ -41,14 +41,14 @@ export function shownSpec(spec, options) {
 export const pickCharacter = ({ character }) => (character ? { character } : {});
 
 // Value that a choice has in a spec: the default if it is not set.
-export const valueOf = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
+export const choiceValue = (choice, spec) => (choice.name in spec ? spec[choice.name] : choice.default);
 
 // The form. `id` tells two forms of a page apart; `onChange(name, value)` gets undefined for the default.
-// `hidden` names choices that stand elsewhere, and `noteOf(choice, value)` gives a further note of a value.
-export function choicesForm({ id, options, spec, onChange, hidden = [], noteOf = () => null }) {
+// `hidden` names choices that stand elsewhere, and `valueNote(choice, value)` gives a further note of a value.
+export function choicesForm({ id, options, spec, onChange, hidden = [], valueNote = () => null }) {
   if (!options) return html`<p class="quiet">Loading the choices …</p>`;
   const set = (choice, value) => onChange(choice.name, value);
-  const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, noteOf, set: (value) => set(choice, value) }) ?? nothing;
+  const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, valueNote, set: (value) => set(choice, value) }) ?? nothing;
   // One value of few comes before several: the application before its files.
   const shown = options.choices.filter(({ name }) => !hidden.includes(name));
   const groupChoices = (group) => shown.filter((choice) => choice.group === group)
@@ -80,7 +80,7 @@ const isOfPurposes = ({ name }, { purposes }) => name in purposes[0].spec;
 // What a take is for, which sets several choices at once; none is checked if they were set otherwise.
 function purposeField({ id, options, spec, onChange }) {
   const findChoice = (name) => options.choices.find((choice) => choice.name === name);
-  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(valueOf(findChoice(name), spec), value)));
+  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(choiceValue(findChoice(name), spec), value)));
   const pick = (purpose) => {
     for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, findChoice(name).default) ? undefined : value);
   };
@@ -107,13 +107,13 @@ function numberField({ id, choice, value, onInput, isWhole, placeholder, label, 
 const numberIn = (event) => (event.target.value === "" ? undefined : event.target.valueAsNumber);
 
 const FIELDS = {
-  one({ id, choice, spec, options, noteOf, set }) {
+  one({ id, choice, spec, options, valueNote, set }) {
     const values = offered(choice, spec, options);
-    const chosen = valueOf(choice, spec);
+    const chosen = choiceValue(choice, spec);
     const pick = (name) => set(name === choice.default ? undefined : name);
     if (choice.group !== "advanced" && !isOfPurposes(choice, options) && values.length <= MOST_TILES) {
       return frame(choice, values.map(({ name, label, note }) => tile({
-        id, choice, value: name, label, note: sentences(noteOf(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
+        id, choice, value: name, label, note: sentences(valueNote(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
       })));
     }
     return html`<label class="field"><span>${choice.label}</span>
@@ -122,7 +122,7 @@ const FIELDS = {
       </select><span class="quiet">${prose(choice.description)}</span></label>`;
   },
   several({ id, choice, spec, options, set }) {
-    const chosen = new Set(valueOf(choice, spec));
+    const chosen = new Set(choiceValue(choice, spec));
     const toggle = (name) => (event) => {
       if (event.target.checked) chosen.add(name); else chosen.delete(name);
       const list = choice.values.map((value) => value.name).filter((value) => chosen.has(value));
@@ -133,7 +133,7 @@ const FIELDS = {
     })));
   },
   whole_number({ id, choice, spec, set }) {
-    const chosen = valueOf(choice, spec);
+    const chosen = choiceValue(choice, spec);
     const pick = (value) => set(value === choice.default ? undefined : value);
     if (choice.group === "advanced" || choice.values.length === 0) return FIELDS.number({ id, choice, spec, set, isWhole: true });
     const few = Array.from({ length: FEW_PEOPLE }, (_, index) => (choice.minimum ?? 1) + index);
@@ -149,7 +149,7 @@ const FIELDS = {
   flag({ id, choice, spec, set }) {
     const change = (event) => set(event.target.checked === choice.default ? undefined : event.target.checked);
     return html`<div class="field"><span>${choice.label}</span>
-      <label class="check"><input type="checkbox" name="${id}-${choice.name}" .checked=${live(valueOf(choice, spec))} @change=${change}>
+      <label class="check"><input type="checkbox" name="${id}-${choice.name}" .checked=${live(choiceValue(choice, spec))} @change=${change}>
         <span class="quiet">${prose(choice.description)}</span></label></div>`;
   },
   number({ id, choice, spec, set, isWhole = false }) {

@@ -45,14 +45,14 @@ export function uniqueNames(files) {
   return new Map(all.map((file) => [file, alike.includes(file) ? readPath(file).split("/").slice(shared).join("_") : file.name]));
 }
 
-const endingOf = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
+const fileEnding = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
 // Files that belong to one camera, by their kinds.
 export const needsCamera = ({ kind }) => kind === "video" || kind === "keypoints";
 
 // Kind of a file; null for a file that belongs to no capture.
 export async function detectKind(file) {
-  const ending = endingOf(file.name);
+  const ending = fileEnding(file.name);
   if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
   if (ARRAY.test(file.name)) return "array";
   const found = Object.entries(KINDS).find(([, endings]) => endings.includes(ending));
@@ -67,7 +67,7 @@ function kindOfZip(tail) {
   for (let at = text.indexOf(ENTRY); at >= 0 && at + NAME_AT < tail.byteLength; at = text.indexOf(ENTRY, at + 1)) {
     names.push(text.substr(at + NAME_AT, bytes.getUint16(at + NAME_LENGTH_AT, true)));
   }
-  const endings = new Set(names.map(endingOf));
+  const endings = new Set(names.map(fileEnding));
   if (IMAGES.some((ending) => endings.has(ending))) return "video";
   return KEYPOINTS.some((ending) => endings.has(ending)) || names.some((name) => LABELS.test(name)) ? "keypoints" : "calibration";
 }
@@ -115,10 +115,10 @@ export async function addFiles(draft, chosen, { notes, forget, isOver }) {
   const kinds = await Promise.all(files.map(detectKind));
   const counts = await Promise.all(files.map((file, index) => (kinds[index] === "video" ? countFrames(file) : null)));
   if (isOver()) return null;
-  const filesOf = (kind) => files.filter((file, index) => kinds[index] === kind);
+  const filesByKind = (kind) => files.filter((file, index) => kinds[index] === kind);
   const names = uniqueNames([...draft.rows.map(({ file }) => file).filter(Boolean), ...files]);
   for (const row of draft.rows) if (row.file && !row.url && !row.isActive) row.name = names.get(row.file);
-  const [calibrations, others] = [filesOf("calibration"), filesOf(null)];
+  const [calibrations, others] = [filesByKind("calibration"), filesByKind(null)];
   const added = new Set();
   files.forEach((file, index) => {
     const [kind, name] = [kinds[index], names.get(file)];

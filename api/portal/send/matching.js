@@ -4,14 +4,14 @@ import { stem } from "../shared/format.js";
 import { isPassedOver, readPath } from "./files.js";
 
 const isNumber = (run) => /^[0-9]/.test(run);
-const runsOf = (text) => text.match(/[0-9]+|[^0-9]+/g) ?? [];
+const splitRuns = (text) => text.match(/[0-9]+|[^0-9]+/g) ?? [];
 // Upper case first unites letters of one lower-case form, such as ß and ss, as case folding does.
 const folded = (name) => name.normalize("NFC").toUpperCase().toLowerCase().replaceAll("ς", "σ").normalize("NFC");
-const wordsOf = (name) => folded(name).match(/[\p{L}\p{M}\p{N}]+/gu) ?? [];
+const splitWords = (name) => folded(name).match(/[\p{L}\p{M}\p{N}]+/gu) ?? [];
 
 // Order of names in which digits count as numbers, and case is ignored.
 export function naturalOrder(one, other) {
-  const [left, right] = [one, other].map((name) => runsOf(folded(name)));
+  const [left, right] = [one, other].map((name) => splitRuns(folded(name)));
   for (let at = 0; at < Math.min(left.length, right.length); at += 1) {
     const [a, b] = [left[at], right[at]];
     if (isNumber(a) !== isNumber(b)) return isNumber(a) ? -1 : 1;
@@ -26,7 +26,7 @@ export function naturalOrder(one, other) {
 function* keysFrom(words, start, mostRuns, { withZeros }) {
   const runs = [];
   for (let at = start; at < words.length; at += 1) {
-    for (const run of runsOf(words[at])) {
+    for (const run of splitRuns(words[at])) {
       if (isNumber(run)) runs.push(withZeros ? run : run.replace(/^0+(?=.)/, ""));
       else if (runs.length && !isNumber(runs.at(-1))) runs.push(runs.pop() + run);
       else runs.push(run);
@@ -41,7 +41,7 @@ function findSpans(words, cameras, options) {
   const known = new Map();
   let mostRuns = 0;
   for (const camera of cameras) {
-    const key = [...keysFrom(wordsOf(camera), 0, Infinity, options)].at(-1)?.[1];
+    const key = [...keysFrom(splitWords(camera), 0, Infinity, options)].at(-1)?.[1];
     if (!key) continue;
     mostRuns = Math.max(mostRuns, key.split("\0").length);
     known.set(key, [...(known.get(key) ?? []), camera]);
@@ -72,7 +72,7 @@ const listCameras = (spans) => [...new Set(spans.map(({ camera }) => camera))];
 // Cameras whose names are whole words in the name of each file, by the file's name: one, none, or several if the name is
 // ambiguous.
 export function camerasInNames(names, cameras) {
-  const split = names.map((name) => wordsOf(stem(name)));
+  const split = names.map((name) => splitWords(stem(name)));
   const [numLeft, numRight] = numShared(split);
   return new Map(names.map((name, index) => {
     const exact = cameras.find((camera) => camera.normalize("NFC") === stem(name).normalize("NFC"));
@@ -112,7 +112,7 @@ const PATTERNS = [
 ].map(({ source }) => new RegExp(`^(?<head>(?:.*[^a-z0-9])?)${source}(?<tail>(?:[^a-z0-9].*)?)$`, "s"));
 
 // Place of a file in its recording; null if its name tells of no recording in parts.
-function partOf(name) {
+function parsePart(name) {
   const folded = name.normalize("NFC").toLowerCase();
   for (const [index, pattern] of PATTERNS.entries()) {
     const found = pattern.exec(folded)?.groups;
@@ -128,7 +128,7 @@ export function groupRecordings(names) {
   const found = new Map();
   const alone = [];
   for (const name of [...names].sort(naturalOrder)) {
-    const part = partOf(name);
+    const part = parsePart(name);
     const parts = part && (found.get(part.recording) ?? new Map());
     if (part === null || parts.has(part.number)) alone.push([name]);
     else found.set(part.recording, parts.set(part.number, name));

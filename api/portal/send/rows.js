@@ -3,7 +3,7 @@
 import { count, percent, size } from "../shared/format.js";
 import { html, live, nothing, problemBox, repeat, typed, warningList } from "../shared/lit.js";
 
-function stateOf(row) {
+function rowState(row) {
   if (row.isSent) return "sent";
   if (row.hasFailed && !row.isActive) return "failed";
   if (row.file === null) return row.sent ? `${percent(row.sent / row.size)} sent; choose the file again` : "choose the file again";
@@ -11,12 +11,12 @@ function stateOf(row) {
   return row.sent ? `${percent(row.sent / row.size)} sent` : "";
 }
 
-const numberOf = (event, empty) => (event.target.value === "" ? empty : event.target.valueAsNumber);
+const enteredNumber = (event, empty) => (event.target.value === "" ? empty : event.target.valueAsNumber);
 
 function timing(row, name, { label, empty, change, isLocked }) {
   return html`<input type="number" class="number" step="any" aria-label="${label} of ${row.name}" placeholder=${empty}
     .value=${typed(row[name] || null)} ?disabled=${isLocked || !row.isUsed}
-    @input=${(event) => change(row, { [name]: numberOf(event, name === "rate" ? null : 0) })}>`;
+    @input=${(event) => change(row, { [name]: enteredNumber(event, name === "rate" ? null : 0) })}>`;
 }
 
 function cameraField(row, sending, change, isLocked) {
@@ -33,7 +33,7 @@ function cameraField(row, sending, change, isLocked) {
 
 // A recording has one start and one rate, whatever number of files it is in.
 function timingCells(row, sending, change, isLocked) {
-  const part = sending.partOf(row);
+  const part = sending.findPart(row);
   if (part) return html`<td colspan="2" class="quiet">part ${part + 1} of the recording</td>`;
   return html`<td>${timing(row, "offset_s", { label: "Offset in seconds", empty: "0", change, isLocked })}</td>
     <td>${timing(row, "rate", { label: "Frame rate in Hz", empty: "as is", change, isLocked })}</td>`;
@@ -61,7 +61,7 @@ export function fileTable({ sending, change, remove }) {
         ${hasVideos ? timingCells(row, sending, change, isLocked) : nothing}
         <td class="sent">
           ${row.sent || row.isActive ? html`<progress max="1" .value=${row.size ? row.sent / row.size : 1} aria-label="Sent of ${row.name}"></progress>` : nothing}
-          <span class="quiet">${stateOf(row)}</span>
+          <span class="quiet">${rowState(row)}</span>
         </td>
         <td><button type="button" class="button ghost icon" aria-label="Remove ${row.name}" title="Remove" ?disabled=${isLocked}
           @click=${(event) => remove(row, event.target)}>✕</button></td>

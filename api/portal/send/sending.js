@@ -8,7 +8,7 @@ import { countCameraFrames, estimateTime } from "../shared/jobs.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
 import { ChosenCalibration } from "./calibration.js";
-import { planCapture, findFaults, jobBody, partsOf, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
+import { planCapture, findFaults, jobBody, orderParts, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
 import { addFiles, emptyDraft, needsCamera, loadDraft, saveDraft } from "./files.js";
 import { inOrder, matchCameras } from "./matching.js";
 import { UploadQueue } from "./uploads.js";
@@ -222,9 +222,9 @@ class Sending extends EventTarget {
   }
 
   // Number of a row among the parts of its camera's recording, from 0; null if it is the only one, or no part.
-  partOf(row) {
+  findPart(row) {
     const rows = videosByCamera(this.used).get(row.camera) ?? [];
-    const parts = rows.length > 1 ? partsOf(rows) : null;
+    const parts = rows.length > 1 ? orderParts(rows) : null;
     return parts?.includes(row) ? parts.indexOf(row) : null;
   }
 
@@ -345,9 +345,9 @@ class Sending extends EventTarget {
 
   // Problems of the last answer and findings of the check that concern a file.
   rowFindings(row) {
-    if (this.partOf(row)) return (this.problem?.items ?? []).filter(({ file }) => file === row.name).map((item) => ({ ...item, severity: "error" }));
-    const isOf = (item) => (item.file ? item.file === row.name : Boolean(item.camera) && item.camera === row.camera);
-    const refused = (this.problem?.items ?? []).filter(isOf).map((item) => ({ ...item, severity: "error" }));
+    if (this.findPart(row)) return (this.problem?.items ?? []).filter(({ file }) => file === row.name).map((item) => ({ ...item, severity: "error" }));
+    const isAboutRow = (item) => (item.file ? item.file === row.name : Boolean(item.camera) && item.camera === row.camera);
+    const refused = (this.problem?.items ?? []).filter(isAboutRow).map((item) => ({ ...item, severity: "error" }));
     return [...refused, ...(this.session?.preflight.findings ?? []).filter(({ camera }) => camera && camera === row.camera)];
   }
 

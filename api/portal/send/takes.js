@@ -25,7 +25,7 @@ function knownJobs() {
 }
 
 // State of a take of a folder that may have been sent before.
-function stateOf(take, known) {
+function takeState(take, known) {
   const id = known.get(makeFingerprint(take));
   return { state: id ? "before" : "waiting", problem: null, job: id ? { id } : null };
 }
@@ -74,7 +74,7 @@ class Takes {
     const { takes, beside } = this.offered;
     this.offered = null;
     const known = knownJobs();
-    this.list = takes.map((take) => ({ ...take, ...stateOf(take, known) }));
+    this.list = takes.map((take) => ({ ...take, ...takeState(take, known) }));
     const [next] = this.waiting;
     if (next) await this.#show(next, beside);
     this.#sharedId = next?.hasCalibration ? null : sending.rig.id;

@@ -3,7 +3,7 @@
 import { call, persistently, RequestProblem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, percent } from "../shared/format.js";
-import { hasEnded, stateOf } from "../shared/jobs.js";
+import { hasEnded, jobState } from "../shared/jobs.js";
 import { html, live, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
 import { address, go } from "../shared/page.js";
 import { characters, readCalibrations } from "../shared/resources.js";
@@ -69,7 +69,7 @@ export function open(place) {
   };
 
   // Time of this take with a value of a choice.
-  const noteOf = (choice, value) => (choice.name === "profile" ? sending.estimate({ profile: value })?.text : null);
+  const valueNote = (choice, value) => (choice.name === "profile" ? sending.estimate({ profile: value })?.text : null);
 
   function dropPart(isLocked) {
     const isEmpty = sending.rows.length === 0;
@@ -150,7 +150,7 @@ export function open(place) {
           ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (...chosen) => sending.readCalibration(...chosen) })}
         </section>
         <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
-          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, noteOf })}
+          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, valueNote })}
         </section>
       </div>
       <aside class="side">${goPanel({ sending, numTakes: takes.waiting.length, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>
@@ -225,7 +225,7 @@ function recentJobs(feed) {
   return html`<section class="panel recent" aria-labelledby="recent-title">
     <h2 id="recent-title">Latest</h2>
     <ol>${repeat(jobs, ({ id }) => id, (job) => {
-      const { words, tone } = stateOf(job);
+      const { words, tone } = jobState(job);
       return html`<li>
         <a href=${address("jobs", job.id)}>${job.kind === "calibration" ? "Calibration: " : ""}${job.session_name}</a>
         <span class="state" data-tone=${tone}>${words}</span>

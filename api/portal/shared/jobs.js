@@ -18,7 +18,7 @@ const hasWarning = (job, wanted) => job.result_warnings.some(({ code }) => code 
 const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
-export function stateOf(job) {
+export function jobState(job) {
   if (job.state === "succeeded" && foundNobody(job)) return { words: "Done: nobody was found", tone: "empty" };
   if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: "Done: the edits leave nobody", tone: "empty" };
   if (job.state === "succeeded" && job.result_warnings.length) return { words: "Done, with warnings", tone: "warn" };
@@ -27,7 +27,7 @@ export function stateOf(job) {
 }
 
 // Facts of a job in short: times, attempts, its place in the queue, time left.
-export function factsOf(job) {
+export function jobFacts(job) {
   const facts = [moment(job.created_at)];
   // A change of the edits is an attempt too.
   if (job.attempt > job.revision + 1) facts.push(`attempt ${job.attempt - job.revision}`);

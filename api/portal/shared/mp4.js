@@ -21,7 +21,7 @@ export async function readIndex(read) {
   const codec = table && readH264(path(table, "stsd"));
   const sizes = table && readSizes(path(table, "stsz"));
   if (!codec || !sizes || sizes.length === 0) return null;
-  return { ...codec, sizes, offsets: readOffsets(table, sizes), isKey: readKeys(path(table, "stss"), sizes.length), frames: framesOf(table, sizes.length) };
+  return { ...codec, sizes, offsets: readOffsets(table, sizes), isKey: readKeys(path(table, "stss"), sizes.length), frames: readFrames(table, sizes.length) };
 }
 
 /** Number of frames of a video file; null of other files, and of videos without an index of all frames. */
@@ -131,12 +131,12 @@ function readKeys(table, count) {
 }
 
 /** Number of each sample in the order of showing. */
-function framesOf(table, count) {
-  const times = runsOf(path(table, "stts"), count, (view, place) => view.getUint32(place));
+function readFrames(table, count) {
+  const times = readRuns(path(table, "stts"), count, (view, place) => view.getUint32(place));
   // Times of decoding are sums; offsets to times of showing may be negative.
   for (let sample = 0, at = 0; sample < count; sample++) [times[sample], at] = [at, at + times[sample]];
   const later = path(table, "ctts");
-  if (later) runsOf(later, count, (view, place) => view.getInt32(place)).forEach((offset, sample) => { times[sample] += offset; });
+  if (later) readRuns(later, count, (view, place) => view.getInt32(place)).forEach((offset, sample) => { times[sample] += offset; });
   const order = Uint32Array.from({ length: count }, (_, sample) => sample).sort((one, other) => times[one] - times[other] || one - other);
   const frames = new Uint32Array(count);
   order.forEach((sample, frame) => { frames[sample] = frame; });
@@ -144,7 +144,7 @@ function framesOf(table, count) {
 }
 
 /** Values of a table of runs, one a sample. */
-function runsOf(table, count, valueAt) {
+function readRuns(table, count, valueAt) {
   const values = new Float64Array(count);
   let sample = 0;
   for (let run = 0; run < table.getUint32(4) && sample < count; run++) {

@@ -16,7 +16,7 @@ export async function readOptions() {
   return options;
 }
 
-export function valueOf(choice, value) {
+export function choiceText(choice, value) {
   const label = (item) => choice.values.find(({ name }) => name === item)?.label ?? String(item);
   return Array.isArray(value) ? value.map((item) => label(item ?? "…")).join(", ") : label(value);
 }
@@ -26,7 +26,7 @@ export function describeSpec(spec, { choices }) {
   const differs = (choice) => JSON.stringify(spec[choice.name] ?? null) !== JSON.stringify(choice.default ?? null);
   const describe = (choice) => (choice.kind === "flag"
     ? { label: spec[choice.name] ? "With" : "Without", value: choice.label }
-    : { label: choice.label, value: valueOf(choice, spec[choice.name]) });
+    : { label: choice.label, value: choiceText(choice, spec[choice.name]) });
   const changed = choices.filter((choice) => choice.name in spec && differs(choice)).map(describe);
   return spec.character ? [...changed, { label: "With", value: "a character" }] : changed;
 }

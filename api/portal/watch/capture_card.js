@@ -11,7 +11,7 @@ import { announce } from "../shared/page.js";
 import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
 import { jobRow } from "./job_row.js";
 
-function factsOf(session) {
+function captureFacts(session) {
   const { cameras, timebase } = session.preflight;
   return [
     moment(session.created_at),
@@ -142,7 +142,7 @@ export function captureCard(view, session) {
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
     else {
-      const spec = specOf(jobs[0], view.options, session);
+      const spec = jobSpec(jobs[0], view.options, session);
       view.opened.set(session.id, spec);
       characters.load(spec);
     }
@@ -155,7 +155,7 @@ export function captureCard(view, session) {
       ${pictureOfCapture(session)}
       <div>
         ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>`}
-        <p class="quiet facts">${factsOf(session).map((fact) => html`<span>${fact}</span>`)}</p>
+        <p class="quiet facts">${captureFacts(session).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${view.canWrite ? html`<div class="actions">
         ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
@@ -184,7 +184,7 @@ export function captureCard(view, session) {
 const OF_SESSION = ["sync", "timeline"];
 
 // Choices of a job that differ from the defaults; without a job from its session's.
-export function specOf(job, options, session) {
+export function jobSpec(job, options, session) {
   const stated = job?.spec ?? Object.fromEntries(OF_SESSION.map((name) => [name, session[name]]));
   const differs = ({ name, default: usual }) => (job || OF_SESSION.includes(name))
     && JSON.stringify(stated[name] ?? null) !== JSON.stringify(usual ?? null);
@@ -216,12 +216,12 @@ function runAgainForm(view, session) {
   const { preflight } = session;
   const counts = preflight.cameras.map(({ num_frames: number }) => number);
   const isVideo = session.files.some(({ kind }) => kind === "video");
-  const noteOf = (choice, value) => {
+  const valueNote = (choice, value) => {
     const wanted = { ...spec, profile: value };
     return isVideo && choice.name === "profile" ? estimateTime(wanted, countCameraFrames(counts, wanted), feed.newest(), view.options)?.text : null;
   };
   return html`<form class="again" id="again-${session.id}" aria-label="Run ${session.name} again" @submit=${submit}>
-    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, noteOf })}
+    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, valueNote })}
     <div class="actions"><button class="button primary">Reconstruct without uploading</button>
       <button type="button" class="button" @click=${close}>Close</button></div>
   </form>`;

@@ -2,7 +2,7 @@
 
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { describeProgress, factsOf, hasEnded, hasFiles, stateOf } from "../shared/jobs.js";
+import { describeProgress, jobFacts, hasEnded, hasFiles, jobState } from "../shared/jobs.js";
 import { confirm, html, nothing, problemBox, warningList } from "../shared/lit.js";
 import { address, announce } from "../shared/page.js";
 import { describeSpec } from "../shared/resources.js";
@@ -43,7 +43,7 @@ export function waitingBox(job) {
 
 // `number`: place of the job among its capture's jobs, from 1; null if it is the only one.
 export function jobRow(view, job, number) {
-  const { words, tone } = stateOf(job);
+  const { words, tone } = jobState(job);
   const name = number === null ? job.session_name : `${job.session_name}, run ${number}`;
   const act = (path, method, said) => view.act(job.id, async () => {
     const answer = await call(path, { method });
@@ -66,7 +66,7 @@ export function jobRow(view, job, number) {
       ${number === null ? nothing : html`<b class="run">Run ${number}</b>`}
       <span class="state" data-tone=${tone}>${words}</span>
       ${choiceList(job, view.options)}
-      <p class="quiet facts">${factsOf(job).map((fact) => html`<span>${fact}</span>`)}</p>
+      <p class="quiet facts">${jobFacts(job).map((fact) => html`<span>${fact}</span>`)}</p>
       <div class="actions">
         ${isOpenable && hasFiles(job) ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
           <a class="button small" href=${job.links.results_zip} download aria-label="All as ZIP: ${name}">All as ZIP</a>` : nothing}

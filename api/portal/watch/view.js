@@ -2,7 +2,7 @@
 
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { stateOf } from "../shared/jobs.js";
+import { jobState } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, readOptions } from "../shared/resources.js";
@@ -111,7 +111,7 @@ class Captures {
     let isOld = this.isLoaded && feed.newest().some((job) => !known.has(job.session_id) && job.session_id > newest);
     for (const job of feed.jobs.values()) {
       const before = this.#states.get(job.id);
-      if (before !== undefined && before !== job.state) announce(`${job.session_name}: ${stateOf(job).words}`);
+      if (before !== undefined && before !== job.state) announce(`${job.session_name}: ${jobState(job).words}`);
       isOld ||= before !== job.state && this.filter !== "";
       this.#states.set(job.id, job.state);
     }

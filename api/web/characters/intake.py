@@ -25,7 +25,7 @@ from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import MISSING_PART
 from pipeline.core.problems.session_codes import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.keys import character_key, character_prefix
+from worker.store.files.file_keys import character_key, character_prefix
 from worker.store.model.character_records import Character, StoredCharacterFile
 from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords

@@ -35,7 +35,7 @@ from worker.run import tracing
 from worker.run.planning import PlannableSession, has_videos, plan_config, plan_job
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.errors import Conflict, NotFound
-from worker.store.files.keys import job_character_key, job_prefix
+from worker.store.files.file_keys import job_character_key, job_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobRecord
 from worker.store.outages import is_perhaps_recorded

@@ -88,7 +88,7 @@ class Intake:
         if head.num_people and head.num_points != self._num_points:
             detail = f"The packet states {head.num_points} points a person, and the layout has {self._num_points}."
             raise SocketProblem(LIVE_JOINTS, detail)
-        numbers = array("f", bytes(KeypointsHead.body_of(packet)))
+        numbers = array("f", bytes(KeypointsHead.packet_body(packet)))
         # The sum of finite numbers of single precision is finite in double precision; of others it is not.
         if not math.isfinite(sum(numbers)) or not -MAX_TIME_S <= head.time_s <= MAX_TIME_S:
             raise SocketProblem(LIVE_PACKET, "A number of the packet is not finite, or the time is out of range.")

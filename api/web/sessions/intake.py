@@ -44,7 +44,7 @@ from pipeline.core.problems.request_codes import (
 )
 from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.store.errors import NotFound
-from worker.store.files.keys import input_key, record_key, session_prefix, thumbnail_key
+from worker.store.files.file_keys import input_key, record_key, session_prefix, thumbnail_key
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import InputFile, Purpose, Session
 from worker.store.outages import is_perhaps_recorded

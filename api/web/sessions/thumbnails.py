@@ -11,7 +11,7 @@ from api.web.downloads import ConditionsDep, Download, file_responses, send_file
 from api.web.sessions.videos import Camera, deleted
 from pipeline.capture.preflight_record import thumbnail_name
 from worker.store.errors import NotFound
-from worker.store.files.keys import thumbnail_key
+from worker.store.files.file_keys import thumbnail_key
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/thumbnails", tags=["sessions"])
 

@@ -39,7 +39,7 @@ def _off_m(ray, center_m, point_m):
 
 @kernel
 @no_type_check
-def _support_of(agreement, rays, center_m, weight, points_m):
+def _support(agreement, rays, center_m, weight, points_m):
     """Support of a view's hand for a hypothesis, from 0 to the hand's weight."""
     total, count = 0.0, 0
     for k in range(len(rays)):
@@ -118,7 +118,7 @@ def _total_support(agreement, rays, weights, centers_m, side):
             weight = _weight_for(agreement, weights[view], side, hand)
             if weight > 0:
                 seen = rays[view, hand], centers_m[view], weight
-                support = max(support, _support_of(agreement, *seen, agreement.met_m))
+                support = max(support, _support(agreement, *seen, agreement.met_m))
         total += support
     return total
 
@@ -198,7 +198,7 @@ def choose_hands(agreement, rays, weights, centers_m, wrist_m, chosen):
                     weight = _weight_for(agreement, weights[frame, view], side, hand)
                     if weight > 0:
                         seen = rays[frame, view, hand], centers_m[view], weight
-                        support = _support_of(agreement, *seen, agreement.best_m[side])
+                        support = _support(agreement, *seen, agreement.best_m[side])
                         if support > agreement.support[view, side]:
                             agreement.support[view, side] = support
                             ours[view, side] = hand

@@ -104,7 +104,7 @@ def attach_hands(
             _arrange(values, chosen, missing)
         xyz_m = triangulate_frames(projections, ideal_px, score, min_score)
         _drop_far(xyz_m, wrist_m)
-        hands = _track_of(track, xyz_m, points_px, score, cameras, timebase, min_score)
+        hands = _finger_track(track, xyz_m, points_px, score, cameras, timebase, min_score)
         tracks.append(_whole_track(track, hands, columns))
         points_px, score = _joined(columns, seen.points_px, points_px, 2), _joined(columns, seen.score, score, 2)
         observations.append(replace(seen, points_px=points_px, score=score))
@@ -166,7 +166,7 @@ def _drop_far(xyz_m: Float[np.ndarray, "frames fingers 3"], wrist_m: Float[np.nd
     xyz_m[far] = np.nan
 
 
-def _track_of(
+def _finger_track(
     body: Track3D,
     xyz_m: Float[np.ndarray, "frames fingers 3"],
     points_px: Float[np.ndarray, "frames cameras fingers 2"],

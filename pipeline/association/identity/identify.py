@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.association.identity.clothes import tracklet_ratios
-from pipeline.association.identity.joining import Chain, TrackletLinks, doubts_of, join
+from pipeline.association.identity.joining import Chain, TrackletLinks, chain_doubts, join
 from pipeline.association.identity.likenesses import find_likenesses, seen_in
 from pipeline.association.identity.merging import cut, merge, merge_doubles
 from pipeline.association.identity.phantoms import end_phantoms, is_spurious, mean_bodies
@@ -113,7 +113,7 @@ def identify(
         for (_, phantoms), (_, number) in zip(ended, kept, strict=True)
         for phantom in phantoms
     ]
-    of_chains = doubts_of(session, chains)
+    of_chains = chain_doubts(session, chains)
     doubts = [
         [Doubt(doubt.frame, doubt.confidence, numbers.get(doubt.other, 0)) for doubt in of_chains[number]]
         for number in numbers

@@ -53,7 +53,7 @@ def join(session: TrackletLinks) -> list[Chain]:
     return sorted([*filter(None, search.chains), *chains[_MOST_CHAINS:]])
 
 
-def doubts_of(session: TrackletLinks, chains: Sequence[Chain]) -> list[list[Doubt]]:
+def chain_doubts(session: TrackletLinks, chains: Sequence[Chain]) -> list[list[Doubt]]:
     """Doubts about each of the joined chains, in order of time; the other person is the number of a chain, or -1."""
     by_length = sorted(range(len(chains)), key=lambda number: -_num_frames(session, chains[number]))[:_MOST_CHAINS]
     doubts: list[list[Doubt]] = [[] for _ in chains]
@@ -164,7 +164,7 @@ class _Search:
             best |= {pair: self._best(*pair) for pair in self._pairs(changed)}
 
     def doubts(self) -> list[list[Doubt]]:
-        """See ``doubts_of``: the best exchange at each border of a chain, if it is nearly as likely."""
+        """See ``chain_doubts``: the best exchange at each border of a chain, if it is nearly as likely."""
         best_links: list[dict[int, tuple[float, int]]] = [{} for _ in self.chains]
         for first in range(len(self.chains)):
             for second in range(first + 1, len(self.chains)):

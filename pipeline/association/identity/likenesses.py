@@ -339,7 +339,7 @@ def without_likenesses(
     sees = np.concatenate([np.isfinite(some.points_px[..., 0]).any(1) for some in poses])
     rate_hz = timebase.frame_rate_hz / step
     chains = _link(frame, xyz_m, round(_ABSENT_S * timebase.frame_rate_hz))
-    tracks = [_track_of(frame[rows] // step, xyz_m[rows]) for rows in chains]
+    tracks = [_instants_track(frame[rows] // step, xyz_m[rows]) for rows in chains]
 
     def sees_in(number: int) -> np.ndarray:
         return np.asarray(sees[chains[number]])
@@ -387,7 +387,7 @@ def _middle_m(xyz_m: Float[np.ndarray, "poses joints 3"]) -> Float[np.ndarray, "
     return middle_m
 
 
-def _track_of(instant: Int[np.ndarray, " rows"], xyz_m: Float[np.ndarray, "rows joints 3"]) -> Track3D:
+def _instants_track(instant: Int[np.ndarray, " rows"], xyz_m: Float[np.ndarray, "rows joints 3"]) -> Track3D:
     """Track of the poses of one body, by instants."""
     num = int(instant[-1] - instant[0]) + 1
     all_m = np.full((num, *xyz_m.shape[1:]), np.nan)

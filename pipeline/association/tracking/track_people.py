@@ -20,7 +20,7 @@ from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Leftovers, Observations, People, Track3D
-from pipeline.core.progress import OnShare, ignore, part_of
+from pipeline.core.progress import OnShare, ignore, sub_share
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses
 from pipeline.geometry.kernels import make_solver
@@ -146,11 +146,11 @@ def track_bodies(
         People; see ``locate_people``.
     """
     ideal_px = undistorted(cameras, bodies)
-    identity = _identify(cameras, times, bodies, ideal_px, parameters, part_of(on_share, 0.0, 0.5), on_approximate)
+    identity = _identify(cameras, times, bodies, ideal_px, parameters, sub_share(on_share, 0.0, 0.5), on_approximate)
     samplings = _samplings(cameras, bodies, identity, timebase, parameters)
-    xyz_m = _triangulate(cameras, bodies, ideal_px, samplings, parameters, part_of(on_share, 0.5, 0.75))
+    xyz_m = _triangulate(cameras, bodies, ideal_px, samplings, parameters, sub_share(on_share, 0.5, 0.75))
     del ideal_px
-    return _record(cameras, bodies, samplings, xyz_m, timebase, parameters, part_of(on_share, 0.75, 1.0))
+    return _record(cameras, bodies, samplings, xyz_m, timebase, parameters, sub_share(on_share, 0.75, 1.0))
 
 
 def _identify(

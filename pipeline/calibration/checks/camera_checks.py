@@ -187,7 +187,7 @@ def check_views(cameras: Sequence[Camera]) -> list[Finding]:
         places_m = _places_m(camera, float(apart_m.max()))
         # Neighbours first: they share most.
         others = [other for other in np.argsort(apart_m[number], kind="stable") if other != number]
-        if others and not any(sees(cameras[other], places_m).any() for other in others):
+        if others and not any(in_picture(cameras[other], places_m).any() for other in others):
             alone.append(camera.name)
     message = "No other camera sees any place that the camera sees: people there can't be located."
     hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
@@ -207,10 +207,10 @@ def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
     rays = rays_in_world(camera, grid_px[np.isfinite(grid_px).all(-1)])
     distance_m = np.geomspace(_NEAREST_M, max(_FARTHEST_M, _FARTHEST * extent_m), _NUM_DISTANCES)
     places_m = (center_in_world(camera) + distance_m[:, None, None] * rays).reshape(-1, 3)
-    return places_m[sees(camera, places_m)]
+    return places_m[in_picture(camera, places_m)]
 
 
-def sees(camera: Camera, places_m: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
+def in_picture(camera: Camera, places_m: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
     """Places that a camera has in its picture.
 
     The size of its picture must be known; the places are in the world.

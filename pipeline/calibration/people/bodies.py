@@ -38,7 +38,7 @@ class MatchedBodies:
         """Joints that each camera sees."""
         return np.isfinite(self.points_px).all(-1)
 
-    def of_cameras(self, numbers: Sequence[int]) -> "MatchedBodies":
+    def in_cameras(self, numbers: Sequence[int]) -> "MatchedBodies":
         """Bodies as some cameras see them."""
         return MatchedBodies(self.group, self.instant, self.points_px[:, list(numbers)])
 

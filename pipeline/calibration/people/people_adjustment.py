@@ -83,7 +83,7 @@ class _Fit:
 def adjust_poses(posed: Mapping[int, Camera], bodies: MatchedBodies, has_free_lenses: bool) -> dict[int, Camera]:
     """Adjust the cameras that are posed so far to some bodies."""
     numbers = sorted(posed)
-    chosen = _spread(bodies.of_cameras(numbers), _FEW_BODIES)
+    chosen = _spread(bodies.in_cameras(numbers), _FEW_BODIES)
     fit = _adjust([posed[k] for k in numbers], chosen, None, has_free_lenses and len(numbers) > 2)
     return dict(zip(numbers, fit.adjusted.cameras, strict=True))
 

@@ -35,7 +35,7 @@ def pose_cameras(
     posed = _seed(cameras, relatives, bodies)
     while posed:
         numbers = sorted(posed)
-        xyz_m = bodies.of_cameras(numbers).triangulated([posed[k] for k in numbers])
+        xyz_m = bodies.in_cameras(numbers).triangulated([posed[k] for k in numbers])
         waiting = [k for k in range(len(cameras)) if k not in posed]
         seen = bodies.seen() & np.isfinite(xyz_m).all(-1)[:, None]
         resected = None
@@ -59,7 +59,7 @@ def _seed(cameras: Sequence[Camera], relatives: Sequence[RelativePose], bodies: 
         replace(cameras[best.first], cam_from_world=Rigid3(read_only(np.eye(3)), read_only(np.zeros(3)))),
         replace(cameras[best.second], cam_from_world=best.second_from_first),
     ]
-    both = bodies.of_cameras([best.first, best.second])
+    both = bodies.in_cameras([best.first, best.second])
     found = statures(both.triangulated(pair), bodies.group)
     if not len(found):
         return {}

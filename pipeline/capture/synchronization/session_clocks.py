@@ -133,7 +133,7 @@ def listen(session: Session, reading: Callable[[str], AbstractContextManager[Non
     ``reading`` gives the block in which the video of a camera can be read, by the camera's name.
     """
     sounds: dict[str, Float32[np.ndarray, " ms"] | str] = {}
-    for camera, video in session.video_of.items():
+    for camera, video in session.camera_videos.items():
         declared_s = session.times[camera].time_s[[0, -1]]
         if abs((declared_s[1] - declared_s[0]) / max(float(video.time_s[-1]), 1e-9) - 1.0) > _SAME_RATE:
             sounds[camera] = "The frame rate was stated: the sound has other times."

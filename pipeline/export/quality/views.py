@@ -51,7 +51,7 @@ GetViews = Callable[[Reconstruction], Sequence[PersonViews]]
 
 def _compare(take: Reconstruction, number: int) -> PersonViews:
     track, observations, body = take.tracks[number], take.observations[number], body_joints(take.joints)
-    error_px = reprojection_error_px(track, observations, take.cameras, _marks_of(take, number))
+    error_px = reprojection_error_px(track, observations, take.cameras, _mark_positions(take, number))
     of_body = replace(observations, points_px=observations.points_px[:, :, body], score=observations.score[:, :, body])
     step = max(round(_INDEPENDENT_S * take.timebase.frame_rate_hz), take.timebase.num_frames // _MAX_INSTANTS, 1)
     rows = slice(-track.start_frame % step, None, step)
@@ -86,7 +86,7 @@ def without_fingers(track: Track3D, joints: JointSet) -> Track3D:
     )
 
 
-def _marks_of(take: Reconstruction, number: int) -> PositionsOf | None:
+def _mark_positions(take: Reconstruction, number: int) -> PositionsOf | None:
     """Positions of a person's marks; ``None`` if they are the joints' centres."""
     track, joints, offsets = take.tracks[number], take.joints, take.offsets
     # A person without hips and shoulders was fitted without offsets.

@@ -16,7 +16,7 @@ from pipeline.core.options.choices import Choice
 from pipeline.core.options.config import CHOICES, ReconstructionConfig
 from pipeline.core.options.edits import edit_document
 from pipeline.core.progress import OnShare
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.export.overlay import given_names, people_at
 from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.quality.report import all_checks, quality_report
@@ -122,7 +122,7 @@ def _picture(
         return None
     time_s = float(own_s[number])
     image_rgb = None
-    if (video := session.video_of.get(camera)) is not None:
+    if (video := session.camera_videos.get(camera)) is not None:
         with reading(camera):
             image_rgb = _decoded(video, number)
         if image_rgb is None:
@@ -170,7 +170,7 @@ def _edit_words(edit: Mapping[str, Any]) -> str:
 def list_versions(distributions: Sequence[str], networks: Sequence[str]) -> Rows:
     """Versions of this program and of the installed ones among some distributions, and digests of networks."""
     rows = [(name, installed) for name in ("multicap", *distributions) if (installed := _version(name)) is not None]
-    return [*rows, *((f"network {name}", f"SHA-256 {entry_of(name).sha256}") for name in networks)]
+    return [*rows, *((f"network {name}", f"SHA-256 {find_entry(name).sha256}") for name in networks)]
 
 
 def _version(distribution: str) -> str | None:

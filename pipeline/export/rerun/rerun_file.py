@@ -32,7 +32,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.heads import HeadRegions
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.progress import OnShare, ignore, part_of, split
+from pipeline.core.progress import OnShare, ignore, split, sub_share
 from pipeline.export.person_files import spoilt
 from pipeline.export.rerun.rerun_pictures import is_unmatched, small_pictures, small_size_px
 from pipeline.export.scene import Rgb, color_rgb, file_origin_m
@@ -98,7 +98,7 @@ def write_rerun(
     part = path.with_name(f".part-{path.name}")
     try:
         part.touch()
-        _Recorder(take, part).write(footage, part_of(on_share, 0.0, 0.9))
+        _Recorder(take, part).write(footage, sub_share(on_share, 0.0, 0.9))
         _require_motions(part, path, take)
         part.replace(path)
     finally:
@@ -117,7 +117,7 @@ class _Recorder:
         """Write all parts of the take, and close the file."""
         take = self._take
         has_pictures = {
-            camera.name: footage is not None and camera.name in footage.session.video_of for camera in take.cameras
+            camera.name: footage is not None and camera.name in footage.session.camera_videos for camera in take.cameras
         }
         self._file.save(self._path, default_blueprint=_blueprint(take.cameras))
         try:
@@ -129,7 +129,7 @@ class _Recorder:
                 for camera in take.cameras
             }
             weights = [5 if has_pictures[camera.name] else 1 for camera in take.cameras]
-            on_cameras = split(part_of(on_share, 0.0, 0.7), weights)
+            on_cameras = split(sub_share(on_share, 0.0, 0.7), weights)
             for number, (camera, on_camera) in enumerate(zip(take.cameras, on_cameras, strict=True)):
                 self._add_camera(shown[camera.name])
                 if footage is not None and has_pictures[camera.name]:
@@ -138,7 +138,7 @@ class _Recorder:
                 if footage is not None and camera.name in footage.detections:
                     self._add_unmatched(footage, number, shown[camera.name])
                 on_camera(1.0)
-            on_people = split(part_of(on_share, 0.7, 1.0), [track.num_frames for track in take.tracks])
+            on_people = split(sub_share(on_share, 0.7, 1.0), [track.num_frames for track in take.tracks])
             for number, on_person in enumerate(on_people):
                 self._add_person(number, [shown[camera.name] for camera in take.cameras])
                 on_person(1.0)

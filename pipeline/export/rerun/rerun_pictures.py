@@ -60,7 +60,7 @@ def small_pictures(
     InputError
         See ``pipeline.video.decode.decode``.
     """
-    video, times = session.video_of[camera], session.times[camera]
+    video, times = session.camera_videos[camera], session.times[camera]
     frames = frames_in(times, timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
     time_s = times.time_s[frames.start : frames.stop]
     chosen = (frames.start + thinned(time_s, max(1, max_bytes // _USUAL_BYTES))).tolist()

@@ -98,11 +98,11 @@ class Footage:
     video_times: FrameTimes | None = None  # Times of the frames since the start of the video; ``None`` without a video
 
 
-def footage_of(session: Session) -> Mapping[str, Footage]:
+def session_footage(session: Session) -> Mapping[str, Footage]:
     """Frames of each camera of a session, by the camera's name."""
     return {
         camera: Footage(times)
-        if (video := session.video_of.get(camera)) is None
+        if (video := session.camera_videos.get(camera)) is None
         else Footage(times, video.path.name, FrameTimes(video.time_s))
         for camera, times in session.times.items()
     }

@@ -281,7 +281,7 @@ def _animate(
     joints = [*_with_children(num_joints), *range(num_joints, len(models))]
     angles = _Angles(motion, convention, orders, joints, frames)
     for index in joints:
-        scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.of, index))
+        scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.angles_deg, index))
 
 
 def _animate_rest(scene: FbxScene, clip: Clip, models: list[Int64], body: BodyAtRest) -> None:
@@ -321,7 +321,7 @@ class _Angles:
         angles_deg: np.ndarray = self._first_deg[self._joints.index(joint)]
         return angles_deg
 
-    def of(self, joint: int, axis: int) -> Float32[np.ndarray, " frames"]:
+    def angles_deg(self, joint: int, axis: int) -> Float32[np.ndarray, " frames"]:
         """Angles of a joint about an axis in all frames."""
         if joint not in self._group:
             start = self._joints.index(joint)
@@ -388,7 +388,7 @@ class _StoredSkeleton:
 
     def __init__(self, scene: StoredScene, person: int, convention: Convention) -> None:
         names = [convention.name(joint.name) for joint in WHOLE_SKELETON]
-        tops = list(scene.of_kind("Model", "Null"))
+        tops = list(scene.find_all("Model", "Null"))
         top = tops[person] if person < len(tops) else -1
         limbs = _limbs_below(scene, top)
         num_joints = len(limbs.keys() & set(names))
@@ -402,7 +402,7 @@ class _StoredSkeleton:
         self.origin_m = np.array(numbers(facts, ORIGIN, 3) if has_setting(facts, ORIGIN) else (0.0, 0.0, 0.0))
         self.offsets = np.array([numbers(scene.objects[model], TRANSLATION, 3) for model in models])
         (rate_hz,) = numbers(scene.global_settings, "CustomFrameRate", 1)
-        layer = next(iter(scene.of_kind("AnimationLayer", "")), 0)
+        layer = next(iter(scene.find_all("AnimationLayer", "")), 0)
         self.places = _curves(scene, layer, models[0], TRANSLATION, rate_hz)
         self.num_frames = len(self.places[0]) if self.places else 0
         self.rotations = {}
@@ -419,7 +419,7 @@ class _StoredSkeleton:
 def _limbs_below(scene: StoredScene, top: int) -> dict[str, int]:
     """Joints below a node, by name; parents come before their children."""
     below, limbs = {top}, {}
-    for model, node in scene.of_kind("Model", _LIMB).items():
+    for model, node in scene.find_all("Model", _LIMB).items():
         if scene.parent(model, "Model") in below:
             below.add(model)
             limbs[object_name(node)] = model

@@ -40,7 +40,7 @@ class StoredScene:
             if not of_setting:
                 self._parents[child].append(parent)
 
-    def of_kind(self, kind: str, subclass: str) -> dict[int, Node]:
+    def find_all(self, kind: str, subclass: str) -> dict[int, Node]:
         """Objects of a kind, such as ``Model``, and of a subclass, such as ``LimbNode``; "" is the only one of many."""
         return {
             number: node

@@ -56,7 +56,7 @@ class _Mesh:
         for number, corners in enumerate(triangles):
             for corner in corners:
                 self._of_vertex[corner].add(number)
-        self._quadrics = [self._quadrics_of(positions) for positions in poses]
+        self._quadrics = [self._pose_quadrics(positions) for positions in poses]
         # Number of the last change around each vertex: candidates of earlier ones are out of date.
         self._changes = [0] * len(poses[0])
         self._candidates = [
@@ -128,7 +128,7 @@ class _Mesh:
             error += _error(quadrics[vertex], positions[onto]) + _error(quadrics[onto], positions[onto])
         return (error, vertex, onto, self._changes[vertex], self._changes[onto])
 
-    def _quadrics_of(self, positions: Sequence[Vector]) -> list[Quadric]:
+    def _pose_quadrics(self, positions: Sequence[Vector]) -> list[Quadric]:
         """Quadrics of all vertices in a pose: of the planes of their triangles, and across their borders."""
         quadrics: list[Quadric] = [[0.0] * 10 for _ in positions]
         for number in range(len(self.triangles)):

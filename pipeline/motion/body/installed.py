@@ -17,7 +17,7 @@ from pipeline.core.runtime.npz import decode_arrays
 from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import PinnedFile, fetch_package
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, storage_errors, write_file
 from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M, build
 from pipeline.motion.body.shape import BodyShapes
 
@@ -63,7 +63,7 @@ def install(on_bytes: OnBytes = silent) -> Path:
     """
     target = path()
     with exclusive(target), storage_errors():
-        if target.is_file() and sha256_of(target) in _SHA256:
+        if target.is_file() and file_sha256(target) in _SHA256:
             return target
         content = _made_from(fetch_package(PACKAGE, on_bytes))
         if hashlib.sha256(content).hexdigest() not in _SHA256:

@@ -72,7 +72,7 @@ def find_strides(points: BodyPoints, swings: Sequence[Swing]) -> tuple[tuple[Str
     strides: list[Stride] = []
     events: list[FootEvent] = []
     num_bouts = 0
-    steps = _Steps.of(swings)
+    steps = _Steps.from_swings(swings)
     for bout in _bouts(points, steps):
         own = _bout_strides(points, steps, bout, num_bouts + 1)
         if not own:
@@ -91,7 +91,7 @@ class _Steps(NamedTuple):
     cut_off: Sequence[FootEvent]  # Foot offs of swings without a strike
 
     @classmethod
-    def of(cls, swings: Sequence[Swing]) -> Self:
+    def from_swings(cls, swings: Sequence[Swing]) -> Self:
         """Events of swings."""
         strikes = {swing.strike: swing.off for swing in swings if swing.strike is not None}
         offs = sorted((swing.off for swing in swings if swing.off is not None), key=_row)
@@ -110,13 +110,13 @@ def _bouts(points: BodyPoints, steps: _Steps) -> list[list[FootEvent]]:
     """Runs of alternating foot strikes that carry the body."""
     bouts: list[list[FootEvent]] = [[]]
     for strike in steps.strikes:
-        if bouts[-1] and not _goes_on(points, bouts[-1][-1], strike):
+        if bouts[-1] and not _continues(points, bouts[-1][-1], strike):
             bouts.append([])
         bouts[-1].append(strike)
     return [bout for bout in bouts if len(bout) >= _FEWEST_STRIKES]
 
 
-def _goes_on(points: BodyPoints, last: FootEvent, strike: FootEvent) -> bool:
+def _continues(points: BodyPoints, last: FootEvent, strike: FootEvent) -> bool:
     rows = slice(int(last.row), int(strike.row) + 1)
     above_m = points.centre_m[rows, 2] - points.ankles_m[rows, :, 2].min(1)
     is_upright = float(np.median(above_m)) > _UPRIGHT * points.leg_m

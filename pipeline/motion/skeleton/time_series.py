@@ -174,13 +174,13 @@ def one_euro(xyz_m: Float[np.ndarray, "frames joints 3"], rate_hz: float) -> Flo
     velocity_m_s = np.zeros(xyz_m.shape[1:])
     for frame in range(1, len(xyz_m)):
         step_m = xyz_m[frame] - smoothed[frame - 1]
-        goes_on = np.isfinite(step_m).all(-1, keepdims=True)
-        step_m = np.where(goes_on, step_m, 0.0)
+        continues = np.isfinite(step_m).all(-1, keepdims=True)
+        step_m = np.where(continues, step_m, 0.0)
         velocity_m_s += _share(_SPEED_HZ, rate_hz) * (step_m * rate_hz - velocity_m_s)
-        velocity_m_s[~goes_on[:, 0]] = 0.0
+        velocity_m_s[~continues[:, 0]] = 0.0
         cutoff_hz = _REST_HZ + _HZ_PER_M_S * np.linalg.norm(velocity_m_s, axis=-1, keepdims=True)
         followed_m = smoothed[frame - 1] + _share(cutoff_hz, rate_hz) * step_m
-        smoothed[frame] = np.where(goes_on, followed_m, xyz_m[frame])
+        smoothed[frame] = np.where(continues, followed_m, xyz_m[frame])
     return smoothed
 
 

@@ -17,7 +17,7 @@ from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.runtime.npz import decode_arrays
 from pipeline.detection.chunk import concatenate
 from pipeline.detection.damage import CheckedPictures, damaged_videos
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.look import CameraLook
 from pipeline.detection.profiles.profile_detector import detection_joints, mark_offsets
 from pipeline.run.engine.codec import output_records
@@ -195,5 +195,5 @@ def joint_offsets(context: Context) -> JointOffsets:
     if config.smoothing != "fit" or config.joint_centers == "off":
         return MARKED_AT_CENTERS
     if config.joint_centers != "auto":
-        return entry_of(config.joint_centers).offsets
+        return find_entry(config.joint_centers).offsets
     return detection_source(context).offsets

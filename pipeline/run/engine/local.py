@@ -219,14 +219,14 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
             name: measured_rate_hz(times.time_s) if len(times.time_s) > 1 else timebase.frame_rate_hz
             for name, times in session.times.items()
         },
-        has_videos=bool(session.video_of),
+        has_videos=bool(session.camera_videos),
     )
 
 
 def _inputs(session: Session) -> tuple[str, ...]:
     """Digests of all that the result depends on: the opened session, and the videos' files."""
     opened = hashlib.sha256(encode_record(session)).hexdigest()
-    return (opened, *(file_digest(path) for video in session.video_of.values() for path in video.paths))
+    return (opened, *(file_digest(path) for video in session.camera_videos.values() for path in video.paths))
 
 
 def _check(session: Session, config: ReconstructionConfig) -> None:
@@ -235,4 +235,4 @@ def _check(session: Session, config: ReconstructionConfig) -> None:
     require_cameras(session.cameras, config)
     wanted = session.restricted(config.frames)
     tracking_parameters(wanted.cameras, wanted.timebase, config.tracking)
-    clustering_parameters(wanted.cameras, config, config.uses_fields and bool(wanted.video_of))
+    clustering_parameters(wanted.cameras, config, config.uses_fields and bool(wanted.camera_videos))

@@ -21,7 +21,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.progress import OnProgress, Progress
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.core.runtime.packages.storage import sha256_of
+from pipeline.core.runtime.packages.storage import file_sha256
 from pipeline.detection.providers.find import current_provider
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import not_written
@@ -276,7 +276,7 @@ def _read(folder: OutputFolder, task: Task) -> bytes:
 
 def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
     """SHA-256 of the files of a session by name: its videos, or its keypoints as they were read, and further files."""
-    digests = {path.name: file_digest(path) for video in session.video_of.values() for path in video.paths}
+    digests = {path.name: file_digest(path) for video in session.camera_videos.values() for path in video.paths}
     if not digests:
         digests["keypoints as they were read"] = hashlib.sha256(encode_record(session)).hexdigest()
     return digests | {path.name: file_digest(path) for path in sources}
@@ -285,7 +285,7 @@ def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
 def file_digest(path: Path) -> str:
     """SHA-256 of a file, or of a folder of images."""
     try:
-        return folder_sha256(path) if path.is_dir() else sha256_of(path)
+        return folder_sha256(path) if path.is_dir() else file_sha256(path)
     except OSError as error:
         raise PipelineError(f"The file {error.filename} can't be read: {error.strerror}.") from error
 

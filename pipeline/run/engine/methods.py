@@ -45,7 +45,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.rules import change_parameters
 from pipeline.core.progress import OnShare, ignore
 from pipeline.detection.chunk import concatenate
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.run.engine.detection_source import detection_source
 from pipeline.run.engine.stage import Context
 from pipeline.run.engine.wanted_frames import wanted_frames
@@ -79,7 +79,7 @@ def clustering_parameters(
 
     Raises ``InputError`` if a changed parameter does not exist, or can't have that value.
     """
-    fields = entry_of(config.networks.body).fields if finds_fields else None
+    fields = find_entry(config.networks.body).fields if finds_fields else None
     own = {} if fields is None else {"tau2": fields.tau2}
     return change_parameters(derive_clustering(cameras, **own), config.clustering)
 

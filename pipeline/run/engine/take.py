@@ -11,7 +11,7 @@ from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import SessionCheck
 from pipeline.export.quality.views import PersonViews
-from pipeline.export.viewer.description import ViewerMotion, footage_of
+from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
 from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
@@ -100,7 +100,7 @@ def viewer_files(
     ``take`` is at the session's frame rate, ``report`` the content of ``metrics.json``, ``first_frame`` the number of
     the first frame before the take was cut.
     """
-    motion = ViewerMotion(take, views, footage_of(session), report, first_frame, find_body())
+    motion = ViewerMotion(take, views, session_footage(session), report, first_frame, find_body())
     with (folder / MOTION).open("wb") as file:
         file.writelines(motion.encode())
     (folder / DESCRIPTION).write_bytes(motion.describe())

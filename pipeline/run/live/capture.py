@@ -183,7 +183,7 @@ class LiveCapture:
             body.learn_a_step()
             if body.bones is not None:
                 self._identities.learn(seen.number, body.bones)
-        number = self._identities.number_of(seen.number)
+        number = self._identities.person_number(seen.number)
         if followed is None:
             return LivePerson(number, seen.xyz_m, None)
         skeleton, xyz_m = followed

@@ -208,7 +208,7 @@ class Identities:
         of_sights = sum(len(sight.located_m) + len(sight.colours) for sight in self._sight.values())
         return len(self._seconds) + len(self._clothes) + len(self._number) + of_sights
 
-    def number_of(self, tracked: int) -> int:
+    def person_number(self, tracked: int) -> int:
         """Number of a person by the tracker's number."""
         return self._number.setdefault(tracked, tracked + self._first)
 
@@ -249,10 +249,10 @@ class Identities:
 
         Returns
         -------
-            Body of the person who was there before, if this is clear now; from then on ``number_of`` gives that
+            Body of the person who was there before, if this is clear now; from then on ``person_number`` gives that
             person's number. Only people without bones are compared.
         """
-        number = self.number_of(tracked)
+        number = self.person_number(tracked)
         sight = self._sight.setdefault(number, _Sight(time_s, time_s))
         if time_s - sight.start_s >= 2 * _STRETCH_S:  # hidden meanwhile
             sight = self._sight[number] = _Sight(time_s, time_s)
@@ -283,7 +283,7 @@ class Identities:
 
     def learn(self, tracked: int, bones: LearntBones) -> None:
         """Note the bones of a person; who comes back is recognised from now on."""
-        self._known[self.number_of(tracked)] = KnownBody(bones.length_m, bones)
+        self._known[self.person_number(tracked)] = KnownBody(bones.length_m, bones)
 
     def _add_second(self, number: int, located_m: Float[np.ndarray, "instants joints 3"]) -> None:
         source = np.where(np.isfinite(located_m[..., 0]), Source.MEASURED, Source.ABSENT)
@@ -351,14 +351,14 @@ def limbs_of_bones_m(
     """
     trunk_m = trunk_length_m(length_m)
 
-    def of(kind: str) -> float:
+    def mean_length_m(kind: str) -> float:
         return float(length_m[[INDEX[f"Left{kind}"], INDEX[f"Right{kind}"]]].mean())
 
     def mark_m(kind: str, outwards_m: float, up_m: float) -> Float[np.ndarray, " 3"]:
         offset = offsets.get(kind, JointOffset())
         return np.array([outwards_m, 0.0, up_m]) + trunk_m * np.array([offset.outwards, offset.forward, offset.up])
 
-    shoulder_m, hip_m = mark_m("shoulder", of("Arm"), trunk_m), mark_m("hip", of("UpLeg"), 0.0)
+    shoulder_m, hip_m = mark_m("shoulder", mean_length_m("Arm"), trunk_m), mark_m("hip", mean_length_m("UpLeg"), 0.0)
     flank_m = float(np.linalg.norm(shoulder_m - hip_m))
-    limbs_m = [of("ForeArm"), of("Hand"), of("Leg"), of("Foot")]
+    limbs_m = [mean_length_m("ForeArm"), mean_length_m("Hand"), mean_length_m("Leg"), mean_length_m("Foot")]
     return np.array([*limbs_m, flank_m, 2 * shoulder_m[0], 2 * hip_m[0]])

@@ -84,7 +84,7 @@ class KeypointsHead(NamedTuple):
         return head if magic == KEYPOINTS_MAGIC and unused == 0 and len(packet) == head.num_bytes else None
 
     @staticmethod
-    def body_of(packet: bytes) -> memoryview:
+    def packet_body(packet: bytes) -> memoryview:
         """Coordinates and scores of a packet."""
         return memoryview(packet)[_KEYPOINTS_HEAD.size :]
 
@@ -144,7 +144,7 @@ class InstantHead(NamedTuple):
         raise ValueError("These bytes are no packet of an instant.")
 
     @staticmethod
-    def body_of(packet: bytes) -> memoryview:
+    def packet_body(packet: bytes) -> memoryview:
         """Records of the people of a packet."""
         return memoryview(packet)[_INSTANT_HEAD.size :]
 

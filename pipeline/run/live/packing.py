@@ -42,7 +42,7 @@ def unpack_keypoints(packet: bytes) -> tuple[KeypointsHead, Float[np.ndarray, "p
     head = KeypointsHead.decode(packet)
     if head is None:
         raise ValueError("These bytes are no packet of keypoints.")
-    numbers = np.frombuffer(KeypointsHead.body_of(packet), _FLOAT).astype(np.float64)
+    numbers = np.frombuffer(KeypointsHead.packet_body(packet), _FLOAT).astype(np.float64)
     return head, numbers.reshape(head.num_people, head.num_points, 3)
 
 
@@ -66,7 +66,7 @@ def _record(person: LivePerson, num_bones: int) -> Iterator[bytes]:
 def unpack_instant(packet: bytes) -> tuple[LiveInstant, Dropped]:
     """Instant of a packet, and numbers of dropped messages; ``ValueError`` if it is no packet of an instant."""
     head = InstantHead.decode(packet)
-    body = InstantHead.body_of(packet)
+    body = InstantHead.packet_body(packet)
     people = tuple(
         _person(body[start : start + head.person_bytes], head)
         for start in range(0, head.num_people * head.person_bytes, head.person_bytes)

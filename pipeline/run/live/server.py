@@ -25,7 +25,7 @@ from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, MARKED_AT_CENTERS
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 from pipeline.core.runtime.forks import serve
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.model import SKELETON
 from pipeline.run.live.capture import LiveCapture
@@ -89,7 +89,7 @@ def _open(start: dict[str, object], send: Callable[[CaptureAnswer, bytes], None]
     cameras: tuple[Camera, ...] = read_calibration(Path(str(start["calibration"])))
     layout = LAYOUTS[str(start["layout"])]
     network = str(start["joint_centers"])
-    offsets = MARKED_AT_CENTERS if network == "off" else entry_of(network).offsets
+    offsets = MARKED_AT_CENTERS if network == "off" else find_entry(network).offsets
     capture = LiveCapture(cameras, layout.joints, LiveSettings(**start["settings"]), offsets)  # type: ignore[arg-type]
     ready = {
         "cameras": [camera.name for camera in cameras],

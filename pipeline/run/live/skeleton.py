@@ -63,7 +63,7 @@ class PoseEvidence:
     place_m: Float[np.ndarray, "landmarks 3"]
     variance_m2: Float[np.ndarray, " landmarks"]  # Of the places; infinite where none is suggested
 
-    def of_rays(
+    def ray_energy(
         self, landmark_m: Float[np.ndarray, "landmarks 3"]
     ) -> tuple[Float[np.ndarray, "landmarks 3 3"], Float[np.ndarray, "landmarks 3"]]:
         """Curvature and negative gradient of the rays' energy."""
@@ -77,7 +77,7 @@ class PoseEvidence:
 
     def precision(self, landmark_m: Float[np.ndarray, "landmarks 3"]) -> Float[np.ndarray, " landmarks"]:
         """Inverse variance of each landmark by its rays, in 1 / m2, mean over the axes."""
-        return np.asarray(np.trace(self.of_rays(landmark_m)[0], axis1=-2, axis2=-1) / 3)
+        return np.asarray(np.trace(self.ray_energy(landmark_m)[0], axis1=-2, axis2=-1) / 3)
 
     def spread_m2(self, landmark_m: Float[np.ndarray, "landmarks 3"]) -> Float[np.ndarray, " landmarks"]:
         """Variance of the suggested places, larger where a landmark is far from its place (Cauchy)."""
@@ -88,7 +88,7 @@ class PoseEvidence:
         self, landmark_m: Float[np.ndarray, "1 landmarks 3"]
     ) -> tuple[Float[np.ndarray, "1 landmarks 3 3"], Float[np.ndarray, "1 landmarks 3"]]:
         """Curvature and negative gradient of the energy at the current positions of landmarks (metres)."""
-        curvature, pull = self.of_rays(landmark_m[0])
+        curvature, pull = self.ray_energy(landmark_m[0])
         strength = 1.0 / self.spread_m2(landmark_m[0])
         curvature = curvature + strength[:, None, None] * np.eye(3)
         return curvature[None], (pull + strength[:, None] * (self.place_m - landmark_m[0]))[None]

@@ -74,7 +74,7 @@ def _detect(
 ) -> NumberedBodies:
     """Detect bodies in frames of a camera; only bodies of one turn are counted."""
     detector, count = open_turned(turn_deg), on_frame if turn_deg == counted_deg else lambda: None
-    num_frames = session.video_of[camera.name].num_frames
+    num_frames = session.camera_videos[camera.name].num_frames
     spans = [range(num_frames)] if num_frames <= _DECODED_WHOLE else [range(k, k + 1) for k in wanted]
     bodies = []
     for span in spans:

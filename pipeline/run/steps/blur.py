@@ -68,9 +68,9 @@ def blur_videos(task: Task, context: Context) -> Output:
     session, take = captured_videos(context), wanted_on_clocks(context, context.outline())
     timebase = take.timebase
     frames = frames_in(take.times[camera], timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
-    path = context.scratch / blurred_name(list(session.video_of).index(camera))
+    path = context.scratch / blurred_name(list(session.camera_videos).index(camera))
     with context.video(camera):
-        write_blurred(session.video_of[camera], session.times[camera].time_s, frames, heads, path, context.on_unit)
+        write_blurred(session.camera_videos[camera], session.times[camera].time_s, frames, heads, path, context.on_unit)
     return indexed([ResultFile(path.name, BLURRED_KIND, None, "video/mp4", path)])
 
 

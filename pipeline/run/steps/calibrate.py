@@ -33,7 +33,7 @@ def find_board(task: Task, context: Context) -> Output:
         frames, own_s = photographs_to_look_at(len(own_s)), np.full(len(own_s), np.nan)
     board = parse_board(making.board)
     with context.video(camera):
-        views = look_in_video(session.video_of[camera], camera, own_s, frames, board, context.on_unit)
+        views = look_in_video(session.camera_videos[camera], camera, own_s, frames, board, context.on_unit)
     return Output(encode(views))
 
 

@@ -10,9 +10,9 @@ def make_proxy(task: Task, context: Context) -> Output:
     from pipeline.video.playback.proxy import make_proxy_in_child
 
     session, camera = captured_videos(context), task.one_camera
-    path = context.scratch / proxy_name(list(session.video_of).index(camera))
+    path = context.scratch / proxy_name(list(session.camera_videos).index(camera))
     with context.video(camera):
-        make_proxy_in_child(session.video_of[camera], session.times[camera].time_s, path, context.on_unit)
+        make_proxy_in_child(session.camera_videos[camera], session.times[camera].time_s, path, context.on_unit)
     return Output(b"", (ResultFile(path.name, PROXY_KIND, None, "video/mp4", path),))
 
 

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 
 from pipeline.core.errors import UnusableError
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE, NO_IMAGES
-from pipeline.core.runtime.zips import ArchiveError, list_entries, name_of, read_entry
+from pipeline.core.runtime.zips import ArchiveError, entry_name, list_entries, read_entry
 
 SEQUENCE = "images"
 """Name in place of a codec of a sequence of images."""
@@ -55,7 +55,7 @@ def open_images(path: Path) -> Iterator[ImageFiles]:
     except ArchiveError as error:
         raise UnusableError(IMAGES_ARCHIVE, str(error), _HINT) from None
     with zipfile.ZipFile(path) as archive:
-        yield _Archive(archive, {name_of(entry): entry for entry in entries})
+        yield _Archive(archive, {entry_name(entry): entry for entry in entries})
 
 
 def folder_sha256(folder: Path) -> str:

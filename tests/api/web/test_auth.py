@@ -23,7 +23,7 @@ from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.small_disk import fill, small_disk
 from worker.store.files.artifacts import default_data_dir
-from worker.store.files.keys import character_key
+from worker.store.files.file_keys import character_key
 from worker.store.model.character_records import StoredCharacterFile
 from worker.store.model.rights import Actor, Key, LinkScope, Scope
 from worker.store.tenant_records import TenantRecords

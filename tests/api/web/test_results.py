@@ -23,7 +23,7 @@ from tests.api.conftest import RESULT, Live, form, problem_of, running
 from tests.cases import slow_but
 from tests.s3 import S3
 from worker.run.reaper import Reaper
-from worker.store.files.keys import result_key
+from worker.store.files.file_keys import result_key
 from worker.store.model.job_records import JobProblem
 
 # More than the buffers of a connection hold.

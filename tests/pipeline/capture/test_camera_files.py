@@ -30,7 +30,7 @@ def rig(tmp_path: Path) -> Path:
 
 
 def files_of(session: CaptureSession) -> dict[str, list[str]]:
-    return {camera: [path.name for path in video.paths] for camera, video in session.video_of.items()}
+    return {camera: [path.name for path in video.paths] for camera, video in session.camera_videos.items()}
 
 
 def codes(session: CaptureSession) -> set[str]:
@@ -133,18 +133,18 @@ class TestFolders:
         session = open_session(videos, rig)
         chapters = ["GX010001.MP4", "GX020001.MP4"]
         assert files_of(session) == {"left": chapters, "right": chapters}
-        assert session.video_of["left"].path.parts[-4] == "left"
+        assert session.camera_videos["left"].path.parts[-4] == "left"
         files = sorted(videos.rglob("*.MP4"))
-        assert open_session(files, rig).video_of["right"].path.parts[-4] == "right"
+        assert open_session(files, rig).camera_videos["right"].path.parts[-4] == "right"
         stated = [Recording("left", str(files[2])), Recording("right", str(files[0]))]
-        assert open_session(files, rig, stated).video_of["right"].path.parts[-4] == "left"
+        assert open_session(files, rig, stated).camera_videos["right"].path.parts[-4] == "left"
 
     def test_files_of_one_name_have_those_of_their_folders(self, clip: Path, tmp_path: Path, rig: Path) -> None:
         files = []
         for camera in ("right", "left"):
             (tmp_path / camera).mkdir()
             files.append(Path(shutil.copy(clip, tmp_path / camera / "video.mp4")))
-        assert open_session(files, rig).video_of["left"].path.parent.name == "left"
+        assert open_session(files, rig).camera_videos["left"].path.parent.name == "left"
 
 
 class TestPassedOver:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.capture.names import cameras_in_names, natural_key, nfc, words
-from pipeline.capture.parts import recordings_of
+from pipeline.capture.parts import group_parts
 
 NAMES = st.lists(
     st.text(max_size=12) | st.from_regex(r"(cam|GX|part)[ _]?[0-9]{1,6}", fullmatch=True), max_size=6, unique_by=nfc
@@ -53,4 +53,4 @@ def test_words_around_single_camera_s_name_change_nothing(cameras: list[str], wo
 
 @given(NAMES)
 def test_each_file_is_in_one_recording(names: list[str]) -> None:
-    assert sorted(name for recording in recordings_of(names) for name in recording) == sorted(names)
+    assert sorted(name for recording in group_parts(names) for name in recording) == sorted(names)

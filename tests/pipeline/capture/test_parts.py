@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.capture.parts import missing_parts, recordings_of
+from pipeline.capture.parts import group_parts, missing_parts
 
 # Also the cases of the page, see tests/api/portal/send.
 CASES = json.loads((Path(__file__).parent / "parts_cases.json").read_text())
@@ -12,7 +12,7 @@ CASES = json.loads((Path(__file__).parent / "parts_cases.json").read_text())
 
 @pytest.mark.parametrize("case", CASES, ids=[case["about"] for case in CASES])
 def test_recordings_by_names_of_their_files(case: dict[str, Any]) -> None:
-    assert [list(recording) for recording in recordings_of(case["names"])] == case["recordings"]
+    assert [list(recording) for recording in group_parts(case["names"])] == case["recordings"]
 
 
 def test_parts_that_are_missing() -> None:

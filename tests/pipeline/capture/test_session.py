@@ -323,7 +323,7 @@ class TestRecordings:
         assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
         assert session.warnings == ()
         paths = [Recording("left", str(folder / "b.mp4")), Recording("right", str(folder / "a.mp4"))]
-        assert open_session(folder, cameras, paths).video_of["left"].path.name == "b.mp4"
+        assert open_session(folder, cameras, paths).camera_videos["left"].path.name == "b.mp4"
         some = calibration(tmp_path / "d.json", ["a", "right"])
         session = open_session(folder, some, [Recording("right", "b.mp4")])
         assert [video.path.name for video in session.videos] == ["a.mp4", "b.mp4"]
@@ -332,7 +332,7 @@ class TestRecordings:
         (folder / "a.mp4").rename(folder / "Cafe\u0301.mp4")
         cameras = calibration(tmp_path / "c.json", ["left", "b"])
         session = open_session(folder, cameras, [Recording("left", "Caf\u00e9.mp4")])
-        assert session.video_of["left"].path.name == "Cafe\u0301.mp4"
+        assert session.camera_videos["left"].path.name == "Cafe\u0301.mp4"
 
     @pytest.mark.parametrize(
         ("recordings", "found"),

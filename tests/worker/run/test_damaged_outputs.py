@@ -22,7 +22,7 @@ from tests.worker.conftest import (
 )
 from worker.run.chunk import Work
 from worker.run.planning import plan_job
-from worker.store.files.keys import stage_key
+from worker.store.files.file_keys import stage_key
 from worker.store.model.states import JobState
 from worker.store.repositories.work.leases import MAX_ATTEMPTS
 from worker.store.spec import JobSpec

@@ -18,7 +18,7 @@ from worker.run.reaper import Reaper
 from worker.store.backup.contents import named_files
 from worker.store.errors import Conflict, NotFound, VideosDeleted
 from worker.store.files.disk import DiskSpace
-from worker.store.files.keys import thumbnail_key
+from worker.store.files.file_keys import thumbnail_key
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec

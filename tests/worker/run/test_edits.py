@@ -16,7 +16,7 @@ from tests.worker.conftest import FOUND, RESULT, RunnerBench
 from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_job
 from worker.store.errors import Conflict
-from worker.store.files.keys import results_prefix
+from worker.store.files.file_keys import results_prefix
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState

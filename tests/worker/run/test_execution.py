@@ -28,7 +28,7 @@ from tests.worker.store.damage import overwrite
 from worker.run import execution
 from worker.run.chunk import StoppedError, Work
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.files.keys import input_key, record_key
+from worker.store.files.file_keys import input_key, record_key
 from worker.store.model.session_records import InputFile, Session
 from worker.store.model.work import Claim
 from worker.store.spec import JobSpec

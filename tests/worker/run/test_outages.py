@@ -19,7 +19,7 @@ from worker.run.problems import waiting_for
 from worker.run.reaper import Reaper
 from worker.store.files.artifacts import open_artifacts
 from worker.store.files.disk import DiskSpace
-from worker.store.files.keys import stage_key
+from worker.store.files.file_keys import stage_key
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import FINISHED, ChunkState, JobState
 from worker.store.outages import Outage

@@ -21,7 +21,7 @@ from worker.store.database.tables import removals
 from worker.store.database.totals import Total
 from worker.store.errors import Conflict
 from worker.store.files.disk import DiskSpace
-from worker.store.files.keys import record_key, result_key, stage_key
+from worker.store.files.file_keys import record_key, result_key, stage_key
 from worker.store.files.unneeded import remove_files
 from worker.store.model.states import JobState
 from worker.store.store import JobStore

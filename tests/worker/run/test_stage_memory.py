@@ -23,7 +23,7 @@ from pipeline.validation.simulation.scenes import Joints, find_scene, record
 from worker.run.chunk import Work
 from worker.run.execution import run_chunk
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 from worker.store.model.session_records import InputFile, Session
 from worker.store.model.work import Claim
 from worker.store.spec import JobSpec

@@ -14,7 +14,7 @@ from worker.store.backup.create import create_backup
 from worker.store.backup.restore import restore_backup
 from worker.store.errors import Conflict
 from worker.store.files.artifacts import LocalArtifacts
-from worker.store.files.keys import input_key, record_key, result_key, stage_key
+from worker.store.files.file_keys import input_key, record_key, result_key, stage_key
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord, Result
 from worker.store.model.rights import Scope

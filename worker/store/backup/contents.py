@@ -11,7 +11,7 @@ from sqlalchemy import Connection, func, select
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.store.backup.archive import BackupError
 from worker.store.database.tables import artifacts, characters, jobs, results, sessions, uploads
-from worker.store.files.keys import record_key, require_key, stage_key, thumbnail_key
+from worker.store.files.file_keys import record_key, require_key, stage_key, thumbnail_key
 from worker.store.model.states import JobState
 
 MANIFEST = "manifest.json"

@@ -37,7 +37,7 @@ from worker.store.backup.snapshot import (
 from worker.store.database.connection import sqlite_path
 from worker.store.errors import DamagedDatabase, UnknownSchema
 from worker.store.files.disk import sync
-from worker.store.files.keys import is_key
+from worker.store.files.file_keys import is_key
 
 OnProgress = Callable[[int, int], None]
 

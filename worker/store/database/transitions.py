@@ -16,7 +16,7 @@ from worker.store.database.connection import now
 from worker.store.database.stored_files import drop_results, remove_later
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.totals import Total, count
-from worker.store.files.keys import interim_prefix, job_prefix
+from worker.store.files.file_keys import interim_prefix, job_prefix
 from worker.store.model.job_records import JobProblem
 from worker.store.model.states import FINISHED, JOB_TRANSITIONS, ChunkState, JobState
 from worker.store.repositories.webhooks import queue_delivery

@@ -19,7 +19,7 @@ import platformdirs
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.checksums import VerifiedFile, missing_is_not_found, no_check, require_file
 from worker.store.files.disk import is_disk_full, sync
-from worker.store.files.keys import interim_key, require_key, require_prefix
+from worker.store.files.file_keys import interim_key, require_key, require_prefix
 from worker.store.model.work import Claim
 
 # A temporary file that was not written to for so long belongs to a killed process.

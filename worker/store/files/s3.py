@@ -23,7 +23,7 @@ from obstore.store import S3Store
 
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, DamagedArtifact, NotFound
 from worker.store.files.checksums import Verified, no_check, read_sha256, require_file
-from worker.store.files.keys import require_key, require_prefix
+from worker.store.files.file_keys import require_key, require_prefix
 from worker.store.files.secret_files import S3_KEYS, file_variable
 
 # Callers try again by themselves, so the library need not try for longer.

@@ -10,7 +10,7 @@ import uuid
 import structlog
 
 from worker.store.files.artifacts import ArtifactStore
-from worker.store.files.keys import character_prefix, job_prefix, session_prefix
+from worker.store.files.file_keys import character_prefix, job_prefix, session_prefix
 from worker.store.outages import find_outage
 from worker.store.repositories.work.expiry import Removals
 

@@ -15,7 +15,7 @@ from worker.store.database.rows import read, read_problem
 from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
 from worker.store.errors import Conflict, NotFound
-from worker.store.files.keys import job_prefix, session_prefix
+from worker.store.files.file_keys import job_prefix, session_prefix
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import Calibration, MadeCalibration
 from worker.store.model.states import FINISHED, JobState

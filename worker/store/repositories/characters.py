@@ -14,7 +14,7 @@ from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import characters
 from worker.store.errors import Conflict, NotFound
-from worker.store.files.keys import character_prefix
+from worker.store.files.file_keys import character_prefix
 from worker.store.model.character_records import Character, CharacterSummary, StoredCharacterFile
 from worker.store.repositories.audit import AuditAction, record_event
 

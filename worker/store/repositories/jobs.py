@@ -23,7 +23,7 @@ from worker.store.database.stored_files import (
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.store.errors import Conflict, NotFound
-from worker.store.files.keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
+from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
 from worker.store.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState

@@ -19,7 +19,7 @@ from worker.store.database.rows import read_session
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.store.errors import Conflict, NotFound
-from worker.store.files.keys import job_prefix, session_prefix, thumbnails_prefix
+from worker.store.files.file_keys import job_prefix, session_prefix, thumbnails_prefix
 from worker.store.model.job_records import SIDE_KINDS, NewestJob
 from worker.store.model.session_records import Capture, InputFile, Purpose, Session
 from worker.store.model.states import FINISHED, JobState

@@ -3,7 +3,7 @@
 import { count } from "../../shared/format.js";
 import { confirm, html, nothing, typed } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
-import { framesOf, sharedFrames } from "./person_names.js";
+import { numFrames, sharedFrames } from "./person_names.js";
 
 const MAX_NAME = 100;
 
@@ -17,7 +17,7 @@ export function actions(panel) {
           @change=${(event) => seek(panel, event.target)} @keydown=${(event) => { if (event.key === "Enter") seek(panel, event.target); }}></label>
       <p class="quiet">The frame at the play head. ${isCut ? `Frames count from the start of the whole take; ${people.start_frame} to ${people.stop_frame - 1} are kept.` : ""}</p>
     </div>
-    ${selected === null ? nothing : ofPerson(panel)}
+    ${selected === null ? nothing : personActions(panel)}
     <fieldset class="doing"><legend>The take</legend><div class="actions">
       ${panel.button("Start the take here", () => cut(panel, panel.frame, people.stop_frame))}
       ${panel.button("End the take here", () => cut(panel, people.start_frame, panel.frame + 1))}
@@ -29,9 +29,9 @@ function seek(panel, field) {
   field.value = panel.frame;
 }
 
-function ofPerson(panel) {
+function personActions(panel) {
   const { selected: person, other, people } = panel;
-  const name = panel.nameOf(person);
+  const name = panel.personName(person);
   const others = people.people.filter(({ id }) => id !== person);
   return html`<fieldset class="doing"><legend>${name}</legend>
     <form class="actions" @submit=${(event) => rename(panel, event)}>
@@ -46,8 +46,8 @@ function ofPerson(panel) {
     ${other === null ? nothing : html`<div class="actions">
       <label class="with"><span>With</span> <select aria-label="Other person" @change=${(event) => { panel.other = Number(event.target.value); panel.draw(); }}>
         ${others.map(({ id, name: label }) => html`<option value=${id} .selected=${id === other}>${label}</option>`)}</select></label>
-      ${panel.button(`Merge into ${panel.nameOf(other)}`, () => merge(panel))}
-      ${panel.button(`Exchange with ${panel.nameOf(other)} from here on`, () => exchange(panel))}
+      ${panel.button(`Merge into ${panel.personName(other)}`, () => merge(panel))}
+      ${panel.button(`Exchange with ${panel.personName(other)} from here on`, () => exchange(panel))}
     </div>`}
   </fieldset>`;
 }
@@ -56,7 +56,7 @@ function rename(panel, event) {
   event.preventDefault();
   const { selected: person } = panel;
   const name = event.target.elements.name.value.trim();
-  if (name === panel.nameOf(person)) return announce(`The name is ${name} already.`);
+  if (name === panel.personName(person)) return announce(`The name is ${name} already.`);
   return panel.add({ action: "rename", person, name });
 }
 
@@ -74,7 +74,7 @@ async function merge(panel) {
   const [lost, kept] = [selected, other].map((id) => panel.people.people.find((person) => person.id === id));
   const shared = sharedFrames(lost, kept);
   if (shared.num > 0) {
-    const text = `Both are there in ${count(shared.num, "frame")}, from ${shared.first} to ${shared.last}. There ${kept.name} counts, and ${shared.num} of the ${count(framesOf(lost), "frame")} of ${lost.name} are lost. Undo brings them back.`;
+    const text = `Both are there in ${count(shared.num, "frame")}, from ${shared.first} to ${shared.last}. There ${kept.name} counts, and ${shared.num} of the ${count(numFrames(lost), "frame")} of ${lost.name} are lost. Undo brings them back.`;
     if (!await confirm({ title: `Merge ${lost.name} into ${kept.name}?`, text, action: "Merge", refusal: "Keep both" })) return;
   }
   await panel.add({ action: "merge", person: other, other: selected });

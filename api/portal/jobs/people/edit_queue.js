@@ -47,7 +47,7 @@ export class EditQueue extends EventTarget {
   }
 
   // People of an earlier revision; undefined if it was not read here.
-  peopleOf(revision) {
+  peopleAt(revision) {
     return this.#earlier.get(revision);
   }
 

@@ -8,7 +8,7 @@ import { html, nothing, problemBox, render, repeat, styled } from "../../shared/
 import { announce } from "../../shared/page.js";
 import { actions } from "./actions.js";
 import { EditQueue } from "./edit_queue.js";
-import { colorOf, describe, isNumbering, nameOf } from "./person_names.js";
+import { personColor, describe, isNumbering, personName } from "./person_names.js";
 
 export class PeoplePanel {
   selected = null; // id of the person that actions are for
@@ -55,8 +55,8 @@ export class PeoplePanel {
     this.motion.seek(Math.min(this.people.stop_frame - 1, Math.max(this.people.start_frame, frame)));
   }
 
-  nameOf(id) {
-    return nameOf(id, this.people);
+  personName(id) {
+    return personName(id, this.people);
   }
 
   add(edit) {
@@ -204,7 +204,7 @@ function lane(panel, person) {
   return html`<div class="lane">
     <label class="lane-name">
       <input type="radio" name="edited-person" .checked=${panel.selected === id} @change=${() => panel.select(id)}>
-      <span class="look-swatch" ${styled({ "--tint": colorOf(id) })}></span>
+      <span class="look-swatch" ${styled({ "--tint": personColor(id) })}></span>
       <span class="lane-text"><b>${name}</b> <span class="quiet">frames ${first} to ${last}</span></span>
     </label>
     <div class="lane-track" aria-hidden="true" @click=${go}>${pieces.map((piece) => bar(id, piece, people))}</div>
@@ -213,6 +213,6 @@ function lane(panel, person) {
 
 // Frames of a person in their one colour; hatched where they were another person's as found.
 function bar(id, { person, start_frame: start, stop_frame: stop }, { num_frames: numFrames }) {
-  const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": colorOf(id) };
+  const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": personColor(id) };
   return html`<span class="bar-of ${person === id ? "" : "of-other"}" title="Frames ${start} to ${stop - 1}: person ${person} as found" ${styled(place)}></span>`;
 }

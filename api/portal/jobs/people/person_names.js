@@ -3,7 +3,7 @@
 const HUE_STEP = 0.618034; // as in pipeline/export/scene.py
 
 // Colour of a person by number, as in the 3D view and of the exported models.
-export function colorOf(id) {
+export function personColor(id) {
   const hue = ((id * HUE_STEP) % 1) * 6;
   const part = (shift) => {
     const distance = (shift + hue) % 6;
@@ -13,15 +13,15 @@ export function colorOf(id) {
 }
 
 // Name of a person; people taken away by a later edit have the name that an edit gave them last.
-export function nameOf(id, { people, edits }) {
+export function personName(id, { people, edits }) {
   const given = edits.findLast(({ action, person }) => action === "rename" && person === id)?.name;
   return people.find((person) => person.id === id)?.name ?? given ?? `person-${id}`;
 }
 
 // An edit in words, with the present names of people.
 export function describe(edit, document) {
-  const person = nameOf(edit.person, document);
-  const other = nameOf(edit.other, document);
+  const person = personName(edit.person, document);
+  const other = personName(edit.other, document);
   const words = {
     rename: () => `Rename person-${edit.person} to ${edit.name}`,
     remove: () => `Delete ${person}`,
@@ -38,7 +38,7 @@ function during({ start_frame: start, stop_frame: stop }) {
 }
 
 // Number of frames of a person, of the whole reconstruction.
-export function framesOf({ pieces }) {
+export function numFrames({ pieces }) {
   return pieces.reduce((sum, { start_frame: start, stop_frame: stop }) => sum + stop - start, 0);
 }
 

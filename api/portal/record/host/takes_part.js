@@ -3,7 +3,7 @@
 import { choicesForm } from "../../send/choices.js";
 import { feed } from "../../shared/feed.js";
 import { clock, count } from "../../shared/format.js";
-import { stateOf } from "../../shared/jobs.js";
+import { jobState } from "../../shared/jobs.js";
 import { confirm, html, live as held, nothing, repeat, typed, warningList } from "../../shared/lit.js";
 import { address } from "../../shared/page.js";
 import { dated } from "../../shared/resources.js";
@@ -69,7 +69,7 @@ function clipRow(take, clip, phones) {
 function jobPart(jobId, sessionName) {
   const job = feed.jobs.get(jobId);
   if (!job) return html`<a href=${address("jobs", jobId)}>Look at ${sessionName}</a>`;
-  const { words, tone } = stateOf(job);
+  const { words, tone } = jobState(job);
   return html`<p class="record-job"><span class="state" data-tone=${tone}>${words}</span> <a href=${address("jobs", jobId)} aria-label="Look at ${sessionName}">Look</a></p>
     ${errorBox(job)}
     ${warningList(job.result_warnings?.map(({ message }) => message), `Warnings of ${sessionName}`)}`;
@@ -79,7 +79,7 @@ function calibrationJob(view, take) {
   const job = feed.jobs.get(take.calibration_id);
   const calibration = view.calibrations.find(({ id }) => id === take.calibration_id);
   if (!job && !calibration) return nothing;
-  const { words, tone } = calibration ? { words: "Calibration ready", tone: "good" } : stateOf(job);
+  const { words, tone } = calibration ? { words: "Calibration ready", tone: "good" } : jobState(job);
   return html`<p class="record-job"><span class="state" data-tone=${tone}>${calibration ? words : `Calibration: ${words}`}</span></p>
     ${job ? errorBox(job) : nothing}
     ${warningList(calibration?.warnings, `Warnings of the calibration of ${take.name}`)}`;

@@ -67,7 +67,7 @@ export async function adjust(track, settings) {
  *
  * Browsers that don't tell a rate record about 30 frames a second.
  */
-export function factsOf(track) {
+export function trackFacts(track) {
   const { width, height, frameRate: toldRate, facingMode } = track.getSettings();
   if (!(width > 0 && height > 0)) return {};
   const frameRate = toldRate > 0 ? toldRate : USUAL_RATE_HZ;

@@ -54,7 +54,7 @@ export class TakeJournal {
 
   /** Parts that this browser keeps, in order. */
   async parts() {
-    const parts = (await this.#ask("list")).map(partOf).filter(Boolean);
+    const parts = (await this.#ask("list")).map(readPart).filter(Boolean);
     return parts.sort((one, other) => one.take - other.take || one.part - other.part);
   }
 
@@ -97,7 +97,7 @@ export function parseJournal(text) {
  * Times are the service's, in seconds. A part that was not ended was cut, and is there up to `endS`, its last piece. `isAgain` is
  * true of a part whose upload takes the place of one that the service has no more.
  */
-export function partOf({ key, facts, numBytes, isOpen }) {
+export function readPart({ key, facts, numBytes, isOpen }) {
   const find = (kind) => facts.findLast((fact) => fact.fact === kind);
   const begin = facts[0]?.fact === "begin" ? facts[0] : null;
   if (!begin) return null;
@@ -121,7 +121,7 @@ export function partOf({ key, facts, numBytes, isOpen }) {
  *
  * `parts` are a take's parts, in order; `stopS` is its stop, null while it is recorded.
  */
-export function lossesOf(parts, stopS) {
+export function findLosses(parts, stopS) {
   return new Map(parts.map((part, place) => {
     const next = parts[place + 1];
     const toS = next ? next.firstFrameS : part.isCut ? stopS : null;

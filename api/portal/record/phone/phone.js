@@ -2,9 +2,9 @@
 
 import { ServerClock } from "../service_clock.js";
 import { cleanName, RoomConnection } from "../room.js";
-import { adjust, cameraProblem, factsOf, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
+import { adjust, cameraProblem, trackFacts, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
 import { describeDevice, keepIdentity, readBattery, readFreeBytes, WakeLock } from "./identity.js";
-import { fileMessage, lossesOf, stoppedMessage, TakeJournal } from "./journal.js";
+import { fileMessage, findLosses, stoppedMessage, TakeJournal } from "./journal.js";
 import { ClipSender } from "./sender.js";
 import { recordableTypes, TakeRecorder } from "./take_recorder.js";
 
@@ -138,7 +138,7 @@ export class PhoneCamera extends EventTarget {
 
   #hello() {
     const { phoneId, name } = this.identity;
-    const facts = this.track ? factsOf(this.track) : {};
+    const facts = this.track ? trackFacts(this.track) : {};
     this.room.send({ type: "hello", phone_id: phoneId, ...(name && { name }), device: describeDevice(navigator.userAgent), ...facts, mime_types: recordableTypes() });
   }
 
@@ -171,7 +171,7 @@ export class PhoneCamera extends EventTarget {
     this.#named(message.name);
     this.takes = new Map(message.takes.map((take) => [take.number, take]));
     for (const take of message.takes) {
-      const own = this.#partsOf(take.number);
+      const own = this.#takeParts(take.number);
       if (take.state === "used" || take.state === "discarded") await this.#delete(take.number);
       else if (take.state === "recording") await this.#goOn(take);
       else if (own.length) {
@@ -195,7 +195,7 @@ export class PhoneCamera extends EventTarget {
     if (this.recorder || !this.track) return;
     while (!this.clock.isKnown) await new Promise((resolve) => { setTimeout(resolve, FIRST_PING_MS); });
     const recorder = new TakeRecorder({ stream: this.stream, frames: this.frames, clock: this.clock, journal: this.#journal }, {
-      recording: this.identity.recording, take: number, part: (this.#partsOf(number).at(-1)?.part ?? 0) + 1,
+      recording: this.identity.recording, take: number, part: (this.#takeParts(number).at(-1)?.part ?? 0) + 1,
     });
     Object.assign(this, { recorder, isStopping: false });
     this.#changed();
@@ -204,7 +204,7 @@ export class PhoneCamera extends EventTarget {
     recorder.isUpright = this.#isUpright;
     const started = await recorder.start(Math.max(atServerS, this.clock.serverS(nowS()) + AHEAD_S)).catch((problem) => { recorder.problem = problem; return null; });
     if (started) {
-      this.room.send({ type: "started", take: number, part: recorder.part, ...started, track: factsOf(this.track).track });
+      this.room.send({ type: "started", take: number, part: recorder.part, ...started, track: trackFacts(this.track).track });
       await this.#readParts();
       recorder.whenEnded().finally(() => this.#ended(recorder));
     } else {
@@ -228,7 +228,7 @@ export class PhoneCamera extends EventTarget {
     await this.#readParts();
     if (this.track) release(this.track);
     if (recorder.isTurned) this.room.again(); // the service answers with the take, and another part begins
-    else if (this.#partsOf(recorder.take).length) {
+    else if (this.#takeParts(recorder.take).length) {
       this.#tellStopped(recorder.take);
       if (this.takes.get(recorder.take)?.is_upload_wanted) this.#wanted(recorder.take);
     }
@@ -250,7 +250,7 @@ export class PhoneCamera extends EventTarget {
   #wanted(number) {
     const take = this.takes.get(number);
     if (take) take.is_upload_wanted = true;
-    for (const part of this.#partsOf(number).filter(({ isOpen, numBytes }) => !isOpen && numBytes > 0)) {
+    for (const part of this.#takeParts(number).filter(({ isOpen, numBytes }) => !isOpen && numBytes > 0)) {
       if (part.uploadId === null) this.sender.add(part);
       else this.#sendAgain(part);
     }
@@ -267,7 +267,7 @@ export class PhoneCamera extends EventTarget {
 
   async #delete(number) {
     this.takes.delete(number);
-    for (const { key } of this.#partsOf(number)) await this.#remove(key);
+    for (const { key } of this.#takeParts(number)) await this.#remove(key);
     await this.#readParts();
   }
 
@@ -283,22 +283,22 @@ export class PhoneCamera extends EventTarget {
   }
 
   #tellSent(part, id) {
-    const losses = lossesOf(this.#partsOf(part.take), this.takes.get(part.take)?.stop_s ?? null);
+    const losses = findLosses(this.#takeParts(part.take), this.takes.get(part.take)?.stop_s ?? null);
     this.room.send(fileMessage(part, id, losses.get(part.key) ?? []));
   }
 
   #tellStopped(number) {
-    const parts = this.#partsOf(number).filter(({ isOpen }) => !isOpen);
-    this.room.send(stoppedMessage(number, parts, this.lossesOf(number)));
+    const parts = this.#takeParts(number).filter(({ isOpen }) => !isOpen);
+    this.room.send(stoppedMessage(number, parts, this.findLosses(number)));
   }
 
   /** Times of a take without pictures, by the keys of the parts before them. */
-  lossesOf(number) {
+  findLosses(number) {
     const take = this.takes.get(number);
-    return lossesOf(this.#partsOf(number), take && take.state !== "recording" ? take.stop_s : null);
+    return findLosses(this.#takeParts(number), take && take.state !== "recording" ? take.stop_s : null);
   }
 
-  #partsOf(number) {
+  #takeParts(number) {
     return this.parts.filter(({ recording, take }) => recording === this.identity.recording && take === number);
   }
 
@@ -345,7 +345,7 @@ export class PhoneCamera extends EventTarget {
     // No host stopped it, or the stop did not come through.
     if (take && !this.isStopping && this.clock.serverS(nowS()) > take.stop_s) this.#stop(take.number, take.stop_s);
     this.room.send({
-      type: "status", state: this.state, ...(this.track && { track: factsOf(this.track).track }), ...this.surroundings, ...(clock && { clock }),
+      type: "status", state: this.state, ...(this.track && { track: trackFacts(this.track).track }), ...this.surroundings, ...(clock && { clock }),
       dropped_frames: this.recorder?.counts().dropped ?? 0, pending_bytes: this.pendingBytes,
       ...(this.sender.progress && { sending: this.sender.progress }), ...(trouble && { error: cleanName(trouble.message, MAX_ERROR) }),
     });

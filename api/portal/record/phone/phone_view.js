@@ -157,7 +157,7 @@ class PhoneView {
     const isSending = progress?.take === number;
     const isSent = parts.every(({ uploadId }) => uploadId !== null);
     const words = isSent ? "sent" : isSending ? `${percent(progress.sent_bytes / progress.num_bytes)} sent` : take?.is_upload_wanted ? (problem ? `waits: ${problem.message}` : "waits") : "the host has not asked for it yet";
-    const lostS = [...phone.lossesOf(number).values()].flat().reduce((sum, { from_s: from, to_s: to }) => sum + to - from, 0);
+    const lostS = [...phone.findLosses(number).values()].flat().reduce((sum, { from_s: from, to_s: to }) => sum + to - from, 0);
     return html`<li><b>${take?.name ?? `Take ${number}`}</b> <span class="quiet">${clock(lasts)} · ${size(bytes)} · ${words}</span>
       ${lostS > 0 ? html`<span class="phone-lost">${lostS.toFixed(1)} s lost</span>` : nothing}
       ${isSending ? html`<progress max=${progress.num_bytes} value=${progress.sent_bytes} aria-label="Sending ${take?.name ?? number}"></progress>` : nothing}</li>`;

@@ -1,7 +1,7 @@
 // Uploads of the parts that this phone recorded, one after the other, by tus. They go on after the page was closed.
 
 import "../../vendor/tus.min.js";
-import { endingOf } from "./take_recorder.js";
+import { fileEnding } from "./take_recorder.js";
 
 const { Upload } = window.tus;
 const RETRY_DELAYS_MS = [0, 1000, 2000, 5000, 5000, 10_000];
@@ -10,7 +10,7 @@ const AGAIN_MS = 5000;
 const CHUNK_BYTES = 8 * 2 ** 20;
 
 /** Sentence about an upload that failed: the service's own, if it answered. */
-export function reasonOf(error) {
+export function failureReason(error) {
   try {
     return JSON.parse(error.originalResponse.getBody()).detail ?? "The service refused it.";
   } catch {
@@ -69,7 +69,7 @@ export class ClipSender {
         this.sent(part, id);
       }
     } catch (error) {
-      this.problem = { message: reasonOf(error) };
+      this.problem = { message: failureReason(error) };
       this.#queue.unshift(part);
       this.changed();
       await new Promise((resolve) => { this.#retry = resolve; setTimeout(resolve, AGAIN_MS); });
@@ -87,7 +87,7 @@ export class ClipSender {
         endpoint: `${location.origin}/v1/uploads`,
         uploadUrl: url,
         headers: this.headers(),
-        metadata: { filename: `take-${part.take}-${part.part}.${endingOf(part.mimeType)}` },
+        metadata: { filename: `take-${part.take}-${part.part}.${fileEnding(part.mimeType)}` },
         chunkSize: CHUNK_BYTES,
         retryDelays: RETRY_DELAYS_MS,
         storeFingerprintForResuming: false, // the journal remembers addresses

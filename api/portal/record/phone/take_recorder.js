@@ -1,6 +1,6 @@
 // Recorder of a take: starts and stops at times of the service, and keeps each piece at once.
 
-import { discardedFrames, factsOf } from "./camera.js";
+import { discardedFrames, trackFacts } from "./camera.js";
 import { partKey } from "./journal.js";
 
 const PIECE_MS = 500; // MP4 comes in pieces of a keyframe's distance
@@ -19,7 +19,7 @@ const MAX_LATE_SHARE = 0.6; // of the time between frames, beyond which it is no
 export const recordableTypes = () => MIME_TYPES.filter((type) => MediaRecorder.isTypeSupported(type));
 
 /** Ending of files of a kind. */
-export const endingOf = (mimeType) => (mimeType.startsWith("video/mp4") ? "mp4" : "webm");
+export const fileEnding = (mimeType) => (mimeType.startsWith("video/mp4") ? "mp4" : "webm");
 
 /** Bits a second of a video of a size and rate. */
 export const bitsPerS = ({ width, height, frameRate = 30 }) => Math.round(Math.max(MIN_BITS_PER_S, BITS_PER_PIXEL * width * height * frameRate));
@@ -63,7 +63,7 @@ export class TakeRecorder {
     const { stream, track, frames, clock, journal } = this.#parts;
     const [mimeType] = recordableTypes();
     const atS = clock.localS(atServerS);
-    await journal.begin(this.key, { ...this.about, mime_type: mimeType, track: factsOf(track).track ?? null, at_s: Math.max(atServerS, clock.serverS(nowS())) });
+    await journal.begin(this.key, { ...this.about, mime_type: mimeType, track: trackFacts(track).track ?? null, at_s: Math.max(atServerS, clock.serverS(nowS())) });
     await until(atS - BEGIN_S);
     if (this.isCanceled) return null;
     const { intervalS } = frames;

@@ -47,9 +47,9 @@ class CharacterKeys {
   constructor(file, document, start) {
     Object.assign(this, { file, document, start });
     const { samplers, channels, extras } = document.animations[0];
-    const viewOf = (accessor) => ({ ...document.bufferViews[accessor.bufferView], count: accessor.count });
+    const bufferView = (accessor) => ({ ...document.bufferViews[accessor.bufferView], count: accessor.count });
     this.parts = channels.map(({ sampler, target: { node, path } }) => {
-      const { byteOffset, count } = viewOf(document.accessors[samplers[sampler].output]);
+      const { byteOffset, count } = bufferView(document.accessors[samplers[sampler].output]);
       return { node, path, byteOffset, length: count * COLUMNS[path] };
     });
     this.#numRows = this.parts[0].length / COLUMNS[this.parts[0].path];

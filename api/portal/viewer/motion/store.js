@@ -194,7 +194,7 @@ export class EditedStore extends EventTarget {
     this.records = base.records;
     this.#shift = after.start_frame - before.start_frame;
     const people = after.people
-      .map((person) => ({ person, parts: partsOf(person, before, after, base.description.people) }))
+      .map((person) => ({ person, parts: pieceParts(person, before, after, base.description.people) }))
       .filter(({ parts }) => parts.length > 0);
     this.#parts = people.map(({ parts }) => parts);
     this.description = describe(base.description, before, after, people);
@@ -223,19 +223,19 @@ export class EditedStore extends EventTarget {
 
   /** Place of a person's record of a frame; null if the person or the frame is not here. */
   place(person, frame) {
-    const part = this.#partOf(person, frame);
+    const part = this.#findPart(person, frame);
     return part ? this.#base.place(part.source, frame + this.#shift) : null;
   }
 
   /** Positions of a person's joints in a frame, as `Records.positions` writes them; whether there are any. */
   positions(person, frame, field, out) {
-    const part = this.#partOf(person, frame);
+    const part = this.#findPart(person, frame);
     return part !== undefined && this.#base.positions(part.source, frame + this.#shift, field, out);
   }
 
   /** Person, by id, and frame in whose files a person's frame is; null if the person is not here. */
   filed(person, frame) {
-    const part = this.#partOf(person, frame);
+    const part = this.#findPart(person, frame);
     return part ? this.#base.filed(part.source, frame + this.#shift) : null;
   }
 
@@ -244,7 +244,7 @@ export class EditedStore extends EventTarget {
     for (const type of ["load", "problem"]) this.#base.removeEventListener(type, this.#forward);
   }
 
-  #partOf(person, frame) {
+  #findPart(person, frame) {
     return this.#parts[person].find(({ from, to }) => frame >= from && frame < to);
   }
 
@@ -254,7 +254,7 @@ export class EditedStore extends EventTarget {
 }
 
 /** Parts of the earlier people of which a person consists, within the kept frames of both takes. */
-function partsOf({ pieces }, before, after, people) {
+function pieceParts({ pieces }, before, after, people) {
   const [first, last] = [Math.max(before.start_frame, after.start_frame), Math.min(before.stop_frame, after.stop_frame)];
   const parts = [];
   for (const piece of pieces) {

@@ -43,7 +43,7 @@ export function badSpots(description, person, strips = decodeStrips(description,
   const first = Math.floor(about.start_frame / length);
   const last = Math.floor((about.start_frame + about.num_frames - 1) / length);
   for (let bucket = first; bucket <= last; bucket++) {
-    const reason = reasonOf(description, strips, bucket, limitPx);
+    const reason = refusalReason(description, strips, bucket, limitPx);
     const from = Math.max(bucket * length, about.start_frame);
     const to = Math.min((bucket + 1) * length, about.start_frame + about.num_frames);
     const before = spots.at(-1);
@@ -54,7 +54,7 @@ export function badSpots(description, person, strips = decodeStrips(description,
   return spots;
 }
 
-function reasonOf(description, strips, bucket, limitPx) {
+function refusalReason(description, strips, bucket, limitPx) {
   const [measured, interpolated, predicted] = ["measured", "interpolated", "predicted"].map((name) => strips[name][bucket] / 255);
   if (strips.identity[bucket] / 255 < MIN_IDENTITY) return "the identity is doubtful";
   if (1 - measured - interpolated - predicted > MAX_ABSENT) return "most joints are absent";

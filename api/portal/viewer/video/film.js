@@ -11,7 +11,7 @@ const MAX_QUEUED = 6;
 export class Film {
   #read;
   #index;
-  #sampleOf; // sample of each frame
+  #sampleByFrame; // sample of each frame
   #blocks = new Map(); // promises of bytes of the file, by the number of the block; the one used last is at the end
   #decoder = null;
   #next = null; // sample that is decoded next; null: the decoder has to begin with a key
@@ -39,8 +39,8 @@ export class Film {
   constructor(read, index) {
     this.#read = read;
     this.#index = index;
-    this.#sampleOf = new Uint32Array(index.frames.length);
-    index.frames.forEach((frame, sample) => { this.#sampleOf[frame] = sample; });
+    this.#sampleByFrame = new Uint32Array(index.frames.length);
+    index.frames.forEach((frame, sample) => { this.#sampleByFrame[frame] = sample; });
     this.numDecoded = 0;
   }
 
@@ -103,7 +103,7 @@ export class Film {
   /** Last sample with which decoding can begin for a frame. */
   #keyBefore(frame) {
     const { isKey, frames } = this.#index;
-    let sample = this.#sampleOf[frame];
+    let sample = this.#sampleByFrame[frame];
     while (sample > 0 && !(isKey[sample] && frames[sample] <= frame)) sample -= 1;
     return sample;
   }

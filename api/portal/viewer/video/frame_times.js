@@ -27,7 +27,7 @@ export class FrameClock {
     return Math.round(this.#map(videoS, VIDEO, FRAME));
   }
 
-  timeOf(frame) {
+  frameTime(frame) {
     return this.#map(frame, FRAME, SESSION);
   }
 

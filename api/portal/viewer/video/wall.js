@@ -277,7 +277,7 @@ export class Tile {
     const kept = frame === null ? null : this.#pictures.nearest(frame, this.#nearFrames);
     if (kept !== null) {
       this.#shownFrame = kept;
-      this.#shown = this.#clock.timeOf(kept);
+      this.#shown = this.#clock.frameTime(kept);
     }
     // An exact picture is wanted when the play head rests.
     const head = `${this.#player.timeS} ${this.#player.isPlaying}`;
@@ -369,7 +369,7 @@ export class Tile {
       this.draw();
     });
     const onPicture = (mediaTime) => {
-      this.#shown = this.#clock.timeOf(this.#clock.frameAtVideo(mediaTime - this.#startS));
+      this.#shown = this.#clock.frameTime(this.#clock.frameAtVideo(mediaTime - this.#startS));
       this.draw();
     };
     if ("requestVideoFrameCallback" in video) {

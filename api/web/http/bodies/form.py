@@ -18,7 +18,7 @@ from typing import BinaryIO, Literal
 from api.web.errors import ApiError, ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
-from pipeline.capture.parts import recordings_of
+from pipeline.capture.parts import group_parts
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import (
     CONTENT_TOO_LARGE,
@@ -249,7 +249,7 @@ class Parts:
         parts of a recording.
         """
         num_stated_parts += _num_stated_parts(self._documents.get(MANIFEST, b""))
-        recordings = recordings_of(PurePosixPath(name).stem for name in self._videos)
+        recordings = group_parts(PurePosixPath(name).stem for name in self._videos)
         if len(recordings) - num_stated_parts > (most := self._limits.max_cameras):
             message = f"A {self._kind.noun} has {most} cameras at most; these are {len(recordings)} recordings."
             self._add_error(TOO_MANY_VIDEOS, message, f"/{VIDEOS}/{most}")

@@ -6,7 +6,7 @@ from pathlib import Path
 import httpx2
 
 from pipeline.core.errors import ModelError
-from pipeline.core.runtime.packages.storage import exclusive, part_of, sha256_of, storage_errors
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, partial_path, storage_errors
 
 # Callback of a download's progress: bytes so far, and all bytes if known.
 OnBytes = Callable[[int, int | None], None]
@@ -51,15 +51,15 @@ def download(
         removed), or the disk is full.
     """
     with exclusive(target), storage_errors():
-        if target.is_file() and sha256_of(target) in sha256:
+        if target.is_file() and file_sha256(target) in sha256:
             return target
-        part = part_of(target)
+        part = partial_path(target)
         resumed = _num_bytes(part) > 0
         _receive_all(client, url, part, max_bytes, on_bytes)
-        if resumed and sha256_of(part) not in sha256:
+        if resumed and file_sha256(part) not in sha256:
             part.unlink()
             _receive_all(client, url, part, max_bytes, on_bytes)
-        if sha256_of(part) not in sha256:
+        if file_sha256(part) not in sha256:
             part.unlink()
             raise ModelError(
                 f"{target.name} has a wrong checksum and was removed: it was changed on the way, or is another file. "

@@ -18,7 +18,7 @@ import httpx2
 from pipeline.core.errors import ModelError
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.core.runtime.packages.download import OnBytes, download, silent
-from pipeline.core.runtime.packages.storage import home, sha256_of
+from pipeline.core.runtime.packages.storage import file_sha256, home
 
 # Slow to load, and needed for downloads alone: the API and the workers start without it.
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def fetch_package(pinned: PinnedFile, on_bytes: OnBytes = silent, settings: PipS
     download fails, see ``download``.
     """
     target = downloads() / pinned.filename
-    if target.is_file() and sha256_of(target) == pinned.sha256:
+    if target.is_file() and file_sha256(target) == pinned.sha256:
         return target
     settings = pip_settings() if settings is None else settings
     with open_client(settings) as client:

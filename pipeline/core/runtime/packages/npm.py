@@ -19,7 +19,7 @@ import httpx2
 from pipeline.core.errors import ModelError
 from pipeline.core.runtime.packages.download import OnBytes, download, silent
 from pipeline.core.runtime.packages.index import PinnedFile, downloads, open_client, pip_settings
-from pipeline.core.runtime.packages.storage import sha256_of
+from pipeline.core.runtime.packages.storage import file_sha256
 
 _TIMEOUT_S = 30.0
 _MAX_METADATA_BYTES = 2**24
@@ -34,7 +34,7 @@ def fetch_npm_package(pinned: PinnedFile, on_bytes: OnBytes = silent, registry_u
     download fails, see ``download``.
     """
     target = downloads() / pinned.filename
-    if target.is_file() and sha256_of(target) == pinned.sha256:
+    if target.is_file() and file_sha256(target) == pinned.sha256:
         return target
     registry_url = npm_registry(pinned) if registry_url is None else registry_url
     with open_client(pip_settings()) as client:

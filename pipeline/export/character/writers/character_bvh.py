@@ -39,7 +39,7 @@ def encode(posed: PosedCharacter) -> Iterator[bytes]:
         rows = slice(block.start - posed.own_frames.start, block.stop - posed.own_frames.start)
         turns = np.empty((len(block), len(turning), 3, 3))
         for place, node in enumerate(turning):
-            above = np.eye(3) if node == posed.hips else posed.turn_of(int(rig.parents[node]))[rows].swapaxes(1, 2)
+            above = np.eye(3) if node == posed.hips else posed.node_turn(int(rig.parents[node]))[rows].swapaxes(1, 2)
             turns[:, place] = Y_UP_FROM_WORLD @ (above @ motion.turns[node][rows]) @ Y_UP_FROM_WORLD.T
         before_deg = euler_deg(turns, [_ORDER] * len(turning), before_deg[-1])
         lines = zip(

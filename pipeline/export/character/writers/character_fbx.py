@@ -113,7 +113,7 @@ def _animate(scene: FbxScene, clip: Clip, held: PosedCharacter, models: dict[int
         scene.animate(clip, models[node], TRANSLATION, places[0], partial(_column, places))
     angles = _Angles(held)
     for place, node in enumerate(held.turning()):
-        scene.animate(clip, models[node], ROTATION, angles.first[place], partial(angles.of, place))
+        scene.animate(clip, models[node], ROTATION, angles.first[place], partial(angles.angles_deg, place))
 
 
 def _column(values: Float[np.ndarray, "frames 3"], axis: int) -> Float[np.ndarray, " frames"]:
@@ -128,7 +128,7 @@ class _Angles:
         self.first: Float[np.ndarray, "bones 3"] = self._block(slice(0, 1), np.zeros((len(self._nodes), 3)))[0, :, ::-1]
         self._angles_deg: Float32[np.ndarray, "bones 3 frames"] | None = None
 
-    def of(self, place: int, axis: int) -> Float32[np.ndarray, " frames"]:
+    def angles_deg(self, place: int, axis: int) -> Float32[np.ndarray, " frames"]:
         """Angles of a bone about an axis in all frames."""
         if self._angles_deg is None:
             num_frames, num_bones = len(self._held.frames), len(self._nodes)
@@ -167,13 +167,13 @@ class _StoredBones:
 
     def __init__(self, scene: StoredScene) -> None:
         self._scene = scene
-        limbs, nulls = scene.of_kind("Model", "LimbNode"), scene.of_kind("Model", "Null")
+        limbs, nulls = scene.find_all("Model", "LimbNode"), scene.find_all("Model", "Null")
         self._models = {object_name(node): number for number, node in {**nulls, **limbs}.items()}
         top = next(iter(nulls.values()), None)
         if top is None:
             raise FbxError("there is no node at the top")
         self.origin_m = np.array(numbers(top, ORIGIN, 3) if has_setting(top, ORIGIN) else (0.0, 0.0, 0.0))
-        self._layer = next(iter(scene.of_kind("AnimationLayer", "")), 0)
+        self._layer = next(iter(scene.find_all("AnimationLayer", "")), 0)
         self._curves = {
             (number, kind): curves[1]
             for number in self._models.values()

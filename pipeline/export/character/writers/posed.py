@@ -94,7 +94,7 @@ class PosedCharacter:
         """Character in some rows of its motion alone."""
         return replace(self, motion=_in_all(self.motion, lambda values: values[rows]))
 
-    def turn_of(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
+    def node_turn(self, node: int) -> Float[np.ndarray, "frames 3 3"]:
         """Rotation of a node from the rest pose about the skeleton's axes; nodes above the hips do not turn."""
         turns = self.motion.turns
         for above in self.motion.figure.rig.ancestors(node):
@@ -120,9 +120,9 @@ class PosedCharacter:
         parent = int(rig.parents[node])
         if not self._moves(parent):
             above = np.eye(3) if parent < 0 else unscaled_rotation(rig.worlds[parent])
-            return times((above.T @ Y_UP_FROM_WORLD) @ self.turn_of(node), at_rest)
+            return times((above.T @ Y_UP_FROM_WORLD) @ self.node_turn(node), at_rest)
         above = figure.skeleton_from_file @ unscaled_rotation(rig.worlds[parent])
-        return times(times(self.turn_of(parent), above).swapaxes(1, 2) @ self.turn_of(node), at_rest)
+        return times(times(self.node_turn(parent), above).swapaxes(1, 2) @ self.node_turn(node), at_rest)
 
     def translations(self, node: int) -> Float[np.ndarray, "frames 3"]:
         """Translations of a node of ``shifting`` in its parent in the file."""
@@ -130,7 +130,7 @@ class PosedCharacter:
         place, parent = node_place(figure, motion.hips, motion.turns, node), int(rig.parents[node])
         if self._moves(parent):
             way = place - node_place(figure, motion.hips, motion.turns, parent)
-            axes = times(self.turn_of(parent), figure.skeleton_from_file @ rig.worlds[parent, :3, :3])
+            axes = times(self.node_turn(parent), figure.skeleton_from_file @ rig.worlds[parent, :3, :3])
             return np.asarray(np.linalg.solve(axes, way[..., None])[..., 0])
         above = np.eye(4) if parent < 0 else rig.worlds[parent]
         return (self._in_file(place) - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T

@@ -49,11 +49,11 @@ def held_parts_m(
                 contact.rows for contact in contacts if contact.side == side and contact.part == part and contact.pinned
             ]
             places_m[:, foot, number] = _led_m(parts_m[:, foot, number], standing, frame_rate_hz)
-        places_m[:, foot] = _at_distance_of(parts_m[:, foot], places_m[:, foot])
+        places_m[:, foot] = _at_own_distance(parts_m[:, foot], places_m[:, foot])
     return places_m
 
 
-def _at_distance_of(
+def _at_own_distance(
     parts_m: Float[np.ndarray, "frames 2 3"], places_m: Float[np.ndarray, "frames 2 3"]
 ) -> Float[np.ndarray, "frames 2 3"]:
     """Places of heel and toe, moved along their line to the horizontal distance that heel and toe have."""

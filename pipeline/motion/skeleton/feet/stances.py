@@ -201,7 +201,7 @@ class FootPoints:
         """Feet that stand by heel and toe."""
         return np.asarray(self.parts_known.any(axis=(0, 2)))
 
-    def of(self, contact: FootContact) -> Float[np.ndarray, "rows 3"]:
+    def point_m(self, contact: FootContact) -> Float[np.ndarray, "rows 3"]:
         """Positions of the point of a contact on its ground during the contact (metres)."""
         foot = SIDES.index(contact.side)
         point_m = self.ankles_m[:, foot] if contact.part == "foot" else self.parts_m[:, foot, PARTS.index(contact.part)]
@@ -282,7 +282,7 @@ def hold_feet(
         fitted.pin(places_m, on_share)
         ankles_m, parts_m = _positions_m(fitted, motion)
         points = replace(points, ankles_m=ankles_m, parts_m=parts_m)
-    slid = (replace(contact, slide_after_m=mean_slide_m(points.of(contact))) for contact in contacts)
+    slid = (replace(contact, slide_after_m=mean_slide_m(points.point_m(contact))) for contact in contacts)
     motion = replace(motion, contacts=tuple(slid))
     if not fitted.sees_feet:
         for side in SIDES:

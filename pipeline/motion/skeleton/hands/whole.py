@@ -129,7 +129,7 @@ def views_of_hands(
 
     Joints of ``track``, fingers included, are located or smoothed.
     """
-    return {side: _views_of(side, track, seen, joints, frame_rate_hz) for side in SIDES}
+    return {side: _hand_views(side, track, seen, joints, frame_rate_hz) for side in SIDES}
 
 
 def unseen(views: HandViews) -> HandViews:
@@ -154,7 +154,7 @@ def fit_hands(
     return FittedHands(lengths_m, views, fitted)
 
 
-def _views_of(side: Side, track: Track3D, seen: Observations, joints: JointSet, frame_rate_hz: float) -> HandViews:
+def _hand_views(side: Side, track: Track3D, seen: Observations, joints: JointSet, frame_rate_hz: float) -> HandViews:
     names = finger_joints(side)
     known = [number for number, name in enumerate(names) if name in joints.names]
     part, of_part = selected(track, seen, joints, [names[number] for number in known])

@@ -160,14 +160,14 @@ def read_keypoints(
         for camera, picture in zip(benchmark.cameras, instant.pictures, strict=True)
     }
 
-    def body_of(person: Any) -> tuple[str, int, np.ndarray, float]:
+    def parse_body(person: Any) -> tuple[str, int, np.ndarray, float]:
         frame, camera = place[person["image_id"]]
         points = _numbers(person.get("coco_keypoints") or person["keypoints"], (len(COCO_17.names), 3))
         _check_pixels(points[points[:, 2] > 0, :2])
         (score,) = _numbers([person.get("score", points[:, 2].mean())], (1,)).tolist()
         return camera, frame, points, score
 
-    bodies = list(_parsed(listed, body_of, path.name, "", problems))
+    bodies = list(_parsed(listed, parse_body, path.name, "", problems))
     in_picture = Counter((camera, frame) for camera, frame, _, _ in bodies)
     _check_crowds(in_picture.values(), path.name, "", problems)
     if problems:
@@ -325,7 +325,7 @@ def _check_crowds(counts: Iterable[int], file: str, name: str, problems: list[Pr
 def _instants(
     document: Mapping[str, Any], cameras: Sequence[Camera], file: str, problems: list[Problem]
 ) -> tuple[MvorInstant, ...]:
-    def box_of(person: Any) -> tuple[int, np.ndarray, np.ndarray | None]:
+    def parse_box(person: Any) -> tuple[int, np.ndarray, np.ndarray | None]:
         x, y, width, height = _numbers(person["bbox"], (4,)).tolist()
         box_px = np.array([x, y, x + width, y + height])
         points = None if person["only_bbox"] else _numbers(person["keypoints"], (len(JOINTS), 3))
@@ -334,7 +334,7 @@ def _instants(
             _check_pixels(points[:, :2])
         return _image_id(person["image_id"]), box_px, points
 
-    def person_of(person: Any) -> tuple[str, np.ndarray]:
+    def parse_person(person: Any) -> tuple[str, np.ndarray]:
         # Two more joints, of the hands, follow the ten.
         points = _numbers(person["keypoints3D"], (len(JOINTS) + 2, 4))[: len(JOINTS)]
         is_known = (points[:, 3:] > 0) & (points[:, 2:3] > 0)
@@ -344,17 +344,17 @@ def _instants(
 
     boxes: dict[int, list[np.ndarray]] = {}
     joints: dict[int, list[np.ndarray]] = {}
-    for image_id, box_px, points in _parsed(document["annotations"], box_of, file, "annotations", problems):
+    for image_id, box_px, points in _parsed(document["annotations"], parse_box, file, "annotations", problems):
         boxes.setdefault(image_id, []).append(box_px)
         if points is not None and points[:, :2].any():
             joints.setdefault(image_id, []).append(np.where(points[:, :2].any(1, keepdims=True), points[:, :2], np.nan))
     _check_crowds(map(len, boxes.values()), file, "annotations", problems)
     people: dict[str, list[np.ndarray]] = {}
-    for instant_id, xyz_m in _parsed(document["annotations3D"], person_of, file, "annotations3D", problems):
+    for instant_id, xyz_m in _parsed(document["annotations3D"], parse_person, file, "annotations3D", problems):
         people.setdefault(instant_id, []).append(_in_room(xyz_m, cameras))
     _check_crowds(map(len, people.values()), file, "annotations3D", problems)
 
-    def picture_of(image: Any) -> MvorPicture:
+    def parse_picture(image: Any) -> MvorPicture:
         image_id, name = _image_id(image["id"]), Path(str(image["file_name"]))
         if name.is_absolute() or ".." in name.parts or len(name.parts) < 2 or not _is_number(name.stem):
             raise UnreadableError(f"{str(name)!r} is not the path of a picture")
@@ -365,8 +365,8 @@ def _instants(
             np.array(joints.get(image_id, [])).reshape(-1, len(JOINTS), 2),
         )
 
-    def instant_of(images: Any) -> MvorInstant:
-        pictures = tuple(map(picture_of, images["images"]))
+    def parse_instant(images: Any) -> MvorInstant:
+        pictures = tuple(map(parse_picture, images["images"]))
         if len(pictures) != len(cameras):
             raise UnreadableError(f"{len(pictures)} pictures of {len(cameras)} cameras")
         if len({(_day(picture), _number(picture)) for picture in pictures}) > 1:
@@ -379,7 +379,7 @@ def _instants(
         message = f"The file has {len(document['multiview_images']):,} instants; at most {_MAX_INSTANTS:,} are allowed."
         problems.append(_unreadable(file, message, _HINT, "multiview_images"))
         return ()
-    instants = tuple(_parsed(document["multiview_images"], instant_of, file, "multiview_images", problems))
+    instants = tuple(_parsed(document["multiview_images"], parse_instant, file, "multiview_images", problems))
     if people and not problems:
         message = f"People are annotated in 3D at instants that are not listed, such as {next(iter(people))[:60]}."
         problems.append(_unreadable(file, message, _HINT, "annotations3D"))

@@ -229,9 +229,9 @@ def _right_joints(
 def _as_annotated(body_px: Float[np.ndarray, "17 2"]) -> Float[np.ndarray, "10 2"]:
     """The data set's ten joints of a detection, by its own rules."""
 
-    def mean_of(*rules: tuple[str, ...]) -> np.ndarray:
+    def mean_error(*rules: tuple[str, ...]) -> np.ndarray:
         of_rules = (body_px[COCO_17.indices(names)].mean(0) for names in rules)
         return next((point for point in of_rules if np.isfinite(point).all()), np.full(2, np.nan))
 
-    neck = mean_of(("left_shoulder", "right_shoulder"), ("right_shoulder",), ("left_shoulder",))
-    return np.stack([mean_of(*_HEAD), neck, *body_px[COCO_17.indices(SCORED_JOINTS)]])
+    neck = mean_error(("left_shoulder", "right_shoulder"), ("right_shoulder",), ("left_shoulder",))
+    return np.stack([mean_error(*_HEAD), neck, *body_px[COCO_17.indices(SCORED_JOINTS)]])

@@ -109,10 +109,10 @@ def frame_times(session: Session, sequence: PanopticSequence) -> Mapping[int, fl
     """Time of each HD frame of a session by its number: of the first camera's footage, or of its keypoints."""
     camera = session.cameras[0].name
     time_s = session.times[camera].time_s
-    if not session.video_of:
+    if not session.camera_videos:
         rate_hz = session.timebase.frame_rate_hz
         return {number: session.timebase.time_s(0) + number / rate_hz for number in range(session.timebase.num_frames)}
-    video = session.video_of[camera]
+    video = session.camera_videos[camera]
     numbers = video.pts if video.codec == SEQUENCE else np.arange(len(time_s))
     return dict(zip((sequence.first_image + numbers).tolist(), time_s.tolist(), strict=True))
 

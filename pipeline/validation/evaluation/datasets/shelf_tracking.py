@@ -142,7 +142,7 @@ def association_accuracy(
     actors, given, cameras, frames = [], [], [], []
     for number, camera in enumerate(benchmark.cameras):
         detections = benchmark.detections[camera.name]
-        actor = _actor_of(camera, detections.frame, detections.keypoints_px, benchmark)
+        actor = _actors(camera, detections.frame, detections.keypoints_px, benchmark)
         near = actor >= 0
         actors.append(actor[near])
         given.append(identities[camera.name][near])
@@ -189,7 +189,7 @@ def score_single_view(benchmark: ShelfBenchmark) -> dict[str, dict[str, Any]]:
         box_px = np.full((len(limbs_px), 4), np.nan)
         box_px[known] = np.concatenate([np.nanmin(limbs_px[known], axis=1), np.nanmax(limbs_px[known], axis=1)], axis=1)
         identity = track_boxes(detections.frame, np.nan_to_num(box_px))
-        near = _actor_of(camera, detections.frame, detections.keypoints_px, benchmark) >= 0
+        near = _actors(camera, detections.frame, detections.keypoints_px, benchmark) >= 0
         truth_px, seen = _boxes(camera, truth), _is_seen(camera, truth)
         frames = []
         for frame in range(benchmark.timebase.num_frames):
@@ -203,7 +203,7 @@ def score_single_view(benchmark: ShelfBenchmark) -> dict[str, dict[str, Any]]:
     return scores
 
 
-def _actor_of(
+def _actors(
     camera: Camera,
     frame: Int[np.ndarray, " n"],
     keypoints_px: Float[np.ndarray, "n 17 2"],

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from api.cli.main import app
 from tests.worker.store.files.test_unneeded import id_of
 from worker.store.files.artifacts import open_artifacts
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 
 runner = CliRunner()
 

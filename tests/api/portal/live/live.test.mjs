@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { packKeypoints, unpackInstant } from "../../../../api/portal/live/client.js";
-import { listEntries, peopleOf, openRecording, sortedFiles, readText } from "../../../../api/portal/live/keypoints.js";
+import { listEntries, parsePeople, openRecording, sortedFiles, readText } from "../../../../api/portal/live/keypoints.js";
 import { LiveStore } from "../../../../api/portal/live/scene.js";
 
 const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
@@ -48,8 +48,8 @@ test("what can't be played is named", async () => {
   await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,0,0") }, ["cam_1", "cam_2"], null), /Frames of cam_1/);
   await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
   await assert.rejects(listEntries(new File(["nothing"], "a.zip")), /no zip/);
-  assert.throws(() => peopleOf("[]"), /OpenPose/);
-  assert.deepEqual(peopleOf('{"people": [null, {}, {"pose_keypoints_2d": "x"}, {"pose_keypoints_2d": [1, 2, 0.5]}]}'), [[1, 2, 0.5]]);
+  assert.throws(() => parsePeople("[]"), /OpenPose/);
+  assert.deepEqual(parsePeople('{"people": [null, {}, {"pose_keypoints_2d": "x"}, {"pose_keypoints_2d": [1, 2, 0.5]}]}'), [[1, 2, 0.5]]);
 });
 
 test("an entry of a zip that is larger than it states is not read", async () => {

@@ -3,18 +3,18 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { fileMessage, partKey, lossesOf, parseJournal, partOf, stoppedMessage } from "../../../../api/portal/record/phone/journal.js";
+import { fileMessage, partKey, findLosses, parseJournal, readPart, stoppedMessage } from "../../../../api/portal/record/phone/journal.js";
 
 const BEGIN = { fact: "begin", recording: "r", take: 3, part: 1, mime_type: "video/webm", at_s: 100 };
 const FIRST = { fact: "first", at_s: 100.02, std_s: 0.004 };
 const PIECES = [{ fact: "piece", until_s: 100.5, num_frames: 12, dropped: 0 }, { fact: "piece", until_s: 101, num_frames: 25, dropped: 1 }];
 const END = { fact: "end", until_s: 101.2, num_frames: 30, dropped: 1 };
-const part = (facts, more = {}) => partOf({ key: partKey("r", 3, facts[0].part), facts, numBytes: 1000, isOpen: false, ...more });
+const part = (facts, more = {}) => readPart({ key: partKey("r", 3, facts[0].part), facts, numBytes: 1000, isOpen: false, ...more });
 
 test("a torn line ends the journal", () => {
   const text = `${JSON.stringify(BEGIN)}\n${JSON.stringify(FIRST)}\n{"fact": "pie`;
   assert.deepEqual(parseJournal(text), [BEGIN, FIRST]);
-  assert.equal(partOf({ key: "k", facts: parseJournal("{"), numBytes: 0, isOpen: false }), null);
+  assert.equal(readPart({ key: "k", facts: parseJournal("{"), numBytes: 0, isOpen: false }), null);
 });
 
 test("a part that was ended lost nothing", () => {
@@ -22,7 +22,7 @@ test("a part that was ended lost nothing", () => {
   assert.equal(ended.isCut, false);
   assert.ok(Math.abs(ended.durationS - 1.18) < 1e-9);
   assert.deepEqual([ended.numFrames, ended.dropped], [30, 1]);
-  assert.deepEqual([...lossesOf([ended], 101.3).values()], [[]]);
+  assert.deepEqual([...findLosses([ended], 101.3).values()], [[]]);
 });
 
 test("a part that is recorded now is not cut", () => {
@@ -32,14 +32,14 @@ test("a part that is recorded now is not cut", () => {
 test("a part that was cut lost what came after its last piece, up to the stop", () => {
   const cut = part([BEGIN, FIRST, ...PIECES]);
   assert.equal(cut.isCut, true);
-  assert.deepEqual(lossesOf([cut], 105).get(cut.key), [{ from_s: 101, to_s: 105 }]);
-  assert.deepEqual(lossesOf([cut], null).get(cut.key), []); // the take goes on
+  assert.deepEqual(findLosses([cut], 105).get(cut.key), [{ from_s: 101, to_s: 105 }]);
+  assert.deepEqual(findLosses([cut], null).get(cut.key), []); // the take goes on
 });
 
 test("between two parts the loss is what lies between them", () => {
   const cut = part([BEGIN, FIRST, ...PIECES]);
   const second = part([{ ...BEGIN, part: 2, at_s: 102 }, { ...FIRST, at_s: 102.1 }, { ...END, until_s: 105 }]);
-  const losses = lossesOf([cut, second], 105);
+  const losses = findLosses([cut, second], 105);
   assert.deepEqual(losses.get(cut.key), [{ from_s: 101, to_s: 102.1 }]);
   assert.deepEqual(losses.get(second.key), []);
   const message = stoppedMessage(3, [cut, second], losses);

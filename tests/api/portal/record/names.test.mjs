@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { cleanName } from "../../../../api/portal/record/room.js";
-import { factsOf } from "../../../../api/portal/record/phone/camera.js";
+import { trackFacts } from "../../../../api/portal/record/phone/camera.js";
 
 test("names keep what can be seen", () => {
   assert.equal(cleanName("  Anna's\tphone\n"), "Anna's phone");
@@ -27,13 +27,13 @@ test("long names are cut between characters", () => {
 const track = (settings, capabilities = {}, label = "") => ({ label, getSettings: () => settings, getCapabilities: () => capabilities });
 
 test("a camera that does not tell its size is told of as none", () => {
-  assert.deepEqual(factsOf(track({})), {});
-  assert.deepEqual(factsOf(track({ width: 0, height: 0, frameRate: 30 })), {});
+  assert.deepEqual(trackFacts(track({})), {});
+  assert.deepEqual(trackFacts(track({ width: 0, height: 0, frameRate: 30 })), {});
 });
 
 test("a camera without a rate has a usual one", () => {
   for (const frameRate of [undefined, 0]) {
-    const facts = factsOf(track({ width: 640, height: 480, frameRate }, {}, "Kamera\u200e hinten"));
+    const facts = trackFacts(track({ width: 640, height: 480, frameRate }, {}, "Kamera\u200e hinten"));
     assert.deepEqual(facts.track, { width: 640, height: 480, frame_rate_hz: 30, label: "Kamera hinten" });
     assert.equal(facts.capabilities.max_frame_rate_hz, 30);
   }

@@ -6,9 +6,9 @@ import test from "node:test";
 import { boardName } from "../../../../api/portal/record/board/charuco.js";
 import { isOfThisMachine } from "../../../../api/portal/record/room.js";
 import { bestVideo, clipLosses, clipState, commonVideos, phoneFacts, phoneState, takeDurationS, videoWords } from "../../../../api/portal/record/host/state_words.js";
-import { adjust, factsOf, heldConstraints, smallSize } from "../../../../api/portal/record/phone/camera.js";
+import { adjust, trackFacts, heldConstraints, smallSize } from "../../../../api/portal/record/phone/camera.js";
 import { describeDevice, readJoin } from "../../../../api/portal/record/phone/identity.js";
-import { bitsPerS, endingOf } from "../../../../api/portal/record/phone/take_recorder.js";
+import { bitsPerS, fileEnding } from "../../../../api/portal/record/phone/take_recorder.js";
 
 const can = (width, height, rateHz) => ({ max_width: width, max_height: height, max_frame_rate_hz: rateHz });
 
@@ -39,7 +39,7 @@ test("a phone that is held upright is asked for an upright picture, once", async
 
 test("facts of a track have no fields that are unknown", () => {
   const track = { label: "", getSettings: () => ({ width: 640, height: 480, frameRate: 25 }), getCapabilities: () => ({ exposureMode: ["manual"] }) };
-  assert.deepEqual(factsOf(track), {
+  assert.deepEqual(trackFacts(track), {
     track: { width: 640, height: 480, frame_rate_hz: 25 },
     capabilities: { max_width: 640, max_height: 480, max_frame_rate_hz: 25, locks: ["exposureMode"] },
   });
@@ -62,7 +62,7 @@ test("browsers and devices have short names", () => {
 test("sizes of files and of pictures", () => {
   assert.equal(bitsPerS({ width: 1920, height: 1080, frameRate: 30 }), 9_331_200);
   assert.equal(bitsPerS({ width: 640, height: 480, frameRate: 25 }), 4_000_000);
-  assert.equal(endingOf("video/mp4;codecs=avc1"), "mp4");
+  assert.equal(fileEnding("video/mp4;codecs=avc1"), "mp4");
   assert.deepEqual(smallSize(1080, 1920), [135, 240]);
 });
 

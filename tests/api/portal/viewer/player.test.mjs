@@ -67,7 +67,7 @@ test("a camera's clock with an offset, a pause and its own rate", () => {
   assert.equal(clock.frameAt(1.4), null);
   assert.equal(clock.frameAt(1.49), 0);
   assert.equal(clock.frameAt(1.5 + 100.4 / 30), 100);
-  assert.ok(Math.abs(clock.timeOf(450) - (6.5 + 15)) < 1e-9);
+  assert.ok(Math.abs(clock.frameTime(450) - (6.5 + 15)) < 1e-9);
   assert.equal(clock.frameAtVideo(450.2 / 30), 450);
   assert.ok(Math.abs(clock.videoTimeAt(6.5 + 15) - 15) < 1e-9);
   assert.equal(clock.frameAt(6.5 + 620 / 30), null);

@@ -21,7 +21,7 @@ from pipeline.calibration.write import encode_toml
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import InputError
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.records import LiveInstant, LiveSkeleton, RecordedFrame, recorded_frames
 from pipeline.run.live.settings import LiveSettings
@@ -167,7 +167,7 @@ def test_asynchronous_client_with_json_and_stored_calibration(
 
     counts = asyncio.run(run())
     assert counts["received"] == len(frames_of(room))
-    same(instants, expected_instants(room, entry_of(NETWORK).offsets), 1e-4)
+    same(instants, expected_instants(room, find_entry(NETWORK).offsets), 1e-4)
 
 
 def test_client_raises_problems(computing: Live, calibration: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from api.web.settings import Settings
 from pipeline.capture.preflight_record import PreflightRecording
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
 from worker.store.files.artifacts import read_artifact
-from worker.store.files.keys import record_key
+from worker.store.files.file_keys import record_key
 from worker.store.repositories.sessions import Sessions
 
 

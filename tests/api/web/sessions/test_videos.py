@@ -10,7 +10,7 @@ from api.web.settings import Settings
 from pipeline.core.options.job_choices import PROXY_KIND
 from tests.api.conftest import Live, problem_of, running
 from tests.s3 import S3
-from worker.store.files.keys import result_key
+from worker.store.files.file_keys import result_key
 from worker.store.model.job_records import Result
 
 VIDEO = os.urandom(90_000)

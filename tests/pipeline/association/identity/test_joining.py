@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.association.identity import joining
-from pipeline.association.identity.joining import TrackletLinks, doubts_of, join
+from pipeline.association.identity.joining import TrackletLinks, chain_doubts, join
 from pipeline.association.identity.proportions import NUM_LIMBS, LimbProportions, Measured
 from pipeline.association.identity.tracklets import Ends, Tracklet, link_scores
 
@@ -80,7 +80,7 @@ def in_order(session: TrackletLinks, chain: tuple[int, ...]) -> bool:
 def test_doubts_are_about_other_chains(seed: int) -> None:
     session = session_of(seed, 9)
     chains = join(session)
-    for number, doubts in enumerate(doubts_of(session, chains)):
+    for number, doubts in enumerate(chain_doubts(session, chains)):
         for doubt in doubts:
             assert 0.5 - 1e-9 <= doubt.confidence < 0.99
             assert doubt.other != number
@@ -94,7 +94,7 @@ def test_hostile_number_of_tracklets_is_limited(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(joining, "_MOST_CHANGES", 3)
     chains = join(session)
     assert sorted(number for chain in chains for number in chain) == list(range(40))
-    assert len(doubts_of(session, chains)) == len(chains)
+    assert len(chain_doubts(session, chains)) == len(chains)
 
 
 def test_nobody_is_as_fast_and_time_does_not_run_back() -> None:

@@ -14,7 +14,7 @@ from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.storage import home
 from pipeline.detection import models
 from pipeline.detection.detector import open_detector
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.network import open_network
 from pipeline.detection.registry import PackagedWeights
 
@@ -51,7 +51,7 @@ def squares() -> list[np.ndarray]:
 def test_outputs_are_those_of_original(
     name: str, outputs: dict[str, str], squares: list[np.ndarray], tmp_path: Path
 ) -> None:
-    entry = entry_of(name)
+    entry = find_entry(name)
     size = entry.input.scaled_px
     crops = np.array([cv2.resize(cut, (size, size), interpolation=cv2.INTER_AREA) for cut in squares], np.float32) / 255
     onnx = models.install(name)

@@ -17,11 +17,12 @@ from pipeline.core.options.config import MotionChoices
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.detection import models
 from pipeline.detection.detector import open_detector
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.own import files
 from pipeline.detection.own.files import add_own, own_names
 from pipeline.detection.own_network import decode_description, encode_description, usual_network
-from pipeline.detection.profiles.profile_detector import joints_of, open_detection
+from pipeline.detection.profiles import profile_detector
+from pipeline.detection.profiles.profile_detector import detected_joint_set, open_detection
 from tests.pipeline.detection.own.networks import endless, heatmaps, rtmo, simcc, write
 from tests.waiting import is_alive, wait_for
 
@@ -33,14 +34,14 @@ SIMCC = usual_network("simcc", "coco-17")
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("MULTICAP_HOME", str(tmp_path / "home"))
     # Other tests may have opened the network of another home.
-    monkeypatch.setattr(detection, "load_detector", open_detector)
+    monkeypatch.setattr(profile_detector, "load_detector", open_detector)
     return tmp_path / "home"
 
 
 def test_network_is_added_and_listed(tmp_path: Path, home: Path) -> None:
     name = add_own(write(simcc(), tmp_path / "My RTMPose_m.onnx"), SIMCC)
     assert name.startswith("own-my-rtmpose-m-")
-    entry = entry_of(name)
+    entry = find_entry(name)
     assert entry.own == SIMCC
     assert entry.joints == COCO_17
     assert own_names() == (name,)
@@ -62,7 +63,7 @@ def test_heads_are_told_apart(tmp_path: Path) -> None:
     assert add_own(write(heatmaps(), tmp_path / "a.onnx"), usual_network("heatmaps", "coco-17"))
     people = rtmo(np.zeros((2, 5)), np.zeros((2, 17, 3)), size_px=320)
     name = add_own(write(people, tmp_path / "b.onnx"), usual_network("rtmo", "coco-17"), has_chosen_size=False)
-    own = entry_of(name).own
+    own = find_entry(name).own
     assert own is not None
     assert own.input_px == (320, 320)
     with pytest.raises(ModelError, match=r"^a\.onnx has no outputs of the head simcc: it gives \[\[1, 17, 64, 48\]\]"):
@@ -173,17 +174,17 @@ def test_changed_files_are_noticed(tmp_path: Path, home: Path) -> None:
     description = home / "models" / f"{name}.json"
     description.write_text(description.read_text().replace("123.675", "0"))
     with pytest.raises(ModelError, match=rf"file of the network {name} was changed\. Add it again"):
-        entry_of(name)
+        find_entry(name)
     assert not models.status()[-1].installed
     description.write_bytes(b"{")
     with pytest.raises(ModelError, match=rf"^{name}\.json is damaged"):
-        entry_of(name)
+        find_entry(name)
 
 
 @pytest.mark.parametrize("name", ["own-", "own-x", "own-../../x-0123456789ab", "own-gone-0123456789ab"])
 def test_unknown_network_says_how_to_add_it(name: str) -> None:
     with pytest.raises(ModelError, match=r"There is no network .*multicap models add FILE"):
-        entry_of(name)
+        find_entry(name)
 
 
 @pytest.mark.parametrize(
@@ -210,7 +211,7 @@ def test_added_network_is_opened_as_detector(tmp_path: Path) -> None:
     path = write(rtmo(boxes, keypoints), tmp_path / "net.onnx")
     networks = MotionChoices(detector=add_own(path, usual_network("rtmo", "halpe-26"))).networks
     detector = open_detection(networks, "body")
-    assert detector.joints == joints_of(networks, "body") == BODY_FEET
+    assert detector.joints == detected_joint_set(networks, "body") == BODY_FEET
     bodies = detector.detect(np.zeros((320, 640, 3), np.uint8))
     np.testing.assert_allclose(bodies.keypoints_px, np.tile([64.0, 32.0], (1, 21, 1)))
 

@@ -7,7 +7,7 @@ from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointS
 from pipeline.core.options.config import Networks, ReconstructionConfig
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
-from pipeline.detection.profiles.profile_detector import joints_of, open_detection, open_landmarks
+from pipeline.detection.profiles.profile_detector import detected_joint_set, open_detection, open_landmarks
 from pipeline.detection.topdown.topdown_detector import TopDown
 
 FULL = Networks("movenet-multipose", near="blazepose-full", hand="mediapipe-hand", refines_body=True)
@@ -25,7 +25,7 @@ FULL = Networks("movenet-multipose", near="blazepose-full", hand="mediapipe-hand
 )
 def test_networks_with_crops_give_joints_that_are_asked_for(networks: Networks, choice: str, joints: JointSet) -> None:
     assert choice in {"body", "feet", "whole"}
-    assert joints_of(networks, choice) is joints  # type: ignore[arg-type]
+    assert detected_joint_set(networks, choice) is joints  # type: ignore[arg-type]
 
 
 def test_detector_of_bodies_reads_no_crops() -> None:

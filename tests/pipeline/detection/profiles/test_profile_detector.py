@@ -6,6 +6,7 @@ import pytest
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import Networks
 from pipeline.detection.detector import Detector
+from pipeline.detection.profiles import profile_detector
 from pipeline.detection.profiles.profile_detector import BodyDetector, open_detection
 from pipeline.detection.profiles.sizes import CameraSizes
 from pipeline.detection.registry import NetworkHead, NetworkInput
@@ -27,7 +28,7 @@ def shapes(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     detector = Detector(
         network, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17
     )
-    monkeypatch.setattr(detection, "load_detector", lambda name: detector)
+    monkeypatch.setattr(profile_detector, "load_detector", lambda name: detector)
     return given
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.options.providers import CPU, choose_provider
-from pipeline.detection.models import path_of, status
+from pipeline.detection.models import installed_path, status
 from pipeline.detection.network import open_network
 from pipeline.detection.providers.agreement import noise
 from pipeline.detection.providers.find import current_provider, find_provider
@@ -83,4 +83,4 @@ def test_network_in_integers_stays_on_cpu_with_warning(
 def _installed(name: str) -> Path:
     if name not in {network.name for network in status() if network.installed}:
         pytest.skip(f"The network {name} is not installed.")
-    return path_of(name)
+    return installed_path(name)

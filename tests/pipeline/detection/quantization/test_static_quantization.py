@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from pipeline.core.errors import ModelError
 from pipeline.detection import models
-from pipeline.detection.entries import entry_of
+from pipeline.detection.entries import find_entry
 from pipeline.detection.network import open_network
 from pipeline.detection.quantization.movenet_ranges import RANGES
 from pipeline.detection.quantization.static_quantization import end, quantize
@@ -98,4 +98,4 @@ def test_installed_network_is_made_from_float_network() -> None:
     except ModelError as error:
         pytest.skip(str(error))
     assert quantize(content, RANGES) == made
-    assert len(made) == entry_of("movenet-multipose-int8").num_bytes
+    assert len(made) == find_entry("movenet-multipose-int8").num_bytes

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from api.web.sessions.preflight import CharacterContents
+from pipeline.export.character import check_character
 from pipeline.export.character.gltf_reader import decode_character
 from tests.pipeline.export.character.characters import bones_of, character, glb, parts, vrm
 from tests.pipeline.export.character.fbx.fbx_characters import fbx_of, mutated_fbx
@@ -18,7 +19,7 @@ MIXAMO = character(bones_of("mixamo"), unit=100.0, armature_scale=0.01)
 
 
 def checked(path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
-    code = check.main([str(path), *words])
+    code = check_character.main([str(path), *words])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -39,7 +40,7 @@ def test_names_that_fill_answers_are_refused(
 ) -> None:
     path = tmp_path / "robot.glb"
     path.write_bytes(MIXAMO)
-    monkeypatch.setattr(check, "MAX_CONTENTS_BYTES", 1000)
+    monkeypatch.setattr(check_character, "MAX_CONTENTS_BYTES", 1000)
     code, printed = checked(path, capsys)
     assert (code, [problem["code"] for problem in printed["problems"]]) == (2, ["character_too_large"])
 

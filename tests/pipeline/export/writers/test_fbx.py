@@ -70,10 +70,10 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
     path = written(motion, tmp_path / "person.fbx", preset)
     np.testing.assert_allclose(own_m(path, preset), forward_kinematics(motion), atol=1e-5)
     scene, convention = scene_of(path), PRESETS[preset]
-    names = [object_name(node) for node in scene.of_kind("Model", "LimbNode").values()]
+    names = [object_name(node) for node in scene.find_all("Model", "LimbNode").values()]
     expected = [convention.name(joint.name) for joint in find_skeleton(len(motion.bone_length_m))]
     assert names == expected
-    (top,) = scene.of_kind("Model", "Null").values()
+    (top,) = scene.find_all("Model", "Null").values()
     assert object_name(top) == {"unreal": "root", "humanik": "Reference"}.get(preset, motion.name)
     unit_cm = numbers(scene.global_settings, "UnitScaleFactor", 1)
     assert unit_cm == (100.0 if preset == "blender" else 1.0,)
@@ -82,7 +82,7 @@ def test_presets(preset: Preset, tmp_path: Path) -> None:
 
 def test_feet_end_in_toes_of_target_software(tmp_path: Path) -> None:
     scene = scene_of(written(walk(1), tmp_path / "person.fbx", "unreal"))
-    limbs = {object_name(node): limb for limb, node in scene.of_kind("Model", "LimbNode").items()}
+    limbs = {object_name(node): limb for limb, node in scene.find_all("Model", "LimbNode").items()}
     assert scene.parent(limbs["ball_l"], "Model") == limbs["foot_l"]
     names = {preset: PRESETS[preset].name("RightFootEnd") for preset in PRESETS}
     assert names == {
@@ -94,9 +94,12 @@ def test_feet_end_in_toes_of_target_software(tmp_path: Path) -> None:
 def test_humanik_has_take_of_rest_pose(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx", "humanik")
     scene = scene_of(path)
-    assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == ["person-1", "T-pose"]
-    motion, rest = scene.of_kind("AnimationLayer", "")
-    for model, node in scene.of_kind("Model", "LimbNode").items():
+    assert [object_name(node) for node in scene.find_all("AnimationStack", "").values()] == [
+        "person-1",
+        "T-pose",
+    ]
+    motion, rest = scene.find_all("AnimationLayer", "")
+    for model, node in scene.find_all("Model", "LimbNode").items():
         for name in ("Lcl Translation", "Lcl Rotation"):
             moving, still = scene.curves(motion, model, name), scene.curves(rest, model, name)
             assert (moving is None) == (still is None)
@@ -110,7 +113,7 @@ def test_humanik_has_take_of_rest_pose(tmp_path: Path) -> None:
 
 def test_rotation_orders_differ_where_one_interpolates_badly(tmp_path: Path) -> None:
     path = written(tumbling(), tmp_path / "person.fbx")
-    models = scene_of(path).of_kind("Model", "LimbNode").values()
+    models = scene_of(path).find_all("Model", "LimbNode").values()
     orders = {object_name(model): numbers(model, "RotationOrder", 1)[0] for model in models}
     assert len(set(orders.values())) > 1
     assert orders["Head"] == 3  # Y, then X, then Z about fixed axes: Z X Y of BVH
@@ -124,8 +127,8 @@ def test_angles_are_continuous_over_many_turns(tmp_path: Path) -> None:
     """Curves of a spin of three turns, over more frames than a block has."""
     path = written(walk(700), tmp_path / "person.fbx")
     scene = scene_of(path)
-    (layer,) = scene.of_kind("AnimationLayer", "")
-    for model in scene.of_kind("Model", "LimbNode"):
+    (layer,) = scene.find_all("AnimationLayer", "")
+    for model in scene.find_all("Model", "LimbNode"):
         found = scene.curves(layer, model, "Lcl Rotation")
         assert found is None or np.abs(np.diff(found[1], axis=1)).max() < 90.0
 
@@ -153,9 +156,9 @@ def test_names_are_kept_but_for_separators(tmp_path: Path) -> None:
     for number, (name, in_file) in enumerate(NAMES.items()):
         path = written(replace(motion, name=name, start_frame=7), tmp_path / f"{number}.fbx")
         scene = scene_of(path)
-        (top,) = scene.of_kind("Model", "Null").values()
+        (top,) = scene.find_all("Model", "Null").values()
         assert object_name(top) == in_file
-        assert [object_name(node) for node in scene.of_kind("AnimationStack", "").values()] == [in_file]
+        assert [object_name(node) for node in scene.find_all("AnimationStack", "").values()] == [in_file]
         assert numbers(top, "start_frame", 1) == (7,)
         np.testing.assert_allclose(own_m(path), forward_kinematics(motion), atol=1e-5)
         paths.append(path)
@@ -169,20 +172,20 @@ def test_person_without_frames_has_body_at_rest(tmp_path: Path) -> None:
     nobody = replace(motion, root_m=motion.root_m[:0], parent_from_joint=motion.parent_from_joint[:0])
     path = written(nobody, tmp_path / "person.fbx")
     assert not list(fbx.read_xyz_m(path, "default"))
-    assert len(scene_of(path).of_kind("Model", "LimbNode")) == 24
+    assert len(scene_of(path).find_all("Model", "LimbNode")) == 24
 
 
 def test_skin_is_bound_in_rest_pose(tmp_path: Path) -> None:
     """Joints in the bind pose are where their offsets place them; feet stand on the floor."""
     scene = scene_of(written(walk(1), tmp_path / "person.fbx"))
-    (pose,) = scene.of_kind("Pose", "BindPose").values()
+    (pose,) = scene.find_all("Pose", "BindPose").values()
     bound = {}
     for node in pose.children[3:]:
         model = node.child("Node")
         assert model is not None
         bound[typed_property(model, 0, int)] = values(node, "Matrix").reshape(4, 4).T
     heights = []
-    for limb, stored in scene.of_kind("Model", "LimbNode").items():
+    for limb, stored in scene.find_all("Model", "LimbNode").items():
         above = scene.parent(limb, "Model")
         assert above is not None
         offset = np.array(numbers(stored, "Lcl Translation", 3))
@@ -190,11 +193,11 @@ def test_skin_is_bound_in_rest_pose(tmp_path: Path) -> None:
         heights.append(bound[limb][1, 3])
     assert min(heights) == pytest.approx(0.0, abs=1e-9)
     assert max(heights) == pytest.approx(170.0, abs=15.0)
-    clusters = scene.of_kind("Deformer", "Cluster").values()
+    clusters = scene.find_all("Deformer", "Cluster").values()
     indices = np.concatenate([values(cluster, "Indexes") for cluster in clusters])
-    (mesh,) = scene.of_kind("Geometry", "Mesh").values()
+    (mesh,) = scene.find_all("Geometry", "Mesh").values()
     assert sorted(indices) == list(range(len(values(mesh, "Vertices")) // 3))
-    for number, cluster in scene.of_kind("Deformer", "Cluster").items():
+    for number, cluster in scene.find_all("Deformer", "Cluster").items():
         (joint,) = scene.children(number, "Model")
         np.testing.assert_array_equal(values(cluster, "TransformLink").reshape(4, 4).T, bound[joint])
         np.testing.assert_allclose(values(cluster, "Transform").reshape(4, 4).T @ bound[joint], np.eye(4), atol=1e-9)

@@ -137,7 +137,7 @@ def test_stranger_of_equal_build_in_other_clothes_is_new(bones: LearntBones, shi
     for tracked in (1, 2):
         identities.learn(tracked, bones)
     stand(identities, 10.0, {3: first_m}, None if shirt is None else {3: shirt})
-    assert identities.number_of(3) == number
+    assert identities.person_number(3) == number
 
 
 def seconds_of(shirt: int, seed: int) -> list[tuple[int, np.ndarray]]:
@@ -206,7 +206,7 @@ def test_rendered_people_of_one_build_keep_their_numbers(bones: LearntBones) -> 
     for tracked in (1, 2, 3):
         identities.learn(tracked, bones)
     visit(10.0, [*range(half, num_frames), *reversed(range(half, num_frames))], {4: 1, 5: 2, 6: 0})
-    assert [identities.number_of(tracked) for tracked in (4, 5, 6)] == [2, 3, 1]
+    assert [identities.person_number(tracked) for tracked in (4, 5, 6)] == [2, 3, 1]
 
 
 RATE_HZ = 25.0
@@ -306,11 +306,11 @@ def test_only_same_proportions_are_same_person(room: Simulation, factor: float, 
     standing_m = located_m(scaled(factor), identities)
     bodies = [identities.see(1, time_s, standing_m, {}) for time_s in np.arange(0.0, 3.1, 0.04)]
     assert any(body is not None for body in bodies) == is_same
-    assert identities.number_of(1) == (1 if is_same else 3)
+    assert identities.person_number(1) == (1 if is_same else 3)
     # Somebody else of the same proportions is in sight at the same time: another person.
     for time_s in np.arange(4.0, 7.1, 0.04):
         identities.see(2, time_s, standing_m, {})
-    assert identities.number_of(2) == 4
+    assert identities.person_number(2) == 4
 
 
 def test_first_of_many_people_are_forgotten_not_announced(room: Simulation) -> None:
@@ -337,11 +337,11 @@ def test_whoever_was_located_too_seldom_is_not_recognised(room: Simulation) -> N
     identities.keep(set())
     bodies = [identities.see(2, time_s, standing_m, {}) for time_s in np.arange(6.0, 9.0, 0.1)]
     assert all(body is None for body in bodies)
-    assert identities.number_of(2) == 2
+    assert identities.person_number(2) == 2
     for tracked in range(3, 70):
         identities.learn(tracked, learn_bones(room.truth_m[0, :5], room.joints))
         identities.keep({tracked})
-    assert identities.number_of(70) == 70
+    assert identities.person_number(70) == 70
 
 
 def test_bodies_are_read_from_result(room: Simulation, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.detection import chunk
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
 from pipeline.detection.detector import Detector
+from pipeline.detection.profiles import profile_detector
 from pipeline.detection.registry import NetworkHead, NetworkInput
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.methods import Association
@@ -65,7 +66,7 @@ def session(tmp_path: Path) -> CaptureSession:
 def network(monkeypatch: pytest.MonkeyPatch) -> CountingNetwork:
     fake = CountingNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
-    monkeypatch.setattr(detection, "load_detector", lambda name: detector)
+    monkeypatch.setattr(profile_detector, "load_detector", lambda name: detector)
     return fake
 
 

@@ -12,6 +12,7 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import Progress
 from pipeline.detection.detector import Detector
+from pipeline.detection.profiles import profile_detector
 from pipeline.detection.registry import NetworkHead, NetworkInput
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.stage import DETECT, LOOK
@@ -60,7 +61,7 @@ def session(tmp_path: Path) -> CaptureSession:
 def network(monkeypatch: pytest.MonkeyPatch) -> WidthKeepingNetwork:
     fake = WidthKeepingNetwork()
     detector = Detector(fake, NetworkInput("rgb", multiple=32, scaled_px=512), NetworkHead.MOVENET_MULTIPOSE, COCO_17)
-    monkeypatch.setattr(detection, "load_detector", lambda name: detector)
+    monkeypatch.setattr(profile_detector, "load_detector", lambda name: detector)
     return fake
 
 

@@ -17,7 +17,7 @@ from tests.worker.store.backups import UPLOAD, Data, busy_writers, ignore, opene
 from worker.store.backup.contents import DATABASE, MANIFEST
 from worker.store.backup.create import create_backup
 from worker.store.backup.restore import verify_backup
-from worker.store.files.keys import record_key, result_key, stage_key
+from worker.store.files.file_keys import record_key, result_key, stage_key
 from worker.store.model.states import JobState
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.s3 import S3, running_s3
 from worker.store.errors import ArtifactsUnavailable, NotFound
 from worker.store.files.artifacts import ArtifactStore, LocalArtifacts, open_artifacts
-from worker.store.files.keys import input_key, result_key, stage_key
+from worker.store.files.file_keys import input_key, result_key, stage_key
 from worker.store.files.s3 import S3Artifacts
 
 KEY = "sessions/0190/stages/detect-0.npz"

@@ -12,7 +12,7 @@ from tests.worker.store.conftest import StoreBench
 from worker.run.planning import plan_again, plan_job
 from worker.store.database.quotas import Quotas
 from worker.store.errors import Conflict, NotFound, QuotaExceeded
-from worker.store.files.keys import character_key, character_prefix, job_character_key, job_prefix
+from worker.store.files.file_keys import character_key, character_prefix, job_character_key, job_prefix
 from worker.store.model.character_records import Character, JobCharacter, StoredCharacterFile
 from worker.store.model.rights import Actor
 from worker.store.spec import JobSpec

@@ -13,7 +13,7 @@ from worker.store.database.connection import now
 from worker.store.database.stored_files import remove_later
 from worker.store.database.tables import characters, jobs, removals, sessions
 from worker.store.database.transitions import delete_visuals_job, lock_job, move_job
-from worker.store.files.keys import job_prefix
+from worker.store.files.file_keys import job_prefix
 from worker.store.model.states import JobState
 from worker.store.model.work import Removal
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.core.errors import ModelError
-from pipeline.core.runtime.packages.storage import exclusive, home, sha256_of, write_file
+from pipeline.core.runtime.packages.storage import exclusive, file_sha256, home, write_file
 
 
 def test_home_is_where_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,7 +18,7 @@ def test_home_is_where_environment_says(tmp_path: Path, monkeypatch: pytest.Monk
 def test_sha256(tmp_path: Path) -> None:
     file = tmp_path / "abc"
     file.write_bytes(b"abc")
-    assert sha256_of(file) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert file_sha256(file) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
 def test_full_disk_is_said_and_leaves_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
