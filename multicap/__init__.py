@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from pipeline.calibration.reading import Reading as CalibrationReading
     from pipeline.calibration.validate import RawCamera
     from pipeline.capture.camera_files import Recording
+    from pipeline.capture.keypoint_files.keypoint_reader import reader as keypoint_reader
+    from pipeline.capture.keypoint_files.people import KeypointsError
+    from pipeline.capture.keypoint_files.points import KeypointReading
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.session import CaptureSession, open_session
     from pipeline.core.data.reconstruction import Reconstruction
@@ -62,7 +65,9 @@ __all__ = [
     "FileFormat",
     "InputError",
     "Job",
+    "KeypointReading",
     "KeypointSession",
+    "KeypointsError",
     "LiveCapture",
     "LiveSettings",
     "ModelError",
@@ -85,6 +90,7 @@ __all__ = [
     "install_networks",
     "install_opensim_model",
     "install_sample",
+    "keypoint_reader",
     "open_keypoints",
     "open_session",
     "read_bodies",
@@ -107,7 +113,9 @@ _REFERENCES = {
     "FileFormat": "pipeline.core.options.choices:FileFormat",
     "InputError": "pipeline.core.errors:InputError",
     "Job": "api.cli.client:Job",
+    "KeypointReading": "pipeline.capture.keypoint_files.points:KeypointReading",
     "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
+    "KeypointsError": "pipeline.capture.keypoint_files.people:KeypointsError",
     "LiveCapture": "pipeline.run.live.capture:LiveCapture",
     "LiveSettings": "pipeline.run.live.settings:LiveSettings",
     "ModelError": "pipeline.core.errors:ModelError",
@@ -130,6 +138,7 @@ _REFERENCES = {
     "install_networks": "pipeline.detection.models:install_networks",
     "install_opensim_model": "pipeline.export.opensim.installed:install",
     "install_sample": "pipeline.core.runtime.packages.samples:install",
+    "keypoint_reader": "pipeline.capture.keypoint_files.keypoint_reader:reader",
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
     "read_bodies": "pipeline.run.live.settings:read_bodies",

@@ -31,7 +31,7 @@ from typing import Any, NoReturn, Self
 from pipeline.core.runtime import child_processes, parent_watch
 
 PROGRAMS = (
-    "pipeline.capture.keypoint_files.hdf5.read",
+    "pipeline.capture.keypoint_files.read_hdf5",
     "pipeline.capture.preflight",
     "pipeline.export.character.check_character",
     "pipeline.detection.own.check_network",

@@ -5,6 +5,7 @@ import gc
 import importlib
 import importlib.metadata
 import sys
+import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -13,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
 from api.cli.interruption import end_interrupted
+from pipeline.core.runtime.plugins import PluginWarning
 from pipeline.core.runtime.resources import keep_freed_memory
 
 # Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.
@@ -59,7 +61,11 @@ class LazyGroup(TyperGroup):
 
 
 def load(name: str) -> Any:
-    """Import a command of ``COMMANDS``: a module's group ``app``, or its function ``command``."""
+    """Import a command of ``COMMANDS``: a module's group ``app``, or its function ``command``.
+
+    A format of another package that can't be loaded ends a command; the service goes on without it.
+    """
+    warnings.simplefilter("default" if name == "serve" else "error", PluginWarning)
     module = importlib.import_module(f"{__package__}.commands.{name}")
     if hasattr(module, "app"):
         command: Any = get_group(module.app)
@@ -101,6 +107,8 @@ def main() -> None:
     atexit.register(gc.freeze)
     try:
         app()
+    except PluginWarning as error:
+        sys.exit(str(error))
     except ValueError as error:
         _refuse_settings(error)
         raise

@@ -6,12 +6,14 @@ A module declares its format by ``reader`` above the function that reads it, and
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from pipeline.calibration.contents import CameraFile
+from pipeline.core.runtime.plugins import FormatReader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationReader:
+class CalibrationReader(FormatReader):
     """Reader of a calibration format; call it with the content of a file and the file's name.
 
     Parameters
@@ -30,7 +32,6 @@ class CalibrationReader:
         Test of a file's content, for endings that several formats have, or for files of any ending.
     """
 
-    name: str
     read: Callable[[bytes, str], CameraFile]
     suffixes: tuple[str, ...] = ()
     roots: tuple[str, ...] = ()
@@ -42,15 +43,8 @@ class CalibrationReader:
         return self.read(content, file)
 
 
-def reader(
-    name: str,
-    *,
-    suffixes: tuple[str, ...] = (),
-    roots: tuple[str, ...] = (),
-    starts: tuple[bytes, ...] = (),
-    is_content: Callable[[bytes], bool] | None = None,
-) -> Callable[[Callable[[bytes, str], CameraFile]], CalibrationReader]:
-    """Declare a function as the reader of a format; see ``CalibrationReader``.
+def reader(name: str, **options: Any) -> Callable[[Callable[[bytes, str], CameraFile]], CalibrationReader]:
+    """Declare a function as the reader of a format; options are the parameters of ``CalibrationReader``.
 
     Examples
     --------
@@ -60,4 +54,4 @@ def reader(
     >>> read.suffixes
     ('.studio',)
     """
-    return lambda read: CalibrationReader(name, read, suffixes, roots, starts, is_content)
+    return lambda read: CalibrationReader(name, read, **options)

@@ -1,7 +1,5 @@
 """Choose the reader of a calibration file, and read it."""
 
-import importlib
-import pkgutil
 from collections.abc import Callable
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -29,26 +27,18 @@ from pipeline.core.problems.session_codes import (
     CALIBRATION_UNITS_UNSTATED,
     CALIBRATION_UNREADABLE,
 )
-from pipeline.core.runtime.plugins import load_plugins
+from pipeline.core.runtime.plugins import load_readers
 
 Reader = Callable[[bytes, str], CameraFile]
 
 # 128 cameras take about 200 kB in the most verbose format.
 MAX_BYTES = 4 * 2**20
-_GROUP = "multicap.readers"
 
 
 @cache
 def calibration_readers() -> tuple[CalibrationReader, ...]:
-    """Readers of other packages, then this one's.
-
-    Raises ``ImportError`` if an object of another package can't be loaded; the message names the package.
-    """
-    found = list(load_plugins(_GROUP, CalibrationReader).values())
-    for module in pkgutil.iter_modules(readers.__path__):
-        values = vars(importlib.import_module(f"{readers.__name__}.{module.name}")).values()
-        found += [value for value in values if isinstance(value, CalibrationReader)]
-    return tuple(dict.fromkeys(found))
+    """Readers of other packages, then this one's."""
+    return load_readers(CalibrationReader, readers)
 
 
 def reader_of_file(name: str, content: bytes, head: bytes) -> CalibrationReader | None:

@@ -17,9 +17,9 @@ from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.camera_files import Recording, find_input, known_recordings
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
-from pipeline.capture.keypoint_files.forms import OPENPOSE
 from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
 from pipeline.capture.keypoint_files.people import People, find_joint_set, is_detected
+from pipeline.capture.keypoint_files.readers import openpose
 from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
@@ -203,14 +203,14 @@ def open_keypoints(
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     chosen = None if layout is None else _chosen(layout, problems)
     forms: set[str] = set()
-    counts: dict[str, set[int]] = {}
+    counts: dict[str, frozenset[int]] = {}
     frames: dict[str, dict[int, People]] = {}
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
         contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems)
         frames[name] = contents_of.frames
-        counts[name] = contents_of.unnamed.counts
+        counts[name] = contents_of.counts
         forms |= contents_of.forms
         left_joints -= contents_of.num_joints
         if left_joints < 0:
@@ -237,7 +237,7 @@ def open_keypoints(
     )
     if problems or joints is None or timebase is None:
         raise InputError(problems)
-    if forms != {OPENPOSE}:
+    if forms != {openpose.read_frame.name}:
         message = f"The keypoints are read as those of {' and '.join(sorted(forms))}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
     findings += [
@@ -302,7 +302,7 @@ def _chosen(layout: str, problems: list[Problem]) -> KeypointLayout | None:
 
 def _in_layout(
     frames: dict[str, dict[int, People]],
-    counts: Mapping[str, set[int]],
+    counts: Mapping[str, frozenset[int]],
     camera_of: Mapping[str, str],
     cameras: Sequence[Camera],
     chosen: KeypointLayout | None,

@@ -7,8 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.capture.keypoint_files import foreign, freemocap
-from pipeline.capture.keypoint_files.folders import CAPTURES, MAX_FILE_BYTES
+from pipeline.capture.keypoint_files import foreign
+from pipeline.capture.keypoint_files.folders import MAX_FILE_BYTES
+from pipeline.capture.keypoint_files.forms import TEXT, endings
+from pipeline.capture.keypoint_files.readers import freemocap
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.problems.session_codes import KEYPOINTS_ARCHIVE
 from pipeline.core.runtime.zips import ArchiveError, entry_name, list_entries, read_entry, refusal
@@ -75,7 +77,7 @@ def _list_files(archive: Path, folder: Path, max_bytes: int) -> Sequence[zipfile
     if archive.suffix.lower() != ".zip" or target.exists():
         raise ArchiveError("The archive must have the name of its camera with the ending .zip.")
     target.mkdir()
-    files = list_entries(archive, CAPTURES, max_bytes) or list_entries(archive, {".txt"}, max_bytes)
+    files = list_entries(archive, endings(), max_bytes) or list_entries(archive, {TEXT}, max_bytes)
     if not files:
         others = list_entries(archive, foreign.ENDINGS, sys.maxsize)
         if known := foreign.described(entry_name(entry) for entry in others):

@@ -4,21 +4,22 @@ import filecmp
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files import coco, foreign, freemocap, yolo
-from pipeline.capture.keypoint_files.forms import KeypointForm, find_form
-from pipeline.capture.keypoint_files.hdf5.tracks import read_in_child
+from pipeline.capture.keypoint_files import foreign
+from pipeline.capture.keypoint_files.forms import endings, find_reader, frame_endings, load
+from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
-from pipeline.capture.keypoint_files.points import UnnamedPoints
+from pipeline.capture.keypoint_files.points import KeypointReading
+from pipeline.capture.keypoint_files.readers import freemocap, yolo
 from pipeline.capture.pairing import MIN_CAMERAS
 from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem, listed_names
 from pipeline.core.findings import Finding
-from pipeline.core.parsing import UnreadableError, read_json
+from pipeline.core.parsing import UnreadableError
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import FILE_IGNORED
 from pipeline.core.problems.session_codes import (
@@ -32,11 +33,8 @@ from pipeline.core.problems.session_codes import (
 )
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
-_NUMBERED = re.compile(r"(?:.*\D)?(\d{1,15})\.json", re.ASCII)
 _LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
 _HDF5 = frozenset({".h5", ".hdf5"})
-CAPTURES = frozenset({".json", ".csv", ".npy"}) | _HDF5
-"""Endings of files of all frames, in lower case; JSON files may be of a single frame."""
 _MAX_FRAME_BYTES = 4 * 2**20
 MAX_FILE_BYTES = 64 * 2**20
 """Limit on a file of all frames."""
@@ -103,7 +101,7 @@ class Contents:
     frames: dict[int, People]  # People by frame number, in ascending order
     num_joints: int  # Number of their joints, detected or not
     forms: frozenset[str]  # Names of the forms of the files
-    unnamed: UnnamedPoints  # Layouts of the points that the files do not name
+    counts: frozenset[int]  # Numbers of points of a person that the files do not name
 
 
 def stated_folders(
@@ -154,15 +152,13 @@ def read_folder(
         some = ", ".join(path.name for path in files.others[:3]) + (", ..." if len(files.others) > 3 else "")
         message = f"{len(files.others)} other files in {folder.name} are ignored: {some}."
         findings.append(Finding(FILE_IGNORED, message, severity="info", evidence={"num_files": len(files.others)}))
-    forms: set[str] = set()
-    unnamed = UnnamedPoints()
-    form_in = partial(_form_in, forms, size_px, unnamed)
+    reading = KeypointReading(size_px)
     frames: dict[int, People] = {}
     num_joints = 0
     for number, people in (
-        _read_frames(files.numbered, camera, form_in)
+        _read_frames(files.numbered, camera, reading)
         if files.capture is None
-        else _read_capture(files.capture, camera, form_in, folder.array if not isinstance(folder, Path) else None)
+        else _read_capture(files.capture, camera, reading, folder.array if not isinstance(folder, Path) else None)
     ):
         if isinstance(people, Problem):
             found.add(people)
@@ -172,7 +168,7 @@ def read_folder(
         if num_joints > max_joints:
             break
     problems += found.listed("files" if files.capture is None else "frames")
-    return Contents(frames, num_joints, frozenset(forms), unnamed)
+    return Contents(frames, num_joints, frozenset(reading.forms), frozenset(reading.counts))
 
 
 class _Problems:
@@ -219,7 +215,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     if not named and len(captures) == 1:
         return _Files({}, captures[0], [path for path in paths if path != captures[0]])
     # Other programs name files of frames by the number alone.
-    name = _FILE_NAME if named else _LABELS if labels else _NUMBERED
+    name = _FILE_NAME if named else _LABELS if labels else _numbered()
     numbered: dict[int, Path] = {}
     others: list[Path] = []
     for path in paths:
@@ -246,10 +242,17 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     return _Files(numbered, None, others)
 
 
+@cache
+def _numbered() -> re.Pattern[str]:
+    """Names of files of a frame by its number alone."""
+    endings_of_frames = "|".join(map(re.escape, sorted(frame_endings())))
+    return re.compile(rf"(?:.*\D)?(\d{{1,15}})({endings_of_frames})", re.ASCII)
+
+
 def _captures(files: Sequence[Path]) -> Sequence[Path]:
     """Files that may be of all frames; of DeepLabCut's CSV and HDF5 of one name, which have the same, the CSV."""
     tables = {path.stem for path in files if path.suffix.lower() == ".csv"}
-    captures = [path for path in files if path.suffix.lower() in CAPTURES]
+    captures = [path for path in files if path.suffix.lower() in endings()]
     return [path for path in captures if path.suffix.lower() not in _HDF5 or path.stem not in tables]
 
 
@@ -266,70 +269,50 @@ def _labels(files: Sequence[Path]) -> Sequence[Path]:
         return texts
 
 
-def _form_in(forms: set[str], size_px: tuple[int, int] | None, unnamed: UnnamedPoints, content: Any) -> KeypointForm:
-    """Form of a file's content, which is added to ``forms``."""
-    form = find_form(content, size_px, unnamed)
+def _choose_reader(path: Path, content: Any, reading: KeypointReading) -> KeypointReader:
+    """Reader of a file's content; its format is noted."""
+    reader = find_reader(path, content)
     if not isinstance(content, list) or content:  # an empty list may be of any program
-        forms.add(form.name)
-    return form
+        reading.forms.add(reader.name)
+    return reader
 
 
-_FormOf = Callable[[Any], KeypointForm]
-
-
-def _read_frames(numbered: Mapping[int, Path], camera: str, form_in: _FormOf) -> Iterator[tuple[int, People | Problem]]:
+def _read_frames(
+    numbered: Mapping[int, Path], camera: str, reading: KeypointReading
+) -> Iterator[tuple[int, People | Problem]]:
     """Read a file a frame, in order of the numbers."""
     for number, path in sorted(numbered.items()):
-        yield number, _attempt(partial(_read_file, path, form_in), path, camera, number, _FRAME_HINT)
+        yield number, _attempt(partial(_read_file, path, reading), path, camera, number, _FRAME_HINT)
 
 
-def _read_file(path: Path, form_in: _FormOf) -> People:
-    content = _read(path, _MAX_FRAME_BYTES)
-    return form_in(content).read_frame(content)
+def _read_file(path: Path, reading: KeypointReading) -> People:
+    content = load(path, _MAX_FRAME_BYTES)
+    return _choose_reader(path, content, reading).read(content, reading)
 
 
 def _read_capture(
-    path: Path, camera: str, form_in: _FormOf, content: Any = None
+    path: Path, camera: str, reading: KeypointReading, content: Any = None
 ) -> Iterator[tuple[int, People | Problem]]:
     """Read a file of all frames, in order of the numbers; ``content`` is the file's content if it is known."""
-    split = _attempt(partial(_split, path, form_in, content), path, camera, None, _FILE_HINT)
+    split = _attempt(partial(_split, path, reading, content), path, camera, None, _FILE_HINT)
     if isinstance(split, Problem):
         yield 0, split
         return
-    read_frame, frames = split
+    reader, frames = split
     for number, frame in sorted(frames.items()):
-        people = _attempt(partial(read_frame, frame), path, camera, number, _FILE_HINT)
+        people = _attempt(partial(reader.read, frame, reading), path, camera, number, _FILE_HINT)
         if isinstance(people, Problem) and people.code == KEYPOINTS_UNREADABLE:
             people = replace(people, message=f"Frame {number}: {people.message}")
         yield number, people
 
 
-def _split(path: Path, form_in: _FormOf, content: Any) -> tuple[Callable[[Any], People], Mapping[int, Any]]:
-    content = _read(path, MAX_FILE_BYTES) if content is None else content
-    form = form_in(content)
-    number = _NUMBERED.fullmatch(path.name)
-    if number is not None and (form.split_frames is None or (form.name == "COCO" and coco.is_frame(content))):
-        return form.read_frame, {int(number[1]): content}
-    if form.split_frames is None:
-        message = f"The file is read as {form.name}'s of a single frame, which has its number in its name."
-        raise KeypointsError(f"{message} Name it like 000000.json.")
-    frames = form.split_frames(content)
+def _split(path: Path, reading: KeypointReading, content: Any) -> tuple[KeypointReader, Mapping[int, Any]]:
+    content = load(path, MAX_FILE_BYTES) if content is None else content
+    reader = _choose_reader(path, content, reading)
+    number = _numbered().fullmatch(path.name)
+    frames = reader.frames(content, None if number is None else int(number[1]))
     check_frames(len(frames))
-    return form.read_frame, frames
-
-
-def _read(path: Path, max_bytes: int) -> Any:
-    """Parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file."""
-    if path.stat().st_size > max_bytes:
-        raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
-    if path.suffix.lower() == ".npy":
-        return freemocap.opened(path)
-    if path.suffix.lower() in _HDF5:
-        return read_in_child(path)
-    content = path.read_bytes()
-    if path.suffix.lower() == ".txt":
-        return yolo.parse_labels(content)
-    return content if path.suffix.lower() == ".csv" else read_json(content)
+    return reader, frames
 
 
 def _attempt(

@@ -1,114 +1,66 @@
-"""Forms of keypoint files: the reader of a file, found by its content."""
+"""Forms of keypoint files: the reader of a file, found by its ending and its content."""
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-import numpy as np
+from pipeline.capture.keypoint_files import readers
+from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader
+from pipeline.capture.keypoint_files.people import KeypointsError
+from pipeline.core.parsing import UnreadableError
+from pipeline.core.runtime.plugins import load_readers
 
-from pipeline.capture.keypoint_files import (
-    alphapose,
-    coco,
-    deeplabcut,
-    easymocap,
-    freemocap,
-    mediapipe,
-    mmpose,
-    openpose,
-    yolo,
-)
-from pipeline.capture.keypoint_files.hdf5 import tracks
-from pipeline.capture.keypoint_files.people import KeypointsError, People
-from pipeline.capture.keypoint_files.points import UnnamedPoints
+TEXT = ".txt"
+"""Ending of YOLO's labels, and of notes."""
 
 
-class KeypointForm(NamedTuple):
-    """Form of a file, with the functions of its reader.
+@cache
+def keypoint_readers() -> tuple[KeypointReader, ...]:
+    """Readers by their ranks; of one rank, readers of other packages come first."""
+    return tuple(sorted(load_readers(KeypointReader, readers), key=lambda reader: reader.rank))
 
-    Both raise ``TypeError``, ``KeyError`` or ``UnreadableError`` if the content is not in the format, and
-    ``KeypointsError`` if it can't be used, such as for a frame without a number or with the number of another one.
-    ``read_frame`` raises ``CrowdError`` if there are too many people.
+
+@cache
+def endings() -> frozenset[str]:
+    """Endings of keypoint files, in lower case; without texts."""
+    return frozenset(suffix for reader in keypoint_readers() for suffix in reader.suffixes) - {TEXT}
+
+
+@cache
+def frame_endings() -> frozenset[str]:
+    """Endings of files that all have a single frame, or may have one; without texts."""
+    single = (reader for reader in keypoint_readers() if reader.split_frames is None)
+    return frozenset(suffix for reader in single for suffix in reader.suffixes) - {TEXT}
+
+
+def list_readers(path: Path) -> list[KeypointReader]:
+    """Readers of files with an ending, by their ranks."""
+    return [reader for reader in keypoint_readers() if path.suffix.lower() in reader.suffixes]
+
+
+def load(path: Path, max_bytes: int) -> Any:
+    """Content of a file as its readers take it: parsed JSON, bytes, an array; see ``KeypointReader.load``."""
+    if path.stat().st_size > max_bytes:
+        raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
+    return list_readers(path)[-1].load(path)
+
+
+def find_reader(path: Path, content: Any) -> KeypointReader:
+    """Find the reader of a file by its content.
+
+    Raises ``KeypointsError`` if JSON has the fields of several formats, ``UnreadableError`` if no format has such
+    content.
     """
-
-    name: str  # Program or format, as users know it
-    # Reads the people of a frame from the content of its file, or from an entry of ``split_frames``
-    read_frame: Callable[[Any], People]
-    # Splits the content of a file of all frames by their numbers; ``None`` if the content is of a single frame
-    split_frames: Callable[[Any], Mapping[int, Any]] | None
-
-
-OPENPOSE, EASYMOCAP = "OpenPose", "EasyMocap"
-# Fields of the people in an object, which tell its program.
-_FIELDS = {
-    "annotations": "COCO",
-    easymocap.PEOPLE: EASYMOCAP,
-    "instance_info": "MMPose",
-    **dict.fromkeys(("poses", *mediapipe.RESULTS), "MediaPipe"),
-    "bodies": "AlphaPose",
-    "people": OPENPOSE,
-}
-
-
-def find_form(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
-    """Find the form of a file's content.
-
-    ``content`` is parsed JSON, the bytes of a CSV file, YOLO's labels, an array, or the people of an HDF5 file.
-    ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``unnamed`` gives the layouts of
-    points that files do not name. Unknown JSON is taken as OpenPose's.
-    Raises ``KeypointsError`` if a CSV file is of no known form, or if JSON has the fields of several.
-    """
-    match content:
-        case bytes():
-            if not deeplabcut.is_table(content):
-                raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
-            return KeypointForm("DeepLabCut", deeplabcut.read_frame, deeplabcut.split_frames)
-        case yolo.PoseLabels():
-            return KeypointForm("YOLO", partial(yolo.read_frame, size_px=size_px, unnamed=unnamed), None)
-        case tracks.PeopleByFrame():
-            return KeypointForm(content.form, tracks.read_frame, tracks.split_frames)
-        case np.ndarray():
-            return KeypointForm("FreeMoCap", partial(freemocap.read_frame, unnamed=unnamed), freemocap.split_frames)
-    return _form_of_json(content, size_px, unnamed)
-
-
-def _form_of_json(content: Any, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
-    if isinstance(content, list):
-        return _form_of_list(content, size_px, unnamed)
+    known = list_readers(path)
     if isinstance(content, dict):
-        return _form_of_object(content, size_px, unnamed)
-    return KeypointForm(OPENPOSE, partial(openpose.read_frame, unnamed=unnamed), None)
-
-
-def _form_of_list(content: list[Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
-    first = next((entry for entry in content if isinstance(entry, dict)), {})
-    if "instances" in first:
-        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.split_frames)
-    if "keypoint_scores" in first:
-        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), None)
-    if not first.keys().isdisjoint(mediapipe.RESULTS):
-        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), mediapipe.split_frames)
-    if easymocap.is_person(first):
-        return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
-    if isinstance(first.get("image_id"), str):
-        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), alphapose.split_frames)
-    return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.split_frames)
-
-
-def _form_of_object(content: dict[str, Any], size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> KeypointForm:
-    of_program = {program: field for field, program in _FIELDS.items() if field in content}
-    if len(of_program) > 1:
-        shown = " and ".join(f"{field} of {program}" for program, field in of_program.items())
-        raise KeypointsError(f"The file has the fields of several formats: {shown}. Keep one of them.")
-    if "annotations" in content:
-        return KeypointForm("COCO", partial(coco.read_frame, unnamed=unnamed), coco.split_frames)
-    if easymocap.PEOPLE in content:
-        return KeypointForm(EASYMOCAP, partial(easymocap.read_frame, unnamed=unnamed), None)
-    if "instance_info" in content:
-        return KeypointForm("MMPose", partial(mmpose.read_frame, unnamed=unnamed), mmpose.split_frames)
-    if not content.keys().isdisjoint(("poses", "frames", *mediapipe.RESULTS)):
-        split_frames = mediapipe.split_frames if "frames" in content else None
-        return KeypointForm("MediaPipe", partial(mediapipe.read_frame, size_px=size_px), split_frames)
-    if "bodies" in content or alphapose.is_images(content):
-        split_frames = None if "bodies" in content else alphapose.split_frames
-        return KeypointForm("AlphaPose", partial(alphapose.read_frame, unnamed=unnamed), split_frames)
-    return KeypointForm(OPENPOSE, partial(openpose.read_frame, unnamed=unnamed), None)
+        owners = {reader: field for reader in known for field in reader.fields if field in content}
+        if len(owners) > 1:
+            named = sorted((reader.name, field) for reader, field in owners.items())
+            shown = " and ".join(f"{field} of {name}" for name, field in named)
+            raise KeypointsError(f"The file has the fields of several formats: {shown}. Keep one of them.")
+        if owners:
+            return next(iter(owners))
+    for reader in known:
+        if reader.is_content is None or reader.is_content(content):
+            return reader
+    raise UnreadableError

@@ -95,6 +95,11 @@ def check_frames(count: int) -> None:
         raise KeypointsError(f"The file has {count:,} frames; at most {MAX_OUTPUT_FRAMES:,} are allowed.")
 
 
+def first_entry(content: Any) -> Mapping[str, Any]:
+    """First object of a list; empty without one, and for other content."""
+    return next((entry for entry in content if isinstance(entry, dict)), {}) if isinstance(content, list) else {}
+
+
 def number_in_name(name: Any) -> int | None:
     """Last number in the name of a picture, without its ending and folders; ``None`` if it has none.
 

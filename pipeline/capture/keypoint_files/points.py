@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.capture.keypoint_files.people import KeypointsError, People
+from pipeline.capture.keypoint_files.people import KeypointsError, People, with_detected_joints
 from pipeline.core.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.core.layouts import FILE_LAYOUTS, LAYOUTS, KeypointLayout
 
@@ -100,22 +100,35 @@ CANDIDATES: Mapping[int, tuple[KeypointLayout, ...]] = {
 """Layouts by number of points, the usual one first: of several it has all joints in the order of its points."""
 
 
-class UnnamedPoints:
-    """Layouts of the points of a folder's files that do not name them.
+class KeypointReading:
+    """Reading of the keypoint files of a camera.
 
-    ``counts`` are the numbers of points of a person in the files that were read.
+    ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``forms`` are the names of the formats
+    that were read, ``counts`` the numbers of points of a person in files that do not name the points.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, size_px: tuple[int, int] | None) -> None:
+        self.size_px = size_px
+        self.forms: set[str] = set()
         self.counts: set[int] = set()
 
-    def layout(self, num_points: int, field: str) -> KeypointLayout:
-        """Layout in which so many points are kept until ``layout_choice`` tells theirs: the first of ``CANDIDATES``.
+    def layout(self, points: int | Sequence[str], field: str) -> KeypointLayout:
+        """Layout of points by their names or, if a file does not name them, by their number.
 
-        Raises ``KeypointsError`` if there is none.
+        By the number it is the first of ``CANDIDATES``, until ``layout_choice`` tells the right one. Raises
+        ``KeypointsError`` if there is none; ``field`` is the name of the points' field.
         """
-        if num_points not in CANDIDATES:
+        if not isinstance(points, int):
+            return layout_of_names(points, field)
+        if points not in CANDIDATES:
             known = ", ".join(FILE_LAYOUTS)
-            raise KeypointsError(f"A person has {num_points} points; layouts that are read are {known}.", field)
-        self.counts.add(num_points)
-        return CANDIDATES[num_points][0]
+            raise KeypointsError(f"A person has {points} points; layouts that are read are {known}.", field)
+        self.counts.add(points)
+        return CANDIDATES[points][0]
+
+    def people(self, points: People, layout: KeypointLayout) -> People:
+        """People with a detected joint, by the points of all listed people in the order of a layout; see ``arranged``.
+
+        Raises ``KeypointsError`` if a joint is not within the limits, ``CrowdError`` if there are too many people.
+        """
+        return with_detected_joints(arranged(points, layout))

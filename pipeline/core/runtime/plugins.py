@@ -1,28 +1,55 @@
-"""Objects that other packages add by entry points. Standard library only."""
+"""Objects that other packages add by entry points, and readers of formats. Standard library only."""
 
+import importlib
+import pkgutil
+import warnings
+from dataclasses import dataclass
 from importlib.metadata import entry_points
+from types import ModuleType
 from typing import TypeVar
 
+READERS = "multicap.readers"
+"""Group of the entry points of readers."""
+
+
+class PluginWarning(UserWarning):
+    """An object of another package can't be used. The command line ends with it; a service goes on without."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormatReader:
+    """Base of the readers of formats."""
+
+    name: str
+
+
 _Plugin = TypeVar("_Plugin")
+_Reader = TypeVar("_Reader", bound=FormatReader)
 
 
 def load_plugins(group: str, kind: type[_Plugin]) -> dict[str, _Plugin]:
     """Load the objects of a group of entry points, by name.
 
-    Raises
-    ------
-    ImportError
-        If an object can't be loaded, or is of another kind; the message names the package.
+    Objects that can't be loaded or are of another kind are left out, with a ``PluginWarning`` that names the package.
     """
     plugins = {}
     for point in sorted(entry_points(group=group)):
-        package = point.dist.name if point.dist else "a package"
         try:
             plugin = point.load()
+            if not isinstance(plugin, kind):
+                raise TypeError(f"it is no {kind.__name__}")  # noqa: TRY301 - reported like an error of the package
         except Exception as error:
-            raise ImportError(f"{point.name} of {package} ({group}) can't be loaded: {error}") from error
-        if not isinstance(plugin, kind):
-            message = f"{point.name} of {package} ({group}) is no {kind.__name__}"
-            raise ImportError(message)  # noqa: TRY004 - a package is at fault, not a caller
-        plugins[point.name] = plugin
+            package = point.dist.name if point.dist else "its package"
+            message = f"The format {point.name} of {package} ({group}) can't be loaded: {error}."
+            warnings.warn(f"{message} Update {package}, or uninstall it.", PluginWarning, stacklevel=2)
+        else:
+            plugins[point.name] = plugin
     return plugins
+
+
+def load_readers(kind: type[_Reader], folder: ModuleType) -> tuple[_Reader, ...]:
+    """Load the readers of a kind: of other packages, then of the modules of a folder."""
+    found: list[object] = [*load_plugins(READERS, FormatReader).values()]
+    for module in pkgutil.iter_modules(folder.__path__):
+        found += vars(importlib.import_module(f"{folder.__name__}.{module.name}")).values()
+    return tuple(dict.fromkeys(reader for reader in found if isinstance(reader, kind)))

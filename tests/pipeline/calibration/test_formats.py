@@ -1,32 +1,17 @@
 """Calibration formats: declared by readers, and documented by their docstrings."""
 
-import ast
-import re
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
 from pipeline.calibration import readers
 from pipeline.calibration.registry import calibration_readers, reader_of_file, reader_of_root
-
-ROOT = Path(__file__).parents[3]
-
-
-def documented() -> list[str]:
-    """Rows of the table of formats in the docstrings of the readers' modules."""
-    rows: list[str] = []
-    for path in Path(readers.__path__[0]).glob("*.py"):
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        _, _, table = text.partition("Rows of the table of formats:")
-        rows += re.findall(r"\|(?:[^|]*\|){4}", " ".join(table.split()))
-    return rows
+from tests.pipeline.format_tables import documented_rows, table_rows
 
 
 def test_table_of_formats_is_one_of_readers() -> None:
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
-    table = text[text.index("| format | file, recognised by | lengths |") :].partition("\n\n")[0]
-    assert sorted(documented()) == sorted(table.splitlines()[2:])
+    head = "| format | file, recognised by | lengths | axes and names |"
+    assert documented_rows(readers, head) == table_rows(head)
 
 
 def test_each_ending_and_root_has_one_reader() -> None:

@@ -5,9 +5,9 @@ import os
 import sys
 from pathlib import Path
 
-from pipeline.capture.keypoint_files.hdf5.read import answer
-from pipeline.capture.keypoint_files.hdf5.tracks import decoded
 from pipeline.capture.keypoint_files.people import KeypointsError
+from pipeline.capture.keypoint_files.read_hdf5 import answer
+from pipeline.capture.keypoint_files.readers.hdf5 import decoded
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.runtime.confinement import ChildLimits, confine, is_caused_by_file
 

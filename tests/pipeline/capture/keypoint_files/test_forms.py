@@ -3,17 +3,61 @@
 import io
 import json
 import zipfile
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from pipeline.capture.keypoint_files import readers
 from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
+from pipeline.capture.keypoint_files.forms import find_reader, keypoint_readers
+from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.core.errors import InputError, Problem
+from tests.pipeline.format_tables import documented_rows, table_rows
 
 SIZE_PX = (640, 480)
 LABELS = "0 0.5 0.5 0.1 0.1" + " 0.5" * 51
+
+
+def test_table_of_formats_is_one_of_readers() -> None:
+    head = "| program | files | joints |"
+    assert documented_rows(readers, head) == table_rows(head)
+
+
+def test_each_field_tells_one_format() -> None:
+    counts = Counter(field for reader in keypoint_readers() for field in reader.fields)
+    assert len(counts) == 9
+    assert set(counts.values()) == {1}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ({"people": [], "version": 1}, "OpenPose"),
+        ({"annotations": [{"keypoints": [1.0]}]}, "COCO"),
+        ({"a1.jpg": [{"keypoints": [1.0]}]}, "AlphaPose"),
+        ({"frames": []}, "MediaPipe"),
+        ([{"image_id": "1.jpg", "keypoints": [[1.0, 2.0, 0.5]]}], "EasyMocap"),
+        ([{"image_id": "1.jpg", "keypoints": [1.0, 2.0, 0.5]}], "AlphaPose"),
+        ([{"image_id": 1, "keypoints": [1.0, 2.0, 0.5]}], "COCO"),
+        ([3, {"keypoints": [[1.0, 2.0]], "keypoint_scores": [0.5]}], "MMPose"),
+        ([], "COCO"),
+        (3, "OpenPose"),
+    ],
+)
+def test_content_tells_program(content: Any, expected: str) -> None:
+    assert find_reader(Path("take.json"), content).name == expected
+
+
+def test_layout_of_reading_by_names_or_number() -> None:
+    reading = KeypointReading(SIZE_PX)
+    names = ["tail", *(f"{part}_{side}" for part in ("hip", "shoulder") for side in "LR")]
+    joints = [None, "left_hip", "right_hip", "left_shoulder", "right_shoulder"]
+    assert (list(reading.layout(names, "bodyparts").points), reading.counts) == (joints, set())
+    assert (reading.layout(26, "points").name, reading.counts) == ("halpe-26", {26})
 
 
 @pytest.mark.parametrize("other", ["000001.json", "take.csv", "frame_1_keypoints.json"])

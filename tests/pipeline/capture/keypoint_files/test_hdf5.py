@@ -14,10 +14,9 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline.capture.keypoint_files import folders
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
-from pipeline.capture.keypoint_files.hdf5.read import answer
-from pipeline.capture.keypoint_files.hdf5.tracks import decoded
+from pipeline.capture.keypoint_files.read_hdf5 import answer
+from pipeline.capture.keypoint_files.readers import hdf5
 from pipeline.core.errors import Problem
 from pipeline.core.joints import COCO_17
 from pipeline.core.runtime.child_processes import python_command
@@ -58,7 +57,7 @@ def read(folder: Path, content: bytes, name: str = "take.h5") -> tuple[Contents,
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Well-formed files are read in this process, without a child for each."""
-    monkeypatch.setattr(folders, "read_in_child", lambda path: decoded(answer(path)))
+    monkeypatch.setattr(hdf5, "run_confined", lambda program, arguments, *_, **__: answer(Path(arguments[0])))
 
 
 def refused(folder: Path, write: Callable[[h5py.File], Any]) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
-from pipeline.capture.keypoint_files.yolo import LINES
+from pipeline.capture.keypoint_files.readers.yolo import LINES
 from pipeline.core.errors import Problem
 from pipeline.core.layouts import LAYOUTS
 

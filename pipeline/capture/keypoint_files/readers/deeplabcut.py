@@ -4,15 +4,22 @@ The rows of headers begin with ``scorer``, ``individuals`` (files of several peo
 (x, y, and ``likelihood`` in analysed videos). A row begins with the number of the frame, or with the path of a picture
 whose name has that number. Parts that stand once in a scene, under the individual ``single``, are not read. Format:
 https://deeplabcut.github.io/DeepLabCut (standard user guide, outputs of ``analyze_videos``)
+
+Rows of the table of formats:
+
+| DeepLabCut | all frames: CSV of one person (three rows of headers) or of several (four), or the same as HDF5 | joints
+whose names are known |
 """
 
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -20,9 +27,8 @@ from pipeline.capture.keypoint_files.people import (
     check_number,
     frame_number,
     number_in_name,
-    with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import arranged, match_joint, named_layout
+from pipeline.capture.keypoint_files.points import KeypointReading, match_joint, named_layout
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import UnreadableError
 
@@ -43,17 +49,14 @@ class Columns:
     num_leading: int  # Columns before the points
 
 
-def is_table(content: bytes) -> bool:
-    """Whether a CSV file begins as one of DeepLabCut."""
-    return content.removeprefix(b"\xef\xbb\xbf").lstrip(b'"')[:6].lower() == b"scorer"
-
-
 def split_frames(content: bytes) -> Mapping[int, tuple[Columns, str]]:
     """Split the rows by the number of their frame.
 
     Raises ``KeypointsError`` if the headers can't be used, or if a row has no number, or another row's;
     ``UnreadableError`` if the content is no text.
     """
+    if content.removeprefix(b"\xef\xbb\xbf").lstrip(b'"')[:6].lower() != b"scorer":
+        raise KeypointsError("The CSV file does not begin with the row scorer of DeepLabCut.")
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -79,7 +82,8 @@ def split_frames(content: bytes) -> Mapping[int, tuple[Columns, str]]:
     return frames
 
 
-def read_frame(content: tuple[Columns, str]) -> People:
+@reader("DeepLabCut", suffixes=(".csv",), load=Path.read_bytes, split_frames=split_frames)
+def read_frame(content: tuple[Columns, str], reading: KeypointReading) -> People:
     """Read the people of a row with at least one detected joint.
 
     Raises ``KeypointsError`` or ``CrowdError`` if the row can't be used.
@@ -98,7 +102,7 @@ def read_frame(content: tuple[Columns, str]) -> People:
             raise KeypointsError(message, columns.names[k]) from None
     points = values[columns.number]
     points[columns.number[..., 2] < 0, 2] = 1.0
-    return with_detected_joints(arranged(points, columns.layout))
+    return reading.people(points, columns.layout)
 
 
 def find_columns(headers: Mapping[str, Sequence[str]]) -> Columns:

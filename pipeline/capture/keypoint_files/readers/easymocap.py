@@ -4,37 +4,43 @@ A person has ``keypoints``, x, y and score of each point: 25 in OpenPose's order
 networks' points, or another layout's; and ``handl2d`` and ``handr2d`` of 21 points each, the wrist first. A
 score below 0 means that the point was not found. Format: https://github.com/zju3dv/EasyMocap
 (easymocap/annotator/file_utils.py, doc/dataset.md)
+
+Rows of the table of formats:
+
+| EasyMocap | a frame: `{"annots": [...]}`, or the list alone: the folders of `annots` | BODY_25 and hands; the other
+layouts of OpenPose's form |
 """
 
 from typing import Any
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_number,
+    first_entry,
     join_hands,
     joined,
     nobody,
     read_points,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged
+from pipeline.capture.keypoint_files.points import KeypointReading, arranged
 from pipeline.core.joints import without_hands
 
-PEOPLE = "annots"
-"""Name of the list of people."""
-_POINTS = "keypoints"
+_PEOPLE, _POINTS = "annots", "keypoints"
 
 
-def is_person(entry: dict[str, Any]) -> bool:
-    """An entry of a list is a person in this form: its points are lists of numbers, without other scores."""
-    points = entry.get(_POINTS)
-    return isinstance(points, list) and bool(points) and isinstance(points[0], list) and "keypoint_scores" not in entry
+def is_people(content: Any) -> bool:
+    """The content lists people in this form: their points are lists of numbers."""
+    points = first_entry(content).get(_POINTS)
+    return isinstance(points, list) and bool(points) and isinstance(points[0], list)
 
 
-def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
+@reader("EasyMocap", is_content=is_people, fields=(_PEOPLE,), rank=2)
+def read_frame(content: Any, reading: KeypointReading) -> People:
     """Read the people of a frame with at least one detected joint."""
-    listed = content[PEOPLE] if isinstance(content, dict) else content
+    listed = content[_PEOPLE] if isinstance(content, dict) else content
     if not isinstance(listed, list):
         raise TypeError
     check_number(listed)
@@ -43,7 +49,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     if any(_POINTS not in person for person in listed):
         raise KeypointsError("A person has no keypoints: only boxes were found. Detect keypoints in them.", _POINTS)
     bodies = [_flat(person[_POINTS], _POINTS) for person in listed]
-    layout = unnamed.layout(len(bodies[0]) // 3, _POINTS)
+    layout = reading.layout(len(bodies[0]) // 3, _POINTS)
     people = arranged(read_points(bodies, len(layout.points), _POINTS), layout)
     if layout.joints == without_hands(layout.joints):
         hands = join_hands(lambda side: [_flat(person.get(_hand(side)), _hand(side)) for person in listed], _hand)

@@ -4,6 +4,11 @@ The inferencer writes a list of frames with ``frame_id`` and ``instances`` of a 
 demos write an object with ``instance_info``, that list, and ``meta_info``, which names the points. An instance has
 ``keypoints``, x and y of each point, and ``keypoint_scores``. Format: ``split_instances`` of mmpose.structures, and
 https://mmpose.readthedocs.io/en/latest/user_guides/inference.html
+
+Rows of the table of formats:
+
+| MMPose (RTMPose) | all frames: a list of `frame_id` and `instances`, or `instance_info` of the demos; a frame: a list
+of instances | COCO-17, Halpe-26 and -136, COCO-WholeBody; of the demos any that `keypoint_id2name` names |
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,29 +16,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_frames,
     check_number,
+    first_entry,
     frame_number,
     nobody,
-    with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, layout_of_names
+from pipeline.capture.keypoint_files.points import KeypointReading, layout_of_names
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import read_numbers
 
 _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 
 
-def split_frames(content: Any) -> Mapping[int, Any]:
+def is_instances(content: Any) -> bool:
+    """The content lists frames with instances, or the instances of a frame."""
+    return not first_entry(content).keys().isdisjoint(("instances", _SCORES))
+
+
+def split_frames(content: Any) -> Mapping[int, Any] | None:
     """Split all frames by their numbers."""
     layout = None
     if isinstance(content, dict):
         names = _point_names(content.get("meta_info"))
         layout = None if names is None else layout_of_names(names, _NAMES)
         content = content["instance_info"]
+    elif "instances" not in first_entry(content):
+        return None
     check_frames(len(content))
     frames: dict[int, Any] = {}
     for frame in content:
@@ -44,7 +57,8 @@ def split_frames(content: Any) -> Mapping[int, Any]:
     return frames
 
 
-def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
+@reader("MMPose", is_content=is_instances, fields=("instance_info",), split_frames=split_frames)
+def read_frame(content: Any, reading: KeypointReading) -> People:
     """Read the people of a frame with at least one detected joint."""
     instances, layout = content if isinstance(content, _Frame) else _Frame(content, None)
     if not isinstance(instances, list):
@@ -59,7 +73,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         if len(instance[_SCORES]) != num_points:
             message = f"A person has {num_points} points and {len(instance[_SCORES])} scores."
             raise KeypointsError(message, _SCORES)
-    layout = unnamed.layout(num_points, _POINTS) if layout is None else layout
+    layout = reading.layout(num_points, _POINTS) if layout is None else layout
     if len(layout.points) != num_points:
         raise KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
     points_px = read_numbers([instance[_POINTS] for instance in instances])
@@ -68,7 +82,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     scores = read_numbers([instance[_SCORES] for instance in instances])
     if scores.shape != (len(instances), num_points):
         raise KeypointsError("A score must be a number.", _SCORES)
-    return with_detected_joints(arranged(np.concatenate([points_px, scores[..., None]], axis=-1), layout))
+    return reading.people(np.concatenate([points_px, scores[..., None]], axis=-1), layout)
 
 
 class _Frame(NamedTuple):

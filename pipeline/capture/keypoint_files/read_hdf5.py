@@ -1,4 +1,4 @@
-"""Read an HDF5 file of 2D points: ``python -m pipeline.capture.keypoint_files.hdf5.read FILE``, a confined program.
+"""Read an HDF5 file of 2D points: ``python -m pipeline.capture.keypoint_files.read_hdf5 FILE``, a confined program.
 
 It prints what ``tracks.decoded`` reads.
 """
@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 
 from pipeline.calibration.readers.pickle_values import read_values
-from pipeline.capture.keypoint_files.deeplabcut import find_columns
-from pipeline.capture.keypoint_files.hdf5.tracks import Tracks, encoded, problem
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames, frame_number, number_in_name
 from pipeline.capture.keypoint_files.points import match_joint, named_layout
+from pipeline.capture.keypoint_files.readers.deeplabcut import find_columns
+from pipeline.capture.keypoint_files.readers.hdf5 import Tracks, encoded, problem
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.runtime.confinement import confined_arguments, tell_ready
 

@@ -5,6 +5,11 @@ FreeMoCap writes cameras x frames x points x 3 into one file, of which a camera'
 its size, and the third number is a depth. Points of other networks have a score in its place, or nothing. Points that
 were not found are not finite, or at (0, 0). Format: https://github.com/freemocap/skellytracker (recorders of the
 trackers)
+
+Rows of the table of formats:
+
+| FreeMoCap | all frames: the array of a camera (`.npy`), frames x points x 3, of one person; or one file of all cameras
+| MediaPipe's 33, and hands; BODY_25, COCO-17 and the other layouts of OpenPose's form |
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,8 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
-from pipeline.capture.keypoint_files.points import CANDIDATES, UnnamedPoints, arranged
+from pipeline.capture.keypoint_files.keypoint_reader import reader
+from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames
+from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading
 from pipeline.core.joints import WHOLE_BODY
 from pipeline.core.layouts import HAND_POINTS, LAYOUTS, KeypointLayout
 
@@ -105,17 +111,18 @@ def split_frames(content: np.ndarray) -> Mapping[int, np.ndarray]:
     return dict(enumerate(content))
 
 
-def read_frame(content: np.ndarray, unnamed: UnnamedPoints) -> People:
+@reader("FreeMoCap", suffixes=(".npy",), load=opened, split_frames=split_frames)
+def read_frame(content: np.ndarray, reading: KeypointReading) -> People:
     """Read the person of a frame, or nobody without a detected joint."""
     points = np.ones((1, len(content), 3))
     points[0, :, : content.shape[1]] = content
     found = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     points[~found] = 0.0
-    layout = _MEDIAPIPE.get(len(content)) or unnamed.layout(len(content), "points")
+    layout = _MEDIAPIPE.get(len(content)) or reading.layout(len(content), "points")
     if len(content) in _MEDIAPIPE:
         # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
         points[found, :2] -= 0.5
-    return with_detected_joints(arranged(points, layout))
+    return reading.people(points, layout)
 
 
 def _has_scores(content: np.ndarray) -> bool:

@@ -5,6 +5,11 @@ that the ``categories`` of annotations name. With 17 points, ``foot_kpts`` (6), 
 ``righthand_kpts`` (21 each) may stand beside them; faces are not read. ``frame``, or else ``image_id``, is the number
 of the frame; if all ``images`` have files with numbers in their names, these are the numbers. Formats:
 https://cocodataset.org/#format-data, https://github.com/jin-s13/COCO-WholeBody (data_format.md)
+
+Rows of the table of formats:
+
+| COCO, COCO-WholeBody | a frame or all frames: a list of people (results), or `{"annotations": [...]}` | COCO-17, heels
+and big toes, and hands; or any that `categories` name |
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -24,7 +30,7 @@ from pipeline.capture.keypoint_files.people import (
     read_points,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged, layout_of_names, match_joint
+from pipeline.capture.keypoint_files.points import KeypointReading, layout_of_names, match_joint
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 
@@ -56,7 +62,15 @@ def split_frames(content: Any) -> Mapping[int, Any]:
     return {number: _Frame(people, layout, is_named) for number, people in frames.items()}
 
 
-def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
+@reader(
+    "COCO",
+    is_content=lambda content: isinstance(content, list),
+    fields=("annotations",),
+    rank=4,
+    split_frames=split_frames,
+    is_frame=is_frame,
+)
+def read_frame(content: Any, reading: KeypointReading) -> People:
     """Read the people of a frame with at least one detected joint."""
     listed, layout, is_named = content if isinstance(content, _Frame) else _list_people(content)
     check_number(listed)
@@ -64,11 +78,11 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         return nobody()
     bodies = [person[_BODY] for person in listed]
     if layout is not None:
-        return with_detected_joints(arranged(read_points(bodies, len(layout.points), _BODY), layout))
+        return reading.people(read_points(bodies, len(layout.points), _BODY), layout)
     if all(len(body) == 3 * len(_WHOLE.points) for body in bodies):
         if not is_named:
-            unnamed.layout(len(_WHOLE.points), _BODY)
-        return with_detected_joints(arranged(read_points(bodies, len(_WHOLE.points), _BODY), _WHOLE))
+            reading.layout(len(_WHOLE.points), _BODY)
+        return reading.people(read_points(bodies, len(_WHOLE.points), _BODY), _WHOLE)
     if any(len(body) != 3 * _NUM_BODY for body in bodies):
         message = (
             f"The keypoints of people must have {3 * _NUM_BODY} or {3 * len(_WHOLE.points)} numbers, as many for "
@@ -76,7 +90,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
         )
         raise KeypointsError(message, _BODY)
     if not is_named:
-        unnamed.layout(_NUM_BODY, _BODY)
+        reading.layout(_NUM_BODY, _BODY)
     body = read_points(bodies, _NUM_BODY, _BODY)
     feet = read_points([person.get(_FEET) for person in listed], _NUM_FEET, _FEET)
     hands = join_hands(lambda side: [person.get(_hand(side)) for person in listed], _hand)

@@ -6,10 +6,17 @@ Pose2Sim puts the points of RTMPose in ``pose_keypoints_2d``, in their own order
 (COCO-WholeBody, with hands); a person that a camera does not see is an empty object or has an empty list. Formats:
 https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html,
 https://github.com/perfanalytics/pose2sim (poseEstimation.py, personAssociation.py)
+
+Rows of the table of formats:
+
+| OpenPose | a frame: `{"people": [...]}` | BODY_25, COCO-18 or COCO-17, and hands |
+| Pose2Sim, with RTMPose by RTMLib | a frame in OpenPose's form: the folders `cam01_json` of `pose`, `pose-sync` or
+`pose-associated` | COCO-17, Halpe-26, COCO-WholeBody |
 """
 
 from typing import Any
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -19,7 +26,7 @@ from pipeline.capture.keypoint_files.people import (
     nobody,
     with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import CANDIDATES, UnnamedPoints, arranged
+from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading, arranged
 from pipeline.core.joints import without_hands
 from pipeline.core.layouts import FILE_LAYOUTS
 from pipeline.core.parsing import read_numbers
@@ -27,7 +34,8 @@ from pipeline.core.parsing import read_numbers
 _BODY = "pose_keypoints_2d"
 
 
-def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
+@reader("OpenPose", fields=("people",), rank=5)
+def read_frame(content: Any, reading: KeypointReading) -> People:
     """Read the people of a frame with at least one detected joint of the body."""
     listed = [person for person in content["people"] if person != {} and person[_BODY] != []]
     bodies = [person[_BODY] for person in listed]
@@ -38,7 +46,7 @@ def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
     if num_more or num_points not in CANDIDATES:
         known = ", ".join(f"{layout.name} has {3 * len(layout.points)}" for layout in FILE_LAYOUTS.values())
         raise KeypointsError(f"A person has {len(bodies[0])} numbers; {known}.", _BODY)
-    layout = unnamed.layout(num_points, _BODY)
+    layout = reading.layout(num_points, _BODY)
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.
     kept = [row for row, body in enumerate(bodies) if len(body) != 3 * len(layout.points) or any(body)]
     if not kept:

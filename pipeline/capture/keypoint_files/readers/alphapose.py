@@ -4,30 +4,38 @@ A person of the list has ``image_id``, the name of the image, whose number is th
 x, y and score of 17 (COCO), 26 or 136 (Halpe) or 133 (COCO-WholeBody) points. With ``--format cmu`` or ``open``
 images have ``bodies`` or ``people`` of 18 joints; with PoseFlow each image has a list of people. Formats:
 https://github.com/MVIG-SJTU/AlphaPose (docs/output.md, PoseFlow)
+
+Rows of the table of formats:
+
+| AlphaPose | all frames: the list `alphapose-results.json`; tracked by PoseFlow, or with `--format open` or `cmu`, an
+object of images, or `sep-json/` | COCO-17, Halpe-26 and -136, COCO-WholeBody; 18 joints of `open` and `cmu` |
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.capture.keypoint_files import openpose
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_number,
+    first_entry,
     frame_number,
     nobody,
     number_in_name,
     read_points,
-    with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import UnnamedPoints, arranged
+from pipeline.capture.keypoint_files.points import KeypointReading
+from pipeline.capture.keypoint_files.readers import openpose
 
 _POINTS = "keypoints"
 
 
-def is_images(content: Mapping[str, Any]) -> bool:
-    """An object has the people of images by their names."""
-    if "people" in content or not content:
+def is_results(content: Any) -> bool:
+    """The content has people with the names of their images: a list of people, or an object of images."""
+    if not isinstance(content, dict):
+        return isinstance(first_entry(content).get("image_id"), str)
+    if not content:
         return False
     images = list(content.values())
     if all(isinstance(image, list) for image in images):
@@ -36,8 +44,10 @@ def is_images(content: Mapping[str, Any]) -> bool:
     return isinstance(images[0], dict) and not images[0].keys().isdisjoint(("people", "bodies"))
 
 
-def split_frames(content: Any) -> Mapping[int, Any]:
+def split_frames(content: Any) -> Mapping[int, Any] | None:
     """Split all images by the numbers in their names."""
+    if isinstance(content, dict) and "bodies" in content:
+        return None
     frames: dict[int, Any] = {}
     names: dict[int, str] = {}
     for name, image in (
@@ -53,17 +63,18 @@ def split_frames(content: Any) -> Mapping[int, Any]:
     return frames
 
 
-def read_frame(content: Any, unnamed: UnnamedPoints) -> People:
+@reader("AlphaPose", is_content=is_results, fields=("bodies",), rank=3, split_frames=split_frames)
+def read_frame(content: Any, reading: KeypointReading) -> People:
     """Read the people of an image with at least one detected joint."""
     if isinstance(content, dict):
         bodies = {"people": [{"pose_keypoints_2d": body["joints"]} for body in content.get("bodies", ())]}
-        return openpose.read_frame(content if "people" in content else bodies, unnamed)
+        return openpose.read_frame.read(content if "people" in content else bodies, reading)
     check_number(content)
     if not content:
         return nobody()
     people = [person[_POINTS] for person in content]
-    layout = unnamed.layout(len(people[0]) // 3, _POINTS)
-    return with_detected_joints(arranged(read_points(people, len(layout.points), _POINTS), layout))
+    layout = reading.layout(len(people[0]) // 3, _POINTS)
+    return reading.people(read_points(people, len(layout.points), _POINTS), layout)
 
 
 def _image_number(name: Any) -> int:

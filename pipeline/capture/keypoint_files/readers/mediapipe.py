@@ -7,6 +7,11 @@ from 0. Positions are shares of the image, whose size is ``image_size`` (width, 
 
 A form of our own (docs/formats.md) has ``poses`` in an object a frame, or ``frames`` in an object of all frames. There
 positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
+
+Rows of the table of formats:
+
+| MediaPipe | a frame: its result, or `{"poses": [...]}`; all frames: a list of results, or `{"frames": [...]}` |
+COCO-17, heels and big toes, and hands |
 """
 
 from collections.abc import Mapping
@@ -14,12 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     NUM_HAND_POINTS,
     KeypointsError,
     People,
     check_frames,
     check_number,
+    first_entry,
     frame_number,
     join_hands,
     joined,
@@ -27,27 +34,35 @@ from pipeline.capture.keypoint_files.people import (
     read_points,
     with_detected_joints,
 )
+from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.core.joints import BODY_FEET, SIDES
 from pipeline.core.layouts import LAYOUTS
 from pipeline.core.parsing import SIDE_PX, read_numbers
 
 _POSE, _SIZE = "pose_landmarks", "image_size"
-RESULTS = (_POSE, "poseLandmarks", "landmarks")
-"""Names of the points of the poses in a result."""
+# Names of the points of the poses in a result.
+_RESULTS = (_POSE, "poseLandmarks", "landmarks")
 _LAYOUT = LAYOUTS["mediapipe-33"]
 _NUM_POSE = len(_LAYOUT.points)
 _BODY_FEET = [_LAYOUT.points.index(name) for name in BODY_FEET.names]
 
 
-def split_frames(content: Any) -> Mapping[int, Any]:
+def is_frames(content: Any) -> bool:
+    """The content has all frames."""
+    return "frames" in content if isinstance(content, dict) else not first_entry(content).keys().isdisjoint(_RESULTS)
+
+
+def split_frames(content: Any) -> Mapping[int, Any] | None:
     """Split all frames by their numbers."""
+    if not is_frames(content):
+        return None
     listed = content["frames"] if isinstance(content, dict) else content
     check_frames(len(listed))
     size = {_SIZE: content[_SIZE]} if isinstance(content, dict) and _SIZE in content else {}
     frames: dict[int, Any] = {}
     for place, entry in enumerate(listed):
-        is_own = isinstance(content, dict) and entry.keys().isdisjoint(RESULTS)
-        result = {RESULTS[0]: None} if entry is None else entry
+        is_own = isinstance(content, dict) and entry.keys().isdisjoint(_RESULTS)
+        result = {_RESULTS[0]: None} if entry is None else entry
         number = frame_number(entry["frame"] if is_own else result.get("frame", place), "frame")
         if number in frames:
             raise KeypointsError(f"Frame {number} is listed twice.", "frame")
@@ -55,16 +70,14 @@ def split_frames(content: Any) -> Mapping[int, Any]:
     return frames
 
 
-def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
-    """Read the people of a frame with at least one detected joint.
-
-    ``size_px`` has width and height of the camera's images, for results that don't state them; ``None`` if unknown.
-    """
+@reader("MediaPipe", is_content=is_frames, fields=("poses", *_RESULTS), rank=1, split_frames=split_frames)
+def read_frame(content: Any, reading: KeypointReading) -> People:
+    """Read the people of a frame with at least one detected joint."""
     scale_px = _size_px(content)
     poses = content.get("poses")
     if poses is None:
         poses = _list_poses(content)
-        scale_px = np.array(size_px) if scale_px is None and size_px is not None else scale_px
+        scale_px = np.array(reading.size_px) if scale_px is None and reading.size_px is not None else scale_px
         if scale_px is None:
             message = f"Landmarks are shares of an image whose size is unknown; add {_SIZE}, its width and height."
             raise KeypointsError(message, _SIZE)
@@ -82,7 +95,7 @@ def read_frame(content: Any, size_px: tuple[int, int] | None = None) -> People:
 
 def _list_poses(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Points of each person in a result: the pose, and hands if there are as many as poses."""
-    field = next((name for name in RESULTS if name in result), None)
+    field = next((name for name in _RESULTS if name in result), None)
     if field is None:
         raise TypeError
     poses = _list_people(result[field])

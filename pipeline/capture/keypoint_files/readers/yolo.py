@@ -4,22 +4,28 @@ A line has the class, the box (x, y, width, height), and x, y and score of each 
 and the number of a track. Lines of COCO's 17 points may lack the scores. Positions are shares of the image. Ultralytics
 divides pixels by the size of the image, and writes points with low scores at (0, 0). Format:
 https://docs.ultralytics.com/datasets/pose, ``Results.save_txt``
+
+Rows of the table of formats:
+
+| YOLO (Ultralytics) | a frame: its labels of poses, `save_txt=True`: `class x y w h`, then `x y score` of each point |
+COCO-17, Halpe-26 and -136, COCO-WholeBody |
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.capture.keypoint_files.keypoint_reader import reader
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
     check_number,
     is_detected,
     nobody,
-    with_detected_joints,
 )
-from pipeline.capture.keypoint_files.points import CANDIDATES, UnnamedPoints, arranged
+from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading
 from pipeline.core.joints import COCO_17
 from pipeline.core.parsing import UnreadableError
 
@@ -28,12 +34,6 @@ _NUM_LEADING = 5
 _NUMS_POINTS = (17, 23, 26, 133, 136)
 # Beyond the image by as much as a network could mean; pixels are far larger.
 _MIN_SHARE, _MAX_SHARE = -2.0, 3.0
-
-
-class PoseLabels(NamedTuple):
-    """Content of a file of labels."""
-
-    text: str
 
 
 class _Line(NamedTuple):
@@ -67,25 +67,25 @@ def is_labels(beginning: bytes) -> bool:
         return False
 
 
-def parse_labels(content: bytes) -> PoseLabels:
+def load_labels(path: Path) -> str:
     """Labels of a file; raises ``UnreadableError`` if the content is no text."""
     try:
-        return PoseLabels(content.decode("utf-8-sig"))
+        return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UnreadableError from error
 
 
-def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: UnnamedPoints) -> People:
+@reader("YOLO", suffixes=(".txt",), load=load_labels)
+def read_frame(content: str, reading: KeypointReading) -> People:
     """Read the people of a frame with at least one detected joint.
 
-    ``size_px`` has width and height of the camera's images; ``None`` if unknown. Raises ``KeypointsError`` or
-    ``CrowdError`` if the lines can't be used.
+    Raises ``KeypointsError`` or ``CrowdError`` if the lines can't be used.
     """
-    rows = [line.split() for line in content.text.splitlines() if not line.isspace() and line]
+    rows = [line.split() for line in content.splitlines() if not line.isspace() and line]
     check_number(rows)
     if not rows:
         return nobody()
-    if size_px is None:
+    if reading.size_px is None:
         raise KeypointsError("Labels are shares of an image whose size the calibration must state.")
     counts = sorted({len(row) for row in rows})
     if len(counts) > 1:
@@ -106,8 +106,8 @@ def read_frame(content: PoseLabels, size_px: tuple[int, int] | None, unnamed: Un
     found = people[is_detected(people), :2]
     if ((found < _MIN_SHARE) | (found > _MAX_SHARE)).any():
         raise KeypointsError("Positions must be shares of the image, from 0 to 1.")
-    people[..., :2] *= size_px
-    return with_detected_joints(arranged(people, unnamed.layout(num_points, "points")))
+    people[..., :2] *= reading.size_px
+    return reading.people(people, reading.layout(num_points, "points"))
 
 
 def _line_form(count: int) -> _Line:

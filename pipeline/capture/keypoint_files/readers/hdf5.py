@@ -1,4 +1,9 @@
-"""Tracks of named points, as they go from the child process that opens a file to the reader of folders."""
+"""Readers of HDF5 files of named points, DeepLabCut's and SLEAP's, which a child process opens.
+
+Rows of the table of formats:
+
+| SLEAP | all frames: its analysis file (`.analysis.h5`) of one video | joints whose names are known |
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames, with_detected_joints
-from pipeline.capture.keypoint_files.points import arranged, named_layout
+from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader, reader
+from pipeline.capture.keypoint_files.people import KeypointsError, People, check_frames
+from pipeline.capture.keypoint_files.points import KeypointReading, named_layout
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, run_confined
@@ -46,7 +52,7 @@ def read_in_child(path: Path) -> PeopleByFrame:
     Raises ``KeypointsError`` if the file can't be used, ``UnreadableError`` if it is damaged, and ``ChildError`` if the
     child fails for a reason other than its file.
     """
-    program, task = "pipeline.capture.keypoint_files.hdf5.read", f"reading of {path.name}"
+    program, task = "pipeline.capture.keypoint_files.read_hdf5", f"reading of {path.name}"
     limits, timeout_s = ChildLimits(_MAX_CPU_S), 4.0 * _MAX_CPU_S
     try:
         return decoded(run_confined(program, [str(path.absolute())], limits, task=task, timeout_s=timeout_s))
@@ -59,10 +65,24 @@ def split_frames(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, n
     return {number: (content.layout, people) for number, people in content.people.items()}
 
 
-def read_frame(content: tuple[KeypointLayout, np.ndarray]) -> People:
+def read_frame(content: tuple[KeypointLayout, np.ndarray], reading: KeypointReading) -> People:
     """Read the people of a frame; raises ``KeypointsError`` or ``CrowdError`` if they can't be used."""
     layout, people = content
-    return with_detected_joints(arranged(people, layout))
+    return reading.people(people, layout)
+
+
+def _declared(name: str) -> KeypointReader:
+    declare = reader(
+        name,
+        suffixes=(".h5", ".hdf5"),
+        load=read_in_child,
+        is_content=lambda content: content.form == name,
+        split_frames=split_frames,
+    )
+    return declare(read_frame)
+
+
+DEEPLABCUT, SLEAP = map(_declared, ("DeepLabCut", "SLEAP"))
 
 
 def encoded(tracks: Tracks) -> bytes:
