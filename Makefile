@@ -124,7 +124,7 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 	$(BIN)/multicap samples install
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap opensim install
-	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_blender_extension.py \
+	MULTICAP_PICTURES=build/exports $(BIN)/python -P -m pytest -m "not benchmark" tests/e2e/test_exports.py tests/e2e/test_between_frames.py tests/e2e/test_blender_extension.py \
 		tests/pipeline/export tests/api/blender tests/pipeline/calibration/test_programs.py
 	@echo "Blender's pictures are in build/exports/."
 

@@ -14,6 +14,7 @@ from pipeline.core.runtime.packages import samples
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
+from tests.e2e.exported import capture, filmed, hands, walk  # noqa: F401 - fixtures
 from tests.e2e.serving import NUM_PROCESSES, Served, serving
 from tests.waiting import is_alive, wait_for
 

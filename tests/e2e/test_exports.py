@@ -3,37 +3,39 @@
 import json
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import c3d
-import cv2
 import ezc3d
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from trc import TRCData
 
-from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.people import Source, Track3D
-from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints, hand_bones
-from pipeline.core.options.config import Preset, ReconstructionConfig
-from pipeline.core.options.file_formats import FILE_FORMATS, Export, file_ending, formats_of_people, installed_formats
+from pipeline.core.joints import SIDES, finger_joints
+from pipeline.core.options.config import Preset
 from pipeline.export.presets import PRESETS
-from pipeline.export.results import write_results
-from pipeline.export.writers import fbx
-from pipeline.export.writers.rotation_orders import rotation_orders
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M
 from pipeline.motion.skeleton.model import INDEX, SKELETON, find_skeleton, forward_kinematics
-from pipeline.run.engine.local import reconstruct
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.conftest import NUM_FIRST
+from tests.e2e.exported import (
+    EXPORTS,
+    IN_BLENDER,
+    IN_FILE,
+    OF_PRESETS,
+    PRESET_NAMES,
+    PYTHON_READERS,
+    QUICK_PRESETS,
+    Y_UP,
+    ExportedCapture,
+    assert_same,
+    is_a_picture_of_people,
+    on_captures,
+    with_channels,
+)
 from tests.e2e.foreign import (
     Animated,
     read_with_assimp,
@@ -42,149 +44,7 @@ from tests.e2e.foreign import (
     read_with_ufbx,
     validate_with_khronos,
 )
-from tests.pipeline.export.blender_curves import positions_in_blender
-from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
-from tests.pipeline.export.writers.test_bvh import encoded, half_way_of, orders_in, tumbling, with_fingers
-
-EXPORTS = formats_of_people(installed_formats())
-OF_PRESETS = tuple(export for export, form in FILE_FORMATS.items() if form.has_presets)
-PRESET_NAMES = tuple(PRESETS)
-# Files of the others are written and read by the slow tests: two of them have all there is in axes and units.
-QUICK_PRESETS: tuple[Preset, ...] = ("default", "unreal")
-PYTHON_READERS = (read_with_bvh_converter, read_with_bvhio)
-# World axes of a file's x, y and z, and units a metre.
-WORLD, Y_UP = np.eye(3), np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
-IN_FILE: dict[Preset, tuple[np.ndarray, float]] = {
-    "default": (Y_UP, 100.0),
-    "blender": (Y_UP, 1.0),
-    "unity-humanoid": (Y_UP, 1.0),
-    "unreal": (WORLD, 100.0),
-    "mixamo": (Y_UP, 100.0),
-    "humanik": (Y_UP, 100.0),
-}
-# Settings of Blender's importer.
-IN_BLENDER: dict[Preset, dict[str, object]] = {
-    "default": {"global_scale": 0.01},
-    "blender": {},
-    "unity-humanoid": {},
-    "unreal": {"global_scale": 0.01, "axis_forward": "Y", "axis_up": "Z"},
-    "mixamo": {"global_scale": 0.01},
-    "humanik": {"global_scale": 0.01},
-}
-
-
-FBX_IMPORTERS: dict[str, dict[str, object]] = {"addon": {}, "built-in": {"importer": "wm.fbx_import"}}
-
-
-def with_channels(motion: SkeletonMotion) -> list[str]:
-    """Names of the joints that have channels in BVH files."""
-    return [joint.name for joint in find_skeleton(len(motion.bone_length_m)) if not joint.name.endswith("End")]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExportedCapture:
-    """Reconstruction with all exports; files of each preset are in their own folder, written for who asks first."""
-
-    name: str
-    reconstruction: Reconstruction
-    folder: Path
-
-    def paths(self, export: Export, preset: Preset = "default") -> dict[Path, SkeletonMotion]:
-        folder = self.of_preset(preset)
-        return {folder / f"{person.name}.{file_ending(export)}": person for person in self.reconstruction.motions}
-
-    def of_preset(self, preset: Preset) -> Path:
-        """Folder of a preset's files."""
-        folder = self.folder / preset
-        if not folder.exists():
-            write_results(self.reconstruction, folder, EXPORTS if preset == "default" else OF_PRESETS, preset)
-        return folder
-
-
-@pytest.fixture(scope="session")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
-    folder = tmp_path_factory.mktemp("walk")
-    for name, content in simulation_files(record(replace(find_scene("walk"), duration_s=3.0), seed=0)):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-    session = open_keypoints(folder / "keypoints", folder / "calibration.json", folder / "timestamps.csv", None)
-    return ExportedCapture("walk", reconstruct(session, ReconstructionConfig()), folder)
-
-
-@pytest.fixture(scope="session")
-def filmed(reconstruction: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
-    return ExportedCapture("sample", reconstruction, tmp_path_factory.mktemp("filmed"))
-
-
-@pytest.fixture(scope="session")
-def hands(walk: ExportedCapture, tmp_path_factory: pytest.TempPathFactory) -> ExportedCapture:
-    """The simulated walk with fingers that turn, also in the tracks."""
-    body = walk.reconstruction
-    joints = JointSet(
-        names=(*body.joints.names, *(name for side in SIDES for name in finger_joints(side))),
-        bones=(*body.joints.bones, *(bone for side in SIDES for bone in hand_bones(side))),
-    )
-    motions = tuple(with_fingers(motion) for motion in body.motions)
-    tracks = tuple(with_finger_joints(track, motion) for track, motion in zip(body.tracks, motions, strict=True))
-    whole = replace(
-        body,
-        joints=joints,
-        located=[with_finger_joints(track, None) for track in body.located],
-        observations=[
-            replace(seen, points_px=padded(seen.points_px, -2, np.nan), score=padded(seen.score, -1, 0.0))
-            for seen in body.observations
-        ],
-        animation=replace(body.animation, tracks=tracks, motions=motions),
-    )
-    return ExportedCapture("hands", whole, tmp_path_factory.mktemp("hands"))
-
-
-def padded(values: np.ndarray, axis: int, value: float) -> np.ndarray:
-    """Append the joints of all fingers to the joints' axis of an array."""
-    width = [(0, 0)] * values.ndim
-    width[axis] = (0, len(FINGER_JOINTS))
-    return np.pad(values, width, constant_values=value)
-
-
-def with_finger_joints(track: Track3D, motion: SkeletonMotion | None) -> Track3D:
-    """Add the joints of all fingers to a track: predicted by a motion, or absent without."""
-    xyz_m = padded(track.xyz_m, 1, np.nan)
-    if motion is not None:
-        xyz_m[:, -len(FINGER_JOINTS) :] = forward_kinematics(motion)[:, len(SKELETON) :]
-    return replace(
-        track,
-        xyz_m=xyz_m,
-        score=padded(track.score, 1, 0.0),
-        source=padded(track.source, 1, Source.ABSENT if motion is None else Source.PREDICTED),
-        error_px=padded(track.error_px, 1, np.nan),
-        views=padded(track.views, 1, 0),
-        uncertainty_m=None if track.uncertainty_m is None else padded(track.uncertainty_m, 1, np.nan),
-    )
-
-
-# The process that tests the sample has its reconstruction.
-FILMED = pytest.param("filmed", marks=[pytest.mark.slow, pytest.mark.xdist_group("sample")])
-
-
-@pytest.fixture(params=["walk", FILMED, "hands"])
-def capture(request: pytest.FixtureRequest) -> ExportedCapture:
-    return request.getfixturevalue(request.param)
-
-
-def on_captures(of_all: Collection[Any], others: Iterable[Any]) -> list[Any]:
-    """Cases of a test by capture: some with each of them, and others, slowly, with the one that has all joints."""
-    cases = [case if isinstance(case, tuple) else (case,) for case in of_all]
-    rest = [case if isinstance(case, tuple) else (case,) for case in others]
-    return [
-        *((name, *case) for name in ("walk", "hands") for case in cases),
-        *(pytest.param("filmed", *case, marks=FILMED.marks) for case in cases),
-        *(pytest.param("hands", *case, marks=pytest.mark.slow) for case in rest if case not in cases),
-    ]
-
-
-def assert_same(found: np.ndarray, expected: np.ndarray, tolerance: float, what: object) -> None:
-    assert found.shape == expected.shape, what
-    assert np.linalg.norm(found - expected, axis=-1).max() <= tolerance, what
+from tests.pipeline.export.bvh_readers import read_with_bvhio
 
 
 def beginning_of(path: Path, folder: Path) -> Path:
@@ -237,106 +97,6 @@ def test_bvh_in_three(capture: ExportedCapture, preset: Preset) -> None:
         for joint in with_channels(motion):
             expected = expected_m[:, INDEX[joint]] @ axes.T * units_per_m
             assert_same(read.positions[PRESETS[preset].name(joint)], expected, 1e-3 * units_per_m, (path, joint))
-
-
-def test_order_for_each_joint_in_three(tmp_path: Path) -> None:
-    motion, path = tumbling(), tmp_path / "person.bvh"
-    path.write_bytes(encoded(motion))
-    assert len(set(orders_in(path.read_bytes()).values())) > 1
-    read = read_with_three([path])[path]
-    for joint in with_channels(motion):
-        expected_cm = forward_kinematics(motion)[:, INDEX[joint]] @ Y_UP.T * 100.0
-        assert_same(read.positions[joint], expected_cm, 0.1, joint)
-
-
-@pytest.mark.blender
-def test_order_for_each_joint_in_blender(tmp_path: Path) -> None:
-    motion, path = tumbling(), tmp_path / "person.bvh"
-    path.write_bytes(encoded(motion, "blender"))
-    assert len(set(orders_in(path.read_bytes()).values())) > 1
-    read = read_with_blender([(path, motion.frame_rate_hz, IN_BLENDER["blender"])], tmp_path)[path]
-    for joint in with_channels(motion):
-        expected_m = forward_kinematics(motion)[:, INDEX[joint]]
-        assert_same(read.positions[PRESETS["blender"].name(joint)], expected_m, 1e-3, joint)
-
-
-def off_half_way_mm(read: Animated, motion: SkeletonMotion, preset: Preset) -> float:
-    """Largest distance of a joint from its place half-way between frames where rotations take the shortest arcs."""
-    expected_m, name = forward_kinematics(half_way_of(motion)), PRESETS[preset].name
-    return 1e3 * max(
-        float(np.linalg.norm(read.positions[name(joint)] - expected_m[:, INDEX[joint]], axis=-1).max())
-        for joint in with_channels(motion)
-    )
-
-
-@pytest.mark.blender
-@pytest.mark.parametrize("name", ["walk", FILMED, "hands", "tumbling"])
-def test_between_frames_in_blender(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    """BVH is within 3 mm half-way between frames, FBX within 0.1 mm, and the metrics state no less."""
-    motions = [tumbling()] if name == "tumbling" else request.getfixturevalue(name).reconstruction.motions
-    files: dict[Path, tuple[Preset, SkeletonMotion]] = {}
-    opened: list[tuple[Path, float, Mapping[str, object]]] = []
-    for preset, motion in product(PRESET_NAMES, motions):
-        path = tmp_path / f"{preset}-{motion.track_id}.bvh"
-        path.write_bytes(encoded(motion, preset))
-        opened.append((path, motion.frame_rate_hz, IN_BLENDER[preset]))
-        files[path] = preset, motion
-        for importer in {} if preset not in QUICK_PRESETS else FBX_IMPORTERS:
-            path = tmp_path / f"{preset}-{motion.track_id}-{importer}.fbx"
-            path.write_bytes(b"".join(fbx.encode(motion, preset, np.zeros(3))))
-            opened.append((path, motion.frame_rate_hz, FBX_IMPORTERS[importer]))
-            files[path] = preset, motion
-    read = read_with_blender(opened, tmp_path, half_way=True)
-    for path, (preset, motion) in files.items():
-        off_mm = off_half_way_mm(read[path], motion, preset)
-        if path.suffix == ".fbx":
-            assert off_mm < 0.1, path.name
-            continue
-        # Unity's plug-in demands one order for all joints, whatever Blender makes of it.
-        assert off_mm < (4.0 if PRESETS[preset].is_order_demanded else 3.0), path.name
-        between = rotation_orders(motion, PRESETS[preset], "Blender").between
-        # The metrics count the ends of bones too, which Blender has no positions of.
-        assert between is not None
-        assert between.distance_mm > off_mm - 0.05, path.name
-
-
-def test_between_frames_of_fbx_in_ufbx(tmp_path: Path) -> None:
-    """ufbx interpolates the angles of a file; ``metrics.json`` has the largest distance."""
-    motion, path = tumbling(frame_rate_hz=5.0), tmp_path / "person.fbx"  # ufbx resamples slow keys alone
-    path.write_bytes(b"".join(fbx.encode(motion, "default", np.zeros(3))))
-    between = rotation_orders(motion, fbx.convention_of_fbx("default"), "ufbx").between
-    expected_cm = forward_kinematics(half_way_of(motion)) @ Y_UP.T * 100.0
-    read = read_with_ufbx([path], half_way=True)[path]
-    off_mm = [
-        np.linalg.norm(read.positions[joint.name] - expected_cm[:, index], axis=-1).max() * 10.0
-        for index, joint in enumerate(SKELETON)
-    ]
-    assert between is not None
-    assert between.distance_mm == pytest.approx(max(off_mm), abs=0.02)
-    assert max(off_mm) < 1.0
-
-
-@pytest.mark.blender
-def test_blenders_curves_are_those_of_tests(tmp_path: Path) -> None:
-    """The rule by which quick tests read BVH between frames is Blender's, also where joints whirl."""
-    random = np.random.default_rng(7)
-    calm, files = tumbling(80), {}
-    for step_deg in (5.0, 20.0, 40.0):
-        steps = Rotation.from_rotvec(np.radians(step_deg) * random.normal(size=(80 * len(SKELETON), 3)))
-        turns = np.array(steps.as_quat()).reshape(80, len(SKELETON), 4)
-        for before, after in pairwise(turns):
-            after[:] = (Rotation.from_quat(before) * Rotation.from_quat(after)).as_quat()
-        for preset in QUICK_PRESETS:
-            path = tmp_path / f"{preset}-{step_deg}.bvh"
-            path.write_bytes(encoded(replace(calm, parent_from_joint=turns), preset))
-            files[path] = preset
-    opened = [(path, calm.frame_rate_hz, IN_BLENDER[preset]) for path, preset in files.items()]
-    read = read_with_blender(opened, tmp_path, half_way=True)
-    for path, preset in files.items():
-        axes, units_per_m = IN_FILE[preset]
-        for name, found in positions_in_blender(path.read_bytes(), half_way=True).items():
-            if name in read[path].positions:
-                assert_same(read[path].positions[name], found @ axes / units_per_m, 1e-4, (path.name, name))
 
 
 def test_glb_in_three(capture: ExportedCapture) -> None:
@@ -503,10 +263,3 @@ def test_blender(capture: ExportedCapture, tmp_path: Path) -> None:
     # Over all people: at the place of the sample's bystander the calibration has the floor 15 cm higher.
     assert np.median(floor.height_m(np.concatenate(ankles_m))) == pytest.approx(ANKLE_HEIGHT_M, abs=0.05)
     assert is_a_picture_of_people(picture)
-
-
-def is_a_picture_of_people(path: Path) -> bool:
-    """Whether something bright and colourful stands on the grey floor."""
-    image = cv2.imread(str(path))
-    assert image is not None
-    return bool((np.ptp(image.astype(int), axis=-1) > 100).mean() > 0.005)

@@ -1,7 +1,7 @@
 """Blender's importer of BVH (5.0.1) without Blender: positions of bones at frames and between them.
 
 It follows ``io_anim_bvh/import_bvh.py``, and of Blender's C sources ``vec_roll_to_mat3_normalized`` and
-``mat3_normalized_to_compatible_eulO``. ``tests/e2e/test_exports.py`` compares it with Blender itself.
+``mat3_normalized_to_compatible_eulO``. ``tests/e2e/test_between_frames.py`` compares it with Blender itself.
 """
 
 from dataclasses import dataclass, field

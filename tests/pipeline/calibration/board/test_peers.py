@@ -48,7 +48,8 @@ def test_it_is_not_worse_than_others_on_same_videos(tmp_path: Path, seed: int) -
         painter = BoardPainter(camera, BOARD)
         pictures = [painter.paint(pose, rng) for pose in poses]
         write_pictures(videos / f"{camera.name}.mp4", pictures, {"crf": "5", "preset": "ultrafast"})
-    calibrate.from_board(str(BOARD), tmp_path / "ours.json", [videos])
+    options = ["--board", str(BOARD), "--out", str(tmp_path / "ours.json"), "--videos", str(videos)]
+    calibrate.app(["board", *options], standalone_mode=False)
     found: dict[str, Found] = {
         "ours": {
             camera.name: {"center_m": center_in_world(camera), "focal_px": camera.matrix[0, 0]}

@@ -20,6 +20,7 @@ from pipeline.motion.body import installed
 from pipeline.motion.body.joints import TWIST_JOINTS
 from pipeline.motion.body.shape import shape_body
 from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, find_skeleton, forward_kinematics
+from tests.e2e.exported import is_a_picture_of_people
 from tests.e2e.foreign import (
     Animated,
     read_with_assimp,
@@ -28,7 +29,6 @@ from tests.e2e.foreign import (
     read_with_ufbx,
     validate_with_khronos,
 )
-from tests.e2e.test_exports import is_a_picture_of_people
 from tests.pipeline.export.writers.test_bvh import walk
 from tests.pipeline.motion.body.conftest import in_pose
 from tests.pipeline.motion.skeleton.hands.people import gesturing
