@@ -13,14 +13,7 @@ from pathlib import Path
 import psutil
 from cryptography import x509
 
-from api.cli.certificate_authority import (
-    general_name,
-    is_limited,
-    is_trusted,
-    new_authority,
-    pem_of_certificate,
-    pem_of_key,
-)
+from api.cli import certificate_authority
 
 _FOLDER = "certificates"
 _AUTHORITY, _CERTIFICATE, _KEY = "authority.pem", "certificate.pem", "certificate-key.pem"
@@ -93,8 +86,10 @@ def _kept(folder: Path) -> Encryption | None:
     except (ssl.SSLError, FileNotFoundError, ValueError):
         return None
     names, until = list(machine_names()), datetime.datetime.now(datetime.UTC) + _RENEWED_BEFORE
-    needed = [names[0], *(name for name in names if isinstance(general_name(name), x509.DNSName))]
-    if not is_limited(issuer) or not all(is_trusted(found, issuer, name, until) for name in needed):
+    needed = [names[0], *(name for name in names if isinstance(certificate_authority.general_name(name), x509.DNSName))]
+    if not certificate_authority.is_limited(issuer) or not all(
+        certificate_authority.is_trusted(found, issuer, name, until) for name in needed
+    ):
         return None
     return Encryption(certificate, key, authority, tuple(name for name in names if name in certified))
 
@@ -102,12 +97,12 @@ def _kept(folder: Path) -> Encryption | None:
 def _new(folder: Path, *, has_replaced: bool) -> Encryption:
     """Write a new authority's certificate, and one for this machine by it, with its key."""
     names, now = tuple(machine_names()), datetime.datetime.now(datetime.UTC)
-    authority = new_authority(_host_name() or "a machine", names, now)
+    authority = certificate_authority.new_authority(_host_name() or "a machine", names, now)
     signed, key = authority.sign(names)
     contents = {
-        _KEY: (pem_of_key(key), 0o600),
-        _CERTIFICATE: (pem_of_certificate(signed), 0o644),
-        _AUTHORITY: (pem_of_certificate(authority.certificate), 0o644),
+        _KEY: (certificate_authority.pem_of_key(key), 0o600),
+        _CERTIFICATE: (certificate_authority.pem_of_certificate(signed), 0o644),
+        _AUTHORITY: (certificate_authority.pem_of_certificate(authority.certificate), 0o644),
     }
     for name, (content, mode) in contents.items():
         part = folder / f"{name}.part"

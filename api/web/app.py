@@ -15,17 +15,10 @@ from api.web.contract import description as contract
 from api.web.dependencies import Services
 from api.web.events.changes import JobChanges
 from api.web.health.checks import LimitedChecks
+from api.web.http import middleware
 from api.web.http.bodies import validation
 from api.web.http.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
 from api.web.http.keys_in_use import KeysInUse, RevokedKeyGuard
-from api.web.http.middleware import (
-    FailureResponse,
-    ForeignPageGuard,
-    HeadByGet,
-    RequestContext,
-    SlowClientGuard,
-    TusProtocol,
-)
 from api.web.http.rates import RATE_HEADERS, Rates, WrongKeys
 from api.web.http.websockets import WebSocketGuard
 from api.web.jobs.routes import declare_webhooks
@@ -83,9 +76,9 @@ def create_app(settings: Settings) -> FastAPI:
     declare_webhooks(app)
     errors.install(app)
     validation.install(app)
-    app.add_middleware(FailureResponse)
+    app.add_middleware(middleware.FailureResponse)
     app.add_middleware(RevokedKeyGuard)
-    app.add_middleware(HeadByGet)
+    app.add_middleware(middleware.HeadByGet)
     # Rules for pages of other origins: browsers may never send a cookie for them.
     app.add_middleware(
         CORSMiddleware,
@@ -95,11 +88,15 @@ def create_app(settings: Settings) -> FastAPI:
         expose_headers=_EXPOSED_HEADERS,
     )
     allowed_hosts = _LOOPBACK_NAMES | settings.allowed_hosts | {settings.host}
-    app.add_middleware(ForeignPageGuard, allowed_hosts=allowed_hosts, allowed_origins=settings.allowed_origins)
-    app.add_middleware(WebSocketGuard, guard=ForeignPageGuard(app, allowed_hosts, settings.allowed_origins))
-    app.add_middleware(TusProtocol, prefix="/v1/uploads", version=TUS_VERSION)
-    app.add_middleware(SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s)
-    app.add_middleware(RequestContext, metrics=app.state.metrics)
+    app.add_middleware(
+        middleware.ForeignPageGuard, allowed_hosts=allowed_hosts, allowed_origins=settings.allowed_origins
+    )
+    app.add_middleware(WebSocketGuard, guard=middleware.ForeignPageGuard(app, allowed_hosts, settings.allowed_origins))
+    app.add_middleware(middleware.TusProtocol, prefix="/v1/uploads", version=TUS_VERSION)
+    app.add_middleware(
+        middleware.SlowClientGuard, idle_s=settings.client_idle_s, min_bytes_per_s=settings.client_min_bytes_per_s
+    )
+    app.add_middleware(middleware.RequestContext, metrics=app.state.metrics)
     return app
 
 

@@ -22,13 +22,7 @@ from api.web.errors import ApiError
 from api.web.http.browser_cookie import NAME, cookie_name, deletion
 from api.web.http.keys_in_use import Credential
 from api.web.http.rates import client_network
-from pipeline.core.problems.request_codes import (
-    CROSS_SITE_REQUEST,
-    HEADER_INVALID,
-    KEY_REQUIRED,
-    LINK_UNKNOWN,
-    SCOPE_MISSING,
-)
+from pipeline.core.problems import request_codes
 from worker.store.database.tables import DEFAULT_TENANT
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import JoinLink, UploadingPhone
@@ -114,7 +108,7 @@ def wrong_key(request: HTTPConnection, services: Services) -> ApiError:
 
 def _key_required(detail: str, headers: Mapping[str, str]) -> ApiError:
     return ApiError(
-        KEY_REQUIRED,
+        request_codes.KEY_REQUIRED,
         detail,
         hint="Send Authorization: Bearer mc_..., with a key that `multicap keys create` made.",
         headers={"WWW-Authenticate": "Bearer", **headers},
@@ -201,12 +195,16 @@ def _refuse_foreign_pages(request: HTTPConnection) -> None:
     """
     origin = request.headers.get("origin", "").lower().partition("://")[2]
     if origin != request.headers["host"].lower():
-        raise ApiError(CROSS_SITE_REQUEST, "A browser's session may be used by the service's own page only.")
+        raise ApiError(
+            request_codes.CROSS_SITE_REQUEST, "A browser's session may be used by the service's own page only."
+        )
 
 
 def _require(caller: Caller, scope: Scope) -> Caller:
     if scope not in caller.scopes:
-        raise ApiError(SCOPE_MISSING, f"The key lacks the scope {scope}.", hint="Ask for a key that has it.")
+        raise ApiError(
+            request_codes.SCOPE_MISSING, f"The key lacks the scope {scope}.", hint="Ask for a key that has it."
+        )
     return caller
 
 
@@ -288,7 +286,12 @@ def _unknown_link(request: HTTPConnection, services: Services) -> ApiError:
     if error.status != 401:
         return error
     hint = "Ask for a new link."
-    return ApiError(LINK_UNKNOWN, "This link is not known, has ended or was revoked.", hint=hint, headers=error.headers)
+    return ApiError(
+        request_codes.LINK_UNKNOWN,
+        "This link is not known, has ended or was revoked.",
+        hint=hint,
+        headers=error.headers,
+    )
 
 
 def _find_uploader(
@@ -305,7 +308,9 @@ def _find_uploader(
         return _require_method(request, _find_caller(request, services, bearer, cookie))
     caller = joining_caller(request, services, bearer.credentials)
     if caller.join is None or multicap_phone is None:
-        raise ApiError(HEADER_INVALID, "A phone of a recording sends its id in the header Multicap-Phone.")
+        raise ApiError(
+            request_codes.HEADER_INVALID, "A phone of a recording sends its id in the header Multicap-Phone."
+        )
     settings, recording_id = services.settings, caller.join.recording_id
     number = services.store.recordings.phone_number(recording_id, multicap_phone)
     phone = UploadingPhone(recording_id, number, settings.max_recording_uploads, settings.max_recording_bytes)

@@ -16,17 +16,8 @@ from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
+from pipeline.core.options import config
 from pipeline.core.options.choices import Choice, Group, Kind
-from pipeline.core.options.config import (
-    CHOICES,
-    JOINTS,
-    NETWORKS,
-    PROFILES,
-    PURPOSES,
-    JobChoices,
-    JointsOfBody,
-    Profile,
-)
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
@@ -50,7 +41,7 @@ class DetectorOut(ResponseModel):
 class ProfileNetworksOut(ResponseModel):
     """Networks of a profile for some joints, and whether they are installed."""
 
-    joints: JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
+    joints: config.JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
     networks: tuple[str, ...] = Field(description="Names of the networks.", examples=[["movenet-multipose"]])
     camera_frame_s: float | None = Field(
         description="Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was "
@@ -69,8 +60,8 @@ class ProfileNetworksOut(ResponseModel):
 class ProfileOut(ResponseModel):
     """Profile: networks that find the 2D joints."""
 
-    name: Profile = Field(description="Value of `profile` in the spec of a job.")
-    default_joints: JointsOfBody = Field(description="Joints of the profile, where `joints` is `auto`.")
+    name: config.Profile = Field(description="Value of `profile` in the spec of a job.")
+    default_joints: config.JointsOfBody = Field(description="Joints of the profile, where `joints` is `auto`.")
     joints: tuple[ProfileNetworksOut, ...] = Field(description="Networks by joints.")
 
 
@@ -186,7 +177,7 @@ class SampleOut(ResponseModel):
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
 # Seconds of a job a camera's frame, by profile and joints: docs/measurements.md, "Profiles".
-_CAMERA_FRAME_S: Mapping[tuple[Profile, JointsOfBody], float] = {
+_CAMERA_FRAME_S: Mapping[tuple[config.Profile, config.JointsOfBody], float] = {
     ("fast", "body"): 0.023,
     ("fast", "feet"): 0.054,
     ("balanced", "feet"): 0.063,
@@ -215,10 +206,10 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
         profiles=tuple(
             ProfileOut(
                 name=name,
-                default_joints=JobChoices(profile=name).detected_joints,
-                joints=tuple(_profile_networks(name, joints, installed) for joints in JOINTS),
+                default_joints=config.JobChoices(profile=name).detected_joints,
+                joints=tuple(_profile_networks(name, joints, installed) for joints in config.JOINTS),
             )
-            for name in PROFILES
+            for name in config.PROFILES
         ),
         detectors=tuple(
             DetectorOut(
@@ -226,12 +217,13 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
                 installed=None if installed is None else name in installed,
                 install=install_command(name),
             )
-            for name in NETWORKS
+            for name in config.NETWORKS
         ),
         choices=tuple(
-            ChoiceOut.from_choice(choice, missing if choice.name == "exports" else ()) for choice in CHOICES.values()
+            ChoiceOut.from_choice(choice, missing if choice.name == "exports" else ())
+            for choice in config.CHOICES.values()
         ),
-        purposes=tuple(map(PurposeOut.from_record, PURPOSES)),
+        purposes=tuple(map(PurposeOut.from_record, config.PURPOSES)),
     )
     return conditional(options, if_none_match)
 
@@ -289,8 +281,10 @@ def _media_type(path: FilePath) -> str:
     return mimetypes.guess_type(path.name)[0] or "application/octet-stream"
 
 
-def _profile_networks(profile: Profile, joints: JointsOfBody, installed: frozenset[str] | None) -> ProfileNetworksOut:
-    networks = JobChoices(profile=profile, joints=joints).networks.names
+def _profile_networks(
+    profile: config.Profile, joints: config.JointsOfBody, installed: frozenset[str] | None
+) -> ProfileNetworksOut:
+    networks = config.JobChoices(profile=profile, joints=joints).networks.names
     missing = [name for name in networks if name not in (installed or ())]
     return ProfileNetworksOut(
         joints=joints,

@@ -7,22 +7,12 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import Field
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
+from api.web import downloads
 from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
 from api.web.contract.description import Resource, file_content, problems
 from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
-from api.web.downloads import (
-    HEADERS,
-    ConditionsDep,
-    Download,
-    Stream,
-    damaged,
-    expired,
-    file_blocks,
-    file_responses,
-    send_file,
-)
 from api.web.http.conditional import ByteRange
 from api.web.http.file_names import archived_name, content_disposition, download_stem, result_name
 from pipeline.core.options.file_formats import FILE_FORMATS
@@ -113,7 +103,7 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
         200: {
             "description": "Zip archive of all result files.",
             "content": file_content(["application/zip"]),
-            "headers": {"Content-Disposition": HEADERS["Content-Disposition"]},
+            "headers": {"Content-Disposition": downloads.HEADERS["Content-Disposition"]},
         },
         **problems(404, 409, 410),
     },
@@ -135,12 +125,12 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
         "Cache-Control": "private, no-cache",
         **content_disposition(f"{download_stem(job.session_name, job.results_revision or 0)}.zip"),
     }
-    return Stream(iter(archive), headers=headers, media_type="application/zip")
+    return downloads.Stream(iter(archive), headers=headers, media_type="application/zip")
 
 
 def _content(services: Services, result: Result) -> Generator[bytes, None, None]:
     """Blocks of a file, which is opened with the first block."""
-    yield from file_blocks(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
+    yield from downloads.file_blocks(services.artifacts.open(result.key, result.sha256), ByteRange(0, result.num_bytes))
 
 
 def _require_whole(services: Services, results: Sequence[Result]) -> None:
@@ -150,11 +140,11 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
         try:
             services.artifacts.open(result.key, result.sha256).close()
         except NotFound:
-            raise expired() from None
+            raise downloads.expired() from None
         except DamagedArtifact:
             wrong.append(result.name)
     if wrong:
-        raise damaged(wrong)
+        raise downloads.damaged(wrong)
 
 
 @router.get(
@@ -162,7 +152,7 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
     operation_id="getResult",
     summary="Download a result file",
     response_class=Response,
-    responses={**file_responses(_FILE, f"jobs/{ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
+    responses={**downloads.file_responses(_FILE, f"jobs/{ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},
 )
 def get_result(
     job_id: JobId,
@@ -172,7 +162,7 @@ def get_result(
     request: Request,
     services: ServicesDep,
     records: FileViewDep,
-    conditions: ConditionsDep,
+    conditions: downloads.ConditionsDep,
     redirect: Annotated[
         bool,
         Query(
@@ -190,8 +180,8 @@ def get_result(
     result = records.results.get(job_id, name)
     job = records.jobs.get(job_id)
     name = result_name(job.session_name, result.name, result.revision, result.person_name)
-    download = Download.from_result(result, name)
-    return send_file(request, services, download, conditions, may_redirect=redirect)
+    download = downloads.Download.from_result(result, name)
+    return downloads.send_file(request, services, download, conditions, may_redirect=redirect)
 
 
 RESOURCE = Resource(router=router)

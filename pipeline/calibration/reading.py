@@ -17,14 +17,8 @@ from pipeline.calibration.unread_fields import lens_fields, size_fields
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.session_codes import (
-    CALIBRATION_EMPTY,
-    DUPLICATE_CAMERA,
-    INVALID_SIZE,
-    TOO_MANY_CAMERAS,
-    UNSUPPORTED_LENS,
-)
 
 _NAME_HINT = "Name it as the format does (docs/formats.md has the names), or remove it."
 
@@ -64,9 +58,9 @@ class Reading:
             Camera of the fields; ``None``: the fields stand beside the cameras.
         """
         self._unread |= {field: None for field in fields if field not in known}
-        doubts = dict.fromkeys(lens_fields(fields, known, raw and raw.distortion), UNSUPPORTED_LENS)
+        doubts = dict.fromkeys(lens_fields(fields, known, raw and raw.distortion), session_codes.UNSUPPORTED_LENS)
         if raw is not None and raw.size_px is UNKNOWN_SIZE:
-            doubts |= dict.fromkeys(size_fields(fields, known, raw.matrix), INVALID_SIZE)
+            doubts |= dict.fromkeys(size_fields(fields, known, raw.matrix), session_codes.INVALID_SIZE)
         for field, code in doubts.items():
             self._doubts.setdefault((field, code), []).append("" if raw is None else str(raw.name))
 
@@ -98,7 +92,7 @@ class Reading:
             With all problems of all cameras.
         """
         for (field, code), cameras in self._doubts.items():
-            content = "distortion" if code == UNSUPPORTED_LENS else "size of the picture"
+            content = "distortion" if code == session_codes.UNSUPPORTED_LENS else "size of the picture"
             owners = f" of {listed_names(cameras)}" if any(cameras) else ""
             message = f"The field is not read, and may hold the {content}{owners}."
             self.complain(code, message, None, field, _NAME_HINT)
@@ -130,9 +124,13 @@ class Reading:
     def _build(self, raw: Sequence[RawCamera]) -> tuple[Camera, ...]:
         """Check cameras and build them; raises ``InputError`` with all problems of the file."""
         if not raw and not self.problems:
-            self.complain(CALIBRATION_EMPTY, " ".join(["The calibration has no camera.", *self.notes]), hint=SUPPORTED)
+            self.complain(
+                session_codes.CALIBRATION_EMPTY,
+                " ".join(["The calibration has no camera.", *self.notes]),
+                hint=SUPPORTED,
+            )
         if len(raw) > MAX_CAMERAS:
-            self.complain(TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.")
+            self.complain(session_codes.TOO_MANY_CAMERAS, f"The calibration has more than {MAX_CAMERAS} cameras.")
         cameras: list[Camera] = []
         for position, raw_camera in enumerate(raw[:MAX_CAMERAS]):
             built = build_camera(raw_camera, position, self.file)
@@ -142,7 +140,7 @@ class Reading:
                 self.problems.extend(built)
         names = Counter(raw_camera.name for raw_camera in raw if isinstance(raw_camera.name, str))
         for name in sorted(name for name, count in names.items() if count > 1):
-            self.complain(DUPLICATE_CAMERA, "Two cameras have this name.", name, hint="Rename one.")
+            self.complain(session_codes.DUPLICATE_CAMERA, "Two cameras have this name.", name, hint="Rename one.")
         if self.problems:
             raise InputError(self.problems)
         return tuple(cameras)

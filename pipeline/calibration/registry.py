@@ -17,16 +17,9 @@ from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, in_utf_8, parse
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
-from pipeline.core.problems.session_codes import (
-    CALIBRATION_FORMAT,
-    CALIBRATION_MISSING,
-    CALIBRATION_TOO_LARGE,
-    CALIBRATION_UNITS,
-    CALIBRATION_UNITS_UNSTATED,
-    CALIBRATION_UNREADABLE,
-)
 from pipeline.core.runtime.plugins import load_readers
 
 Reader = Callable[[bytes, str], CameraFile]
@@ -72,7 +65,7 @@ def _read_xml(content: bytes, file: str) -> CameraFile:
     reader = reader_of_root(root)
     if reader is None:
         message = f"The XML file has the root element {root[:40]}, which no supported format has."
-        raise InputError([Problem(CALIBRATION_FORMAT, message, file=file, hint=SUPPORTED)])
+        raise InputError([Problem(session_codes.CALIBRATION_FORMAT, message, file=file, hint=SUPPORTED)])
     return reader(content, file)
 
 
@@ -149,12 +142,12 @@ def _in_metres(path: Path, units: Units | None) -> CameraFile:
     if contents.unit is not None:
         if units not in (None, "m", contents.unit):
             message = f"The format determines the unit of lengths, {contents.unit}; it is not {units}."
-            raise _refusal(path, CALIBRATION_UNITS, message, "Omit the units.")
+            raise _refusal(path, session_codes.CALIBRATION_UNITS, message, "Omit the units.")
         return contents
     if units is None and (possible := possible_units(contents.cameras)) != ("m",):
         stated = " or ".join(f"`--units {unit}`" for unit in possible)
         hint = f"State the unit: {stated}, `units` of the manifest, or the unit of length on the page."
-        raise _refusal(path, CALIBRATION_UNITS_UNSTATED, question(contents.cameras, possible), hint)
+        raise _refusal(path, session_codes.CALIBRATION_UNITS_UNSTATED, question(contents.cameras, possible), hint)
     return replace(contents, cameras=tuple(scaled(camera, UNITS_M[units or "m"]) for camera in contents.cameras))
 
 
@@ -166,18 +159,20 @@ def _read(path: Path) -> CameraFile:
     """Contents of a file, in its unit if the format does not determine one."""
     try:
         if not path.is_file():
-            raise _refusal(path, CALIBRATION_MISSING, "The calibration file does not exist.")
+            raise _refusal(path, session_codes.CALIBRATION_MISSING, "The calibration file does not exist.")
         num_bytes = path.stat().st_size
         if num_bytes > MAX_BYTES:
             raise _refusal(
                 path,
-                CALIBRATION_TOO_LARGE,
+                session_codes.CALIBRATION_TOO_LARGE,
                 f"The file has {num_bytes / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} MiB are allowed.",
                 "Check that it is the calibration file.",
             )
         content = path.read_bytes()
     except OSError as error:
-        raise _refusal(path, CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions.") from error
+        raise _refusal(
+            path, session_codes.CALIBRATION_UNREADABLE, "The file can't be read.", "Check its permissions."
+        ) from error
     content = in_utf_8(content)
     reader: Reader | None = None
     if path.suffix.lower() != ".xml":
@@ -185,7 +180,7 @@ def _read(path: Path) -> CameraFile:
     if reader is None and (path.suffix.lower() == ".xml" or _head(content).startswith(b"<")):
         reader = _read_xml
     if reader is None:
-        raise _refusal(path, CALIBRATION_FORMAT, *other_format(path.name))
+        raise _refusal(path, session_codes.CALIBRATION_FORMAT, *other_format(path.name))
     try:
         return reader(content, path.name)
     except InputError:
@@ -195,7 +190,7 @@ def _read(path: Path) -> CameraFile:
         if colmap.is_text(content) or _head(content).startswith(b"<"):
             # Spaces or quotes separate the numbers.
             return _read_with_points(reader, content, path, comma)
-        raise _refusal(path, CALIBRATION_UNREADABLE, comma_message(comma), COMMA_HINT) from None
+        raise _refusal(path, session_codes.CALIBRATION_UNREADABLE, comma_message(comma), COMMA_HINT) from None
 
 
 def _read_with_points(reader: Reader, content: bytes, path: Path, comma: str) -> CameraFile:

@@ -8,29 +8,12 @@ import numpy as np
 
 from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.contents import UNKNOWN_SIZE
+from pipeline.core import parsing
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, LensModel
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import Problem
-from pipeline.core.parsing import (
-    DISTORTION,
-    FOCAL_LENGTH_PX,
-    PRINCIPAL_POINT_PX,
-    SIDE_PX,
-    SKEW_PX,
-    TRANSLATION,
-    UnreadableError,
-    read_numbers,
-)
-from pipeline.core.problems.session_codes import (
-    INVALID_DISTORTION,
-    INVALID_MATRIX,
-    INVALID_NAME,
-    INVALID_ROTATION,
-    INVALID_SIZE,
-    INVALID_TRANSLATION,
-    UNSUPPORTED_LENS,
-)
+from pipeline.core.problems import session_codes
 from pipeline.geometry.fisheye import NUM_COEFFICIENTS
 
 MAX_CAMERAS = 128
@@ -39,12 +22,12 @@ _FISHEYE_LENGTHS = (0, NUM_COEFFICIENTS)
 # The last two of 14 coefficients tilt the sensor.
 _MAX_UNTILTED = 12
 _INVALID = {
-    "name": INVALID_NAME,
-    "size": INVALID_SIZE,
-    "matrix": INVALID_MATRIX,
-    "distortion": INVALID_DISTORTION,
-    "rotation": INVALID_ROTATION,
-    "translation": INVALID_TRANSLATION,
+    "name": session_codes.INVALID_NAME,
+    "size": session_codes.INVALID_SIZE,
+    "matrix": session_codes.INVALID_MATRIX,
+    "distortion": session_codes.INVALID_DISTORTION,
+    "rotation": session_codes.INVALID_ROTATION,
+    "translation": session_codes.INVALID_TRANSLATION,
 }
 # Files have 5 to 7 digits: a correct rotation is far within this tolerance, a mistake far outside.
 _ROTATION_TOLERANCE = 1e-3
@@ -91,8 +74,8 @@ def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
         return "is missing."
     wanted = " or ".join(" x ".join(str(n) for n in shape) for shape in shapes)
     try:
-        array = read_numbers(value)
-    except UnreadableError:
+        array = parsing.read_numbers(value)
+    except parsing.UnreadableError:
         return f"is not a list of {wanted} numbers."
     if not array.shape:
         return f"is one number instead of {wanted} numbers."
@@ -106,18 +89,18 @@ def _numbers(value: Any, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | str:
 def _matrix_problem(matrix: np.ndarray) -> str | None:
     if not np.allclose(matrix[2], [0.0, 0.0, 1.0], atol=1e-9) or matrix[1, 0] != 0:
         return "is not a camera matrix: it must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]]."
-    if not FOCAL_LENGTH_PX.holds(matrix.diagonal()[:2]):
-        return f"has a focal length that is not {FOCAL_LENGTH_PX}."
-    if not PRINCIPAL_POINT_PX.holds(matrix[:2, 2]):
-        return f"has a principal point that is not at {PRINCIPAL_POINT_PX}."
-    if not SKEW_PX.holds(matrix[0, 1]):
-        return f"has a skew that is not {SKEW_PX}."
+    if not parsing.FOCAL_LENGTH_PX.holds(matrix.diagonal()[:2]):
+        return f"has a focal length that is not {parsing.FOCAL_LENGTH_PX}."
+    if not parsing.PRINCIPAL_POINT_PX.holds(matrix[:2, 2]):
+        return f"has a principal point that is not at {parsing.PRINCIPAL_POINT_PX}."
+    if not parsing.SKEW_PX.holds(matrix[0, 1]):
+        return f"has a skew that is not {parsing.SKEW_PX}."
     return None
 
 
 def _size_problem(size_px: np.ndarray) -> str | None:
-    if not SIDE_PX.holds(size_px):
-        return f"must be {SIDE_PX}."
+    if not parsing.SIDE_PX.holds(size_px):
+        return f"must be {parsing.SIDE_PX}."
     if (size_px != np.floor(size_px)).any():
         return "must be whole numbers of pixels."
     return None
@@ -140,7 +123,7 @@ def _tilt_problems(distortion: np.ndarray | None, file: str, camera: str) -> lis
     if distortion is None or not distortion[_MAX_UNTILTED:].any():
         return []
     message = "A tilted sensor, coefficients 13 and 14 of the distortion, is not supported."
-    return [Problem(UNSUPPORTED_LENS, message, file=file, camera=camera, field="distortion")]
+    return [Problem(session_codes.UNSUPPORTED_LENS, message, file=file, camera=camera, field="distortion")]
 
 
 def build_camera(raw_camera: RawCamera, position: int, file: str) -> Camera | list[Problem]:
@@ -179,7 +162,7 @@ def build_camera(raw_camera: RawCamera, position: int, file: str) -> Camera | li
         else:
             values["rotation"] = rotation
     problems += _tilt_problems(values.get("distortion"), file, label)
-    for field, plausible in (("distortion", DISTORTION), ("translation", TRANSLATION)):
+    for field, plausible in (("distortion", parsing.DISTORTION), ("translation", parsing.TRANSLATION)):
         if field in values and not plausible.holds(values[field]):
             complain(field, f"has a number that is not {plausible}.")
     if problems:

@@ -11,14 +11,7 @@ from pipeline.capture.parts import group_parts, missing_parts
 from pipeline.capture.video_files import VideoFiles
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
-from pipeline.core.problems.session_codes import (
-    DUPLICATE_RECORDING,
-    DUPLICATE_RECORDING_FILE,
-    DUPLICATE_VIDEO,
-    PARTS_GAP,
-    RECORDING_CAMERA_UNKNOWN,
-    RECORDING_FILE_UNKNOWN,
-)
+from pipeline.core.problems import session_codes
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +74,7 @@ def sort_files(files: VideoFiles, recordings: Sequence[Recording], cameras: Sequ
     doubled = {name for name, count in Counter(files.names).items() if count > 1} & set(names)
     problems = [
         Problem(
-            DUPLICATE_VIDEO,
+            session_codes.DUPLICATE_VIDEO,
             f"{files.names.count(name)} videos have the name {PurePosixPath(name).name}.",
             file=PurePosixPath(name).name,
             hint="Rename them.",
@@ -109,7 +102,12 @@ def left_out_parts(names: Sequence[str]) -> Iterator[Problem]:
     if missing := missing_parts(names):
         numbers = ", ".join(map(str, missing))
         message = f"Of the recording {', '.join(names)} the part {numbers} is missing."
-        yield Problem(PARTS_GAP, message, file=names[0], hint="Add it, or send one part alone: a recording has no gap.")
+        yield Problem(
+            session_codes.PARTS_GAP,
+            message,
+            file=names[0],
+            hint="Add it, or send one part alone: a recording has no gap.",
+        )
 
 
 def known_recordings(
@@ -129,14 +127,21 @@ def known_recordings(
         paths = {file: find_input(file, inputs) for file in recording.files}
         if camera is None:
             message = "The calibration has no camera of this name."
-            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint))
+            problems.append(
+                Problem(session_codes.RECORDING_CAMERA_UNKNOWN, message, camera=recording.camera, hint=hint)
+            )
             continue
         if camera in known:
             message = "There is more than one recording for this camera."
-            problems.append(Problem(DUPLICATE_RECORDING, message, camera=camera))
+            problems.append(Problem(session_codes.DUPLICATE_RECORDING, message, camera=camera))
             continue
         wrong = [
-            Problem(RECORDING_FILE_UNKNOWN, f"There is no {thing} of this name.", file=Path(file).name, camera=camera)
+            Problem(
+                session_codes.RECORDING_FILE_UNKNOWN,
+                f"There is no {thing} of this name.",
+                file=Path(file).name,
+                camera=camera,
+            )
             for file, path in paths.items()
             if path is None
         ]
@@ -144,7 +149,7 @@ def known_recordings(
         if taken & set(found) or len(set(found)) < len(recording.files) - len(wrong):
             message = f"The {thing} is already assigned to a camera."
             doubled = next((path for path in found if path in taken), found[-1])
-            wrong.append(Problem(DUPLICATE_RECORDING_FILE, message, file=doubled.name, camera=camera))
+            wrong.append(Problem(session_codes.DUPLICATE_RECORDING_FILE, message, file=doubled.name, camera=camera))
         problems += wrong
         taken |= set(found)
         known[camera] = recording

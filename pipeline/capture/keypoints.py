@@ -31,15 +31,9 @@ from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
 from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
 from pipeline.core.paths import StrPath
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
-from pipeline.core.problems.session_codes import (
-    INVALID_SIZE,
-    KEYPOINTS_EMPTY,
-    KEYPOINTS_LAYOUT,
-    KEYPOINTS_MIXED,
-    TWO_CLOCKS,
-)
 from pipeline.video.info import VideoInfo
 from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 
@@ -228,7 +222,11 @@ def open_keypoints(
     people_by_camera = {camera: frames[name] for camera, name in pairs.items()}
     if timestamps is not None and frame_rate_hz is not None:
         problems.append(
-            Problem(TWO_CLOCKS, "There are both timestamps and a frame rate.", hint="Provide only one of them.")
+            Problem(
+                session_codes.TWO_CLOCKS,
+                "There are both timestamps and a frame rate.",
+                hint="Provide only one of them.",
+            )
         )
     times, timebase = (
         times_from_rate(people_by_camera, pairs, frame_rate_hz, findings, problems)
@@ -296,7 +294,9 @@ def _paired(
 def _chosen(layout: str, problems: list[Problem]) -> KeypointLayout | None:
     if layout not in FILE_LAYOUTS:
         hint = f"Use {', '.join(FILE_LAYOUTS)}."
-        problems.append(Problem(KEYPOINTS_LAYOUT, f"There is no layout {layout!r}.", field="layout", hint=hint))
+        problems.append(
+            Problem(session_codes.KEYPOINTS_LAYOUT, f"There is no layout {layout!r}.", field="layout", hint=hint)
+        )
     return FILE_LAYOUTS.get(layout)
 
 
@@ -336,7 +336,9 @@ def _unknown_size(camera: Camera, calibration: Path) -> Problem:
         "Add image_width and image_height to each camera of the file, or write a file that has the size: "
         f"multicap calibration convert {calibration.name} sized.json --size 1920x1080."
     )
-    return Problem(INVALID_SIZE, message, file=calibration.name, camera=camera.name, field="size", hint=hint)
+    return Problem(
+        session_codes.INVALID_SIZE, message, file=calibration.name, camera=camera.name, field="size", hint=hint
+    )
 
 
 def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Problem]) -> JointSet | None:
@@ -346,7 +348,9 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
     if not used:
         if frames and not problems:
             problems.append(
-                Problem(KEYPOINTS_EMPTY, "No camera detected anybody.", hint="Check the detector's output.")
+                Problem(
+                    session_codes.KEYPOINTS_EMPTY, "No camera detected anybody.", hint="Check the detector's output."
+                )
             )
         return None
     joints = find_joint_set(used)
@@ -358,7 +362,7 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
         )
         problems.append(
             Problem(
-                KEYPOINTS_MIXED,
+                session_codes.KEYPOINTS_MIXED,
                 f"The files have several joint sets ({shown}).",
                 hint="Use one joint set for all files.",
             )

@@ -7,19 +7,9 @@ from pipeline.capture.names import cameras_in_names, natural_key
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import CAMERA_LEFT_OUT, PAIRED_IN_SORTED_ORDER
-from pipeline.core.problems.session_codes import (
-    CAMERA_WITH_TWO_FOLDERS,
-    CAMERA_WITH_TWO_VIDEOS,
-    CAMERA_WITHOUT_FOLDER,
-    CAMERA_WITHOUT_VIDEO,
-    FOLDER_WITHOUT_CAMERA,
-    PAIRING_AMBIGUOUS,
-    PAIRING_COUNTS,
-    PAIRING_UNKNOWN,
-    VIDEO_WITHOUT_CAMERA,
-)
 
 MIN_CAMERAS = 2
 
@@ -36,8 +26,12 @@ class _Codes(NamedTuple):
 
 
 _CODES = {
-    "video": _Codes(VIDEO_WITHOUT_CAMERA, CAMERA_WITH_TWO_VIDEOS, CAMERA_WITHOUT_VIDEO),
-    "folder": _Codes(FOLDER_WITHOUT_CAMERA, CAMERA_WITH_TWO_FOLDERS, CAMERA_WITHOUT_FOLDER),
+    "video": _Codes(
+        session_codes.VIDEO_WITHOUT_CAMERA, session_codes.CAMERA_WITH_TWO_VIDEOS, session_codes.CAMERA_WITHOUT_VIDEO
+    ),
+    "folder": _Codes(
+        session_codes.FOLDER_WITHOUT_CAMERA, session_codes.CAMERA_WITH_TWO_FOLDERS, session_codes.CAMERA_WITHOUT_FOLDER
+    ),
 }
 # Names that a message lists.
 _MAX_SHOWN = 12
@@ -86,7 +80,7 @@ def pair(
         paired, problems = _by_name(cameras, free, stated, thing)
     pairs = {**stated, **paired}
     findings = [_in_order(thing, paired)] if by_order and paired and not problems else []
-    if any(problem.code in {PAIRING_COUNTS, PAIRING_UNKNOWN} for problem in problems):
+    if any(problem.code in {session_codes.PAIRING_COUNTS, session_codes.PAIRING_UNKNOWN} for problem in problems):
         return Pairing(pairs, problems, findings)
     missing = _sorted(camera.name for camera in cameras if camera.name not in pairs)
     is_subset = not problems and len(pairs) >= MIN_CAMERAS
@@ -109,7 +103,7 @@ def _by_order(cameras: Sequence[str], names: Sequence[str], thing: Thing) -> tup
     if len(cameras) == len(names):
         return dict(zip(_sorted(cameras), names, strict=True)), []
     message = f"{len(names)} {thing}s can't be paired by order with {len(cameras)} cameras."
-    return {}, [Problem(PAIRING_COUNTS, message, hint=_lists(cameras, names, thing))]
+    return {}, [Problem(session_codes.PAIRING_COUNTS, message, hint=_lists(cameras, names, thing))]
 
 
 def _by_name(
@@ -126,7 +120,7 @@ def _by_name(
             f"{_lists(called, names, thing)} Name them alike{or_state}, or pair them by order: --pair-by-order, or "
             "pair_by_order in the manifest."
         )
-        return {}, [Problem(PAIRING_UNKNOWN, message, hint=hint)]
+        return {}, [Problem(session_codes.PAIRING_UNKNOWN, message, hint=hint)]
     pairs: dict[str, str] = {}
     problems = []
     for name, of_name in found.items():
@@ -137,7 +131,7 @@ def _by_name(
         elif len(of_name) > 1:
             message = f"The name of this {thing} is that of several cameras: {', '.join(of_name)}."
             hint = f"{_lists(called, names, thing)} Rename the {thing}{or_state}."
-            problems.append(Problem(PAIRING_AMBIGUOUS, message, file=name, hint=hint))
+            problems.append(Problem(session_codes.PAIRING_AMBIGUOUS, message, file=name, hint=hint))
         elif (other := stated.get(of_name[0])) is not None:
             message = f"This {thing} has the name of the camera {of_name[0]}, but {other} is assigned to it."
             hint = f"Assign this {thing} to its camera, or omit it."

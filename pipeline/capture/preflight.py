@@ -32,20 +32,12 @@ from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
 from pipeline.calibration.contents import UNITS_M, Up
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encodings
+from pipeline.capture import preflight_record
 from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
-from pipeline.capture.preflight_record import (
-    Clock,
-    Preflight,
-    PreflightCamera,
-    PreflightRecording,
-    PreflightThumbnail,
-    PreflightTimebase,
-    thumbnail_name,
-)
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding
@@ -64,16 +56,16 @@ def report(
     files: Sequence[Sequence[str]],
     units: str | None,
     recordings: Sequence[Recording] = (),
-    clock: Clock = "declared",
+    clock: preflight_record.Clock = "declared",
     up: Up = "z",
-) -> Preflight:
+) -> preflight_record.Preflight:
     """Build the preflight record of a session; ``files`` are the names of each camera's files."""
     timebase = session.timebase
     media, detected = _media(session, recordings), session.detections if isinstance(session, KeypointSession) else {}
     starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
-    return Preflight(
+    return preflight_record.Preflight(
         cameras=tuple(
-            PreflightCamera(
+            preflight_record.PreflightCamera(
                 name=camera.name,
                 file=of_camera[0],
                 size_px=camera.size_px,
@@ -88,10 +80,10 @@ def report(
             )
             for camera, of_camera in zip(session.cameras, files, strict=True)
         ),
-        timebase=PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
+        timebase=preflight_record.PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
         stretches=tuple(session.stretches),
         warnings=tuple(printable(warning) for warning in session.warnings),
-        recordings=tuple(PreflightRecording(**asdict(recording)) for recording in recordings),
+        recordings=tuple(preflight_record.PreflightRecording(**asdict(recording)) for recording in recordings),
         units=units or "m",
         up=up,
         findings=tuple(session.findings),
@@ -121,7 +113,7 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
-def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
+def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
     if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
         raise InputError([_no_archive(path) for path in others])
     recordings = _recordings(arguments)
@@ -158,20 +150,26 @@ def _recordings(arguments: argparse.Namespace) -> list[Recording]:
     ]
 
 
-def _write_thumbnails(folder: Path, camera: int, thumbnails: Sequence[Thumbnail]) -> tuple[PreflightThumbnail, ...]:
+def _write_thumbnails(
+    folder: Path, camera: int, thumbnails: Sequence[Thumbnail]
+) -> tuple[preflight_record.PreflightThumbnail, ...]:
     for number, thumbnail in enumerate(thumbnails):
-        (folder / thumbnail_name(camera, number)).write_bytes(thumbnail.content)
+        (folder / preflight_record.thumbnail_name(camera, number)).write_bytes(thumbnail.content)
     return tuple(
-        PreflightThumbnail(thumbnail.time_s, len(thumbnail.content), hashlib.sha256(thumbnail.content).hexdigest())
+        preflight_record.PreflightThumbnail(
+            thumbnail.time_s, len(thumbnail.content), hashlib.sha256(thumbnail.content).hexdigest()
+        )
         for thumbnail in thumbnails
     )
 
 
-def _with_thumbnails(camera: PreflightCamera, thumbnails: tuple[PreflightThumbnail, ...]) -> PreflightCamera:
+def _with_thumbnails(
+    camera: preflight_record.PreflightCamera, thumbnails: tuple[preflight_record.PreflightThumbnail, ...]
+) -> preflight_record.PreflightCamera:
     return replace(camera, thumbnails=thumbnails)
 
 
-def _with_findings(preflight: Preflight, findings: Sequence[Finding]) -> Preflight:
+def _with_findings(preflight: preflight_record.Preflight, findings: Sequence[Finding]) -> preflight_record.Preflight:
     sentences = [printable(finding.message) for finding in findings]
     return replace(preflight, findings=(*preflight.findings, *findings), warnings=(*preflight.warnings, *sentences))
 
@@ -181,7 +179,7 @@ def _no_archive(path: Path) -> Problem:
     return Problem(IMAGES_ARCHIVE, message, file=path.name, hint=hint)
 
 
-def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, bytes]:
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
     recordings = _recordings(arguments)
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         session = open_keypoints(
@@ -257,7 +255,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
     parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")
-    parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
+    parser.add_argument(
+        "--clock", choices=get_args(preflight_record.Clock), default="declared", help="Clock of the videos' starts."
+    )
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
     parser.add_argument("--up", choices=get_args(Up), default="z", help="Axis of the calibration that points up.")
     parser.add_argument(

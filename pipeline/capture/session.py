@@ -24,14 +24,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.core.paths import StrPath
-from pipeline.core.problems.finding_codes import (
-    CALIBRATION_ADAPTED,
-    CALIBRATION_NOTE,
-    FIRST_PICTURE_MOVED,
-    FRAMES_REPEATED,
-    PARTS_JOINED,
-    SOUND_DELAY_UNKNOWN,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.core.problems.session_codes import FRAME_RATE, INVALID_NAME, NO_FRAME_RATE, OFFSET_RANGE, SIZE_MISMATCH
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz, without_rounding
 from pipeline.video.images.files import SEQUENCE
@@ -177,7 +170,7 @@ def open_session(
             path = Path(calibration)
             contents = read_contents(path, units, up) if keeps_poses else read_intrinsics(path)
             cameras = contents.cameras
-            findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
+            findings += [Finding(finding_codes.CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
         except InputError as error:
             problems.extend(error.problems)
 
@@ -364,21 +357,23 @@ def _joined(
         lengths = " + ".join(f"{part.num_frames / part.frame_rate_hz:.1f}" for part in parts)
         message = f"{camera}: {', '.join(names)} are joined as the parts of one recording of {lengths} s."
         hint = "State the file of the camera if they are not."
-        findings.append(Finding(PARTS_JOINED, message, camera, "info", hint, {"files": names}))
+        findings.append(Finding(finding_codes.PARTS_JOINED, message, camera, "info", hint, {"files": names}))
     return videos
 
 
 def _of_video(camera: str, doubt: Problem) -> Finding:
     """Finding of what is doubtful about a video's file."""
     message = str(replace(doubt, hint=None))
-    severity: Severity = "info" if doubt.code in {FIRST_PICTURE_MOVED, SOUND_DELAY_UNKNOWN} else "warning"
+    severity: Severity = (
+        "info" if doubt.code in {finding_codes.FIRST_PICTURE_MOVED, finding_codes.SOUND_DELAY_UNKNOWN} else "warning"
+    )
     return Finding(doubt.code, message, camera, severity, doubt.hint, evidence={"file": doubt.file})
 
 
 def _repeated_times(camera: str, video: VideoInfo) -> Finding:
     frames = "1 frame is" if video.num_repeated == 1 else f"{video.num_repeated} frames are"
     return Finding(
-        FRAMES_REPEATED,
+        finding_codes.FRAMES_REPEATED,
         f"{video.path.name}: {frames} left out, because another frame has the same timestamp.",
         camera,
         hint="Export the video again at a constant frame rate.",
@@ -403,7 +398,7 @@ def _fitted(
             fitted.append(found[0])
             findings.append(
                 Finding(
-                    CALIBRATION_ADAPTED,
+                    finding_codes.CALIBRATION_ADAPTED,
                     f"{camera.name}: {_sizes(camera, video)}; {found[1]}.",
                     camera.name,
                     hint="Calibrate at the size of the videos if the guess is wrong.",

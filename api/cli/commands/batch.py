@@ -12,18 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli import options
 from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, users_cache
-from api.cli.options import (
-    KeypointRateOption,
-    LayoutOption,
-    PairByOrderOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    with_choices,
-)
 from api.cli.takes import TakeSource, find_takes
 from pipeline.calibration.contents import Units, Up
 from pipeline.core.errors import InputError, PipelineError, SessionRefused
@@ -58,7 +48,7 @@ class _Choices:
         return sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
-@with_choices()
+@options.with_choices()
 def command(
     *,
     source: Annotated[
@@ -69,11 +59,11 @@ def command(
     calibration: Annotated[
         Path | None, typer.Option(help="Calibration file of all takes that have none of their own.", show_default=False)
     ] = None,
-    units: UnitsOption = None,
-    up: UpOption = "z",
-    pair_by_order: PairByOrderOption = False,
-    frame_rate: KeypointRateOption = None,
-    layout: LayoutOption = None,
+    units: options.UnitsOption = None,
+    up: options.UpOption = "z",
+    pair_by_order: options.PairByOrderOption = False,
+    frame_rate: options.KeypointRateOption = None,
+    layout: options.LayoutOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
 ) -> None:
@@ -85,9 +75,11 @@ def command(
     with reporting(
         as_json, lambda: f"{len(rows)} takes are finished. Run the command again: it continues with the rest."
     ):
-        config = checked(chosen)
+        config = options.checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)
-        choices = _Choices(config, chosen, known_units(units), known_up(up), pair_by_order, layout, users_cache())
+        choices = _Choices(
+            config, chosen, options.known_units(units), options.known_up(up), pair_by_order, layout, users_cache()
+        )
         try:
             for number, take in enumerate(takes, 1):
                 if not as_json:

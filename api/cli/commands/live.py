@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli import options
 from api.cli.console import JsonOption, console, print_table, reporting
 from api.cli.live.outputs import (
     JsonLines,
@@ -23,16 +24,6 @@ from api.cli.live.outputs import (
     summary_line,
 )
 from api.cli.live.preview import PreviewPage
-from api.cli.options import (
-    ProviderOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    take_provider,
-    with_choices,
-)
 from pipeline.calibration.registry import read_calibration
 from pipeline.core.errors import ChildError, InputError, Problem
 from pipeline.core.options.config import PROFILES
@@ -49,7 +40,7 @@ from pipeline.run.warm_up import warm_up
 _MAX_DIGITS = 5  # of a port
 
 
-@with_choices("joints", "appearance")
+@options.with_choices("joints", "appearance")
 def command(
     calibration: Annotated[Path, typer.Option(help="Calibration file, like multicap reconstruct.")],
     camera: Annotated[
@@ -61,13 +52,13 @@ def command(
         ),
     ],
     *,
-    units: UnitsOption = None,
-    up: UpOption = "z",
+    units: options.UnitsOption = None,
+    up: options.UpOption = "z",
     profile: Annotated[
         str, typer.Option(metavar="|".join(PROFILES), help="Networks that find the 2D joints, by speed and accuracy.")
     ] = "fast",
     chosen: Mapping[str, Any],
-    provider: ProviderOption = None,
+    provider: options.ProviderOption = None,
     sync: Annotated[
         float | None,
         typer.Option(
@@ -102,10 +93,12 @@ def command(
     With --json each instant is a line of JSON on stdout.
     """
     with reporting(as_json), contextlib.ExitStack() as opened:
-        choices = checked({**chosen, "profile": profile})
-        take_provider(provider)
+        choices = options.checked({**chosen, "profile": profile})
+        options.take_provider(provider)
         with collecting() as collect:
-            cameras = collect(lambda: read_calibration(calibration, known_units(units), known_up(up))) or ()
+            cameras = (
+                collect(lambda: read_calibration(calibration, options.known_units(units), options.known_up(up))) or ()
+            )
             sources = collect(lambda: read_sources(camera, [known.name for known in cameras])) if cameras else None
             senders = [
                 collect(partial(opened.enter_context, sender))

@@ -8,18 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import (
-    EXIT_FAILED,
-    JsonOption,
-    StageBars,
-    emit,
-    print_table,
-    reporting,
-    require_writable,
-    show_layout,
-    warn,
-    writing,
-)
+from api.cli import console
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.capture.keypoints import KeypointSession
@@ -52,44 +41,44 @@ def command(
     report: Annotated[
         Path | None, typer.Option(help="Folder for sync.json, and a plot of each camera's error over its offset.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: console.JsonOption = False,
 ) -> None:
     """Measure when each camera started, and how fast its clock runs, from people who move.
 
     Session time is offset + rate * own time; the first camera's offset is 0. The exit code is 1 if the answer is not
     certain: the reasons say what to do.
     """
-    with reporting(as_json), StageBars(visible=not as_json) as bars:
+    with console.reporting(as_json), console.StageBars(visible=not as_json) as bars:
         config = checked(chosen, source.check)
-        require_writable(report and report / _REPORT)
+        console.require_writable(report and report / _REPORT)
         session = source.open(calibration)
         detections, joints = all_bodies(session, config, bars.update)
         for sentence in () if as_json else session.warnings:
-            warn(sentence)
+            console.warn(sentence)
         if not as_json:
-            show_layout(session.layout, session.warnings)
+            console.show_layout(session.layout, session.warnings)
         found, sound = measured_clocks(session, detections, joints, bars.update)
         document = sync_document(found) | {"sound": sound_document(sound)}
         if report is not None:
             _write_report(report, document, found)
     if as_json:
-        emit(document)
+        console.emit(document)
     else:
         _show(document)
     if not document["certain"]:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(console.EXIT_FAILED)
 
 
 def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:
     files = {_REPORT: json.dumps(document, indent=1) + "\n", **error_pictures(found)}
-    with writing(folder):
+    with console.writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
 
 
 def _show(document: Mapping[str, Any]) -> None:
-    print_table(
+    console.print_table(
         ("camera", "offset", "standard deviation", "clock fast by"),
         (
             (
@@ -103,7 +92,7 @@ def _show(document: Mapping[str, Any]) -> None:
     )
     for problem in (*document["refusals"], *document["warnings"]):
         where = f"{problem['camera']}: " if problem["camera"] else ""
-        warn(f"{where}{problem['message']} {problem['hint'] or ''}".rstrip())
+        console.warn(f"{where}{problem['message']} {problem['hint'] or ''}".rstrip())
     if not document["certain"]:
         typer.echo("The offsets are not certain.")
 

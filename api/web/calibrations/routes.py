@@ -6,14 +6,7 @@ from urllib.parse import quote
 from fastapi import APIRouter, Query, Response, status
 
 from api.web.auth import RecordsDep
-from api.web.calibrations.intake import (
-    CALIBRATION_FORM,
-    CheckedCalibration,
-    ReadFile,
-    accepted,
-    begun_calibration,
-    check_calibration,
-)
+from api.web.calibrations import intake
 from api.web.calibrations.schemas import (
     MEDIA_TYPES,
     CalibrationChanges,
@@ -40,16 +33,18 @@ small = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], route_class=
 _FILE = file_content(("application/toml", "application/yaml", "application/json"))
 
 
-def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration) -> Answer:
+def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCalibration) -> Answer:
     """Store a calibration file, or begin the job that makes the calibration."""
     content = checked.content
-    if isinstance(content, ReadFile):
+    if isinstance(content, intake.ReadFile):
         return _add_file(services, idempotent, checked, content)
-    with begun_calibration(services, idempotent.records, checked) as (work, job):
-        return idempotent.store(work, accepted(job))
+    with intake.begun_calibration(services, idempotent.records, checked) as (work, job):
+        return idempotent.store(work, intake.accepted(job))
 
 
-def _add_file(services: Services, idempotent: IdempotentRequest, checked: CheckedCalibration, sent: ReadFile) -> Answer:
+def _add_file(
+    services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCalibration, sent: intake.ReadFile
+) -> Answer:
     source = {"file": sent.file.name, **sent.contents.model_dump(mode="json", exclude={"files"})}
     with idempotent.records.transaction() as work:
         work.uploads.use(checked.upload_ids)
@@ -74,7 +69,7 @@ add_creation(
     router,
     "",
     "createCalibration",
-    Creation(CALIBRATION_FORM, check_calibration, _add),
+    Creation(intake.CALIBRATION_FORM, intake.check_calibration, _add),
     (
         Texts(
             "Send or make a calibration",
@@ -199,5 +194,5 @@ def delete_calibration(calibration_id: CalibrationId, services: ServicesDep, rec
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
-CREATION = Resource(router=router, forms=(CALIBRATION_FORM,))
+CREATION = Resource(router=router, forms=(intake.CALIBRATION_FORM,))
 RESOURCE = Resource(router=small)

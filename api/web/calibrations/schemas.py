@@ -12,15 +12,7 @@ from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_na
 from api.web.http.bodies.form_kinds import UploadedFootage
 from api.web.jobs.schemas import JobError
 from api.web.sessions.schemas import CameraManifest, Up
-from pipeline.core.options.job_choices import (
-    MAX_KNOWN_POINTS,
-    MAX_POINT_M,
-    MAX_STATURE_M,
-    MAX_STATURES,
-    MIN_STATURE_M,
-    CalibrationChoices,
-    KnownPoint,
-)
+from pipeline.core.options import job_choices
 from worker.store.model.session_records import Calibration
 from worker.store.model.states import JobState
 
@@ -41,7 +33,7 @@ BOARD_PATTERN = r"^(chessboard|charuco):[0-9]{1,3}x[0-9]{1,3}(:[0-9A-Za-z_.]{1,2
 _STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobState.EXPIRED: "failed"}
 
 
-_Coordinate = Annotated[float, Field(ge=-MAX_POINT_M, le=MAX_POINT_M)]
+_Coordinate = Annotated[float, Field(ge=-job_choices.MAX_POINT_M, le=job_choices.MAX_POINT_M)]
 _Pixel = Annotated[float, Field(ge=-1.0, le=100_000.0)]
 
 
@@ -62,9 +54,11 @@ class KnownPointSpec(BaseModel):
         examples=[{"cam_0": [812.5, 640.0], "cam_1": [310.0, 655.5]}],
     )
 
-    def point(self) -> KnownPoint:
+    def point(self) -> job_choices.KnownPoint:
         """Point as the pipeline takes it."""
-        return KnownPoint(self.name, self.xyz_m, tuple((camera, x, y) for camera, (x, y) in self.seen_px.items()))
+        return job_choices.KnownPoint(
+            self.name, self.xyz_m, tuple((camera, x, y) for camera, (x, y) in self.seen_px.items())
+        )
 
 
 class CalibrationSpec(BaseModel):
@@ -105,9 +99,9 @@ class CalibrationSpec(BaseModel):
         description="Board: `chessboard:COLSxROWS:SQUARE_M`, or `charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY`.",
         examples=["chessboard:9x6:0.06", "charuco:7x5:0.06:0.045:DICT_4X4_50"],
     )
-    stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
+    stature_m: tuple[Annotated[float, Field(ge=job_choices.MIN_STATURE_M, le=job_choices.MAX_STATURE_M)], ...] = Field(
         default=(),
-        max_length=MAX_STATURES,
+        max_length=job_choices.MAX_STATURES,
         description="Statures of the people in metres, in any order; one is enough.",
     )
     session_id: UUID | None = Field(
@@ -115,19 +109,19 @@ class CalibrationSpec(BaseModel):
     )
     known_points: tuple[KnownPointSpec, ...] = Field(
         default=(),
-        max_length=MAX_KNOWN_POINTS,
+        max_length=job_choices.MAX_KNOWN_POINTS,
         description="Points that determine the world in place of the board on the floor, or of the people.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
     )
 
-    def choices(self, has_intrinsics: bool, has_photographs: bool) -> CalibrationChoices | None:
+    def choices(self, has_intrinsics: bool, has_photographs: bool) -> job_choices.CalibrationChoices | None:
         """Choices of the job; ``None`` for a file."""
         if self.method == "file":
             return None
         points = tuple(point.point() for point in self.known_points)
-        return CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
+        return job_choices.CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
 
 
 class UploadedCalibration(UploadedFootage, CalibrationSpec):

@@ -13,13 +13,7 @@ from api.web.downloads import Download, damaged_file, missing_file
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.form import ReceivedFile
 from api.web.http.bodies.form_kinds import CHARACTER, SPEC, FormKind
-from api.web.sessions.preflight import (
-    CharacterBones,
-    CharacterContents,
-    CharacterFacts,
-    InvalidFilesError,
-    character_wait_s,
-)
+from api.web.sessions import preflight
 from api.web.sessions.receiving import Sent, adopted, document, sent_form, spool_folder
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import MISSING_PART
@@ -41,7 +35,7 @@ class CheckedCharacter:
 
     spec: CharacterSpec
     file: ReceivedFile
-    contents: CharacterContents
+    contents: preflight.CharacterContents
     upload_ids: tuple[str, ...] = ()
 
     @property
@@ -71,12 +65,12 @@ async def check_character(request: Request, services: Services, records: TenantR
     if spec is None or errors:
         raise unprocessable(errors)
     (file,) = form.files[CHARACTER]
-    wait_s = character_wait_s(file.num_bytes)
+    wait_s = preflight.character_wait_s(file.num_bytes)
     try:
         contents = await services.checks.run(
             owner, services.preflight.read_character, file.path, spec.bones, sent.folder, further_wait_s=wait_s
         )
-    except InvalidFilesError as invalid:
+    except preflight.InvalidFilesError as invalid:
         raise unprocessable([_located(item, pointer, pointer_to(CHARACTER)) for item in invalid.errors]) from None
     return CheckedCharacter(spec, file, contents, upload_ids)
 
@@ -106,7 +100,7 @@ def stored_character(services: Services, checked: CheckedCharacter) -> Iterator[
 
 async def check_again(
     services: Services, owner: str, character: Character, corrections: Mapping[str, str | None]
-) -> CharacterContents:
+) -> preflight.CharacterContents:
     """Recognise the bones of a stored character again, with other corrections.
 
     Raises
@@ -123,9 +117,9 @@ async def check_again(
                 character,
                 corrections,
                 folder,
-                further_wait_s=character_wait_s(character.file.num_bytes),
+                further_wait_s=preflight.character_wait_s(character.file.num_bytes),
             )
-        except InvalidFilesError as invalid:
+        except preflight.InvalidFilesError as invalid:
             pointer = pointer_to(_BONES)
             raise unprocessable([_located(item, pointer, pointer) for item in invalid.errors]) from None
 
@@ -136,19 +130,19 @@ def character_download(character: Character) -> Download:
     return Download(file.name, media_type, file.key, file.num_bytes, file.sha256, remedy="Send the character again.")
 
 
-def stored_facts(contents: CharacterContents) -> dict[str, object]:
+def stored_facts(contents: preflight.CharacterContents) -> dict[str, object]:
     """Facts that lists show, as they are stored."""
-    return contents.model_dump(mode="json", include=set(CharacterFacts.model_fields))
+    return contents.model_dump(mode="json", include=set(preflight.CharacterFacts.model_fields))
 
 
-def stored_bones(contents: CharacterContents) -> dict[str, object]:
+def stored_bones(contents: preflight.CharacterContents) -> dict[str, object]:
     """Bones and skeleton, as they are stored."""
-    return contents.model_dump(mode="json", include=set(CharacterBones.model_fields))
+    return contents.model_dump(mode="json", include=set(preflight.CharacterBones.model_fields))
 
 
 def _read_stored(
     services: Services, character: Character, corrections: Mapping[str, str | None], folder: Path
-) -> CharacterContents:
+) -> preflight.CharacterContents:
     try:
         with services.artifacts.local_path(character.file.key, character.file.sha256) as path:
             return services.preflight.read_character(path, corrections, folder)

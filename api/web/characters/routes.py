@@ -4,17 +4,7 @@ from fastapi import APIRouter, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
-from api.web.characters.intake import (
-    CHARACTER_FORM,
-    MEDIA_TYPES,
-    CheckedCharacter,
-    character_download,
-    check_again,
-    check_character,
-    stored_bones,
-    stored_character,
-    stored_facts,
-)
+from api.web.characters import intake
 from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
 from api.web.contract.description import Resource, file_content, location, problems
 from api.web.contract.examples import ID
@@ -33,14 +23,14 @@ router = APIRouter(prefix="/v1/characters", tags=["characters"])
 # A route that takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1/characters", tags=["characters"], route_class=SmallBodyRoute)
 
-_FILE = file_content(MEDIA_TYPES)
+_FILE = file_content(intake.MEDIA_TYPES)
 
 
-def _add(services: Services, idempotent: IdempotentRequest, checked: CheckedCharacter) -> Answer:
+def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCharacter) -> Answer:
     """Store a character and its file."""
-    facts, bones = stored_facts(checked.contents), stored_bones(checked.contents)
+    facts, bones = intake.stored_facts(checked.contents), intake.stored_bones(checked.contents)
     with (
-        stored_character(services, checked) as (character_id, file),
+        intake.stored_character(services, checked) as (character_id, file),
         idempotent.records.transaction() as work,
     ):
         work.uploads.use(checked.upload_ids)
@@ -60,7 +50,7 @@ add_creation(
     router,
     "",
     "createCharacter",
-    Creation(CHARACTER_FORM, check_character, _add),
+    Creation(intake.CHARACTER_FORM, intake.check_character, _add),
     (
         Texts("Send a character", _CREATE),
         Texts(
@@ -125,7 +115,7 @@ def get_character_file(
     conditions: ConditionsDep,
 ) -> Response:
     """Download the file of a character as it was sent, or a range of it."""
-    return send_file(request, services, character_download(records.characters.get(character_id)), conditions)
+    return send_file(request, services, intake.character_download(records.characters.get(character_id)), conditions)
 
 
 @small.patch(
@@ -150,7 +140,7 @@ async def change_character(
     character = await run_in_threadpool(_matching, records, character_id, if_match)
     contents = None
     if changes.bones is not None:
-        contents = await check_again(services, request.state.caller.owner, character, changes.bones)
+        contents = await intake.check_again(services, request.state.caller.owner, character, changes.bones)
     changed = await run_in_threadpool(_change, records, character_id, changes, contents, if_match)
     return conditional(CharacterOut.from_bones(changed), None)
 
@@ -176,7 +166,7 @@ def _change(
             character = work.characters.rename(character_id, changes.name)
         if contents is not None and changes.bones is not None:
             character = work.characters.correct(
-                character_id, stored_facts(contents), stored_bones(contents), changes.bones
+                character_id, intake.stored_facts(contents), intake.stored_bones(contents), changes.bones
             )
         return character
 
@@ -194,5 +184,5 @@ def delete_character(character_id: CharacterId, services: ServicesDep, records: 
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
 
 
-CREATION = Resource(router=router, forms=(CHARACTER_FORM,))
+CREATION = Resource(router=router, forms=(intake.CHARACTER_FORM,))
 RESOURCE = Resource(router=small)

@@ -18,17 +18,7 @@ from api.web.errors import ErrorItem, database_damaged, problem_response, servic
 from api.web.metrics import RequestMetrics
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.options.rules import install_command
-from pipeline.core.problems.request_codes import (
-    ARTIFACTS_UNAVAILABLE,
-    BROKER_UNAVAILABLE,
-    DATABASE_UNAVAILABLE,
-    DISK_UNAVAILABLE,
-    MODEL_UNAVAILABLE,
-    NOT_READY,
-    STORAGE_FULL,
-    WORKER_STARTING,
-    WORKER_UNAVAILABLE,
-)
+from pipeline.core.problems import request_codes
 from worker.store.files.disk import DiskSpace
 from worker.store.model.work import WorkerState, WorkerStatus
 from worker.store.repositories.work.workers import installed_detectors
@@ -69,10 +59,10 @@ _FIGURES: dict[str, Any] = {
     "text/plain": {"schema": {"type": "string"}, "example": 'multicap_jobs{state="succeeded"} 17.0\n'}
 }
 _UNAVAILABLE = {
-    "database": (DATABASE_UNAVAILABLE, "The database does not respond."),
-    "broker": (BROKER_UNAVAILABLE, "The broker does not respond."),
-    "artifacts": (ARTIFACTS_UNAVAILABLE, "The artifact store can't be used."),
-    "disk": (DISK_UNAVAILABLE, "The disk of the data folder does not respond."),
+    "database": (request_codes.DATABASE_UNAVAILABLE, "The database does not respond."),
+    "broker": (request_codes.BROKER_UNAVAILABLE, "The broker does not respond."),
+    "artifacts": (request_codes.ARTIFACTS_UNAVAILABLE, "The artifact store can't be used."),
+    "disk": (request_codes.DISK_UNAVAILABLE, "The disk of the data folder does not respond."),
 }
 
 
@@ -103,7 +93,7 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
         checks |= {name: _SILENT[name]} if items is None else items
     if errors := [item for item in checks.values() if item is not None]:
         # Not raised, because the handler would log it: clients that wait for the service ask every few seconds.
-        problem = service_unavailable(NOT_READY, "The service can't start a job now.", errors)
+        problem = service_unavailable(request_codes.NOT_READY, "The service can't start a job now.", errors)
         return problem_response(request, problem)
     providers = services.readiness.run({"providers": lambda: _providers(services.store.workers.all())})
     return Readiness(
@@ -162,10 +152,14 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
         return None
     if not disk.has_inodes:
         message = "The disk has no inodes left for new files, so nothing new is accepted."
-        return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
+        return ErrorItem(
+            code=request_codes.STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed."
+        )
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
     message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
-    return ErrorItem(code=STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed.")
+    return ErrorItem(
+        code=request_codes.STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed."
+    )
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
@@ -181,7 +175,7 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
     if not missing:
         return {"worker": None, "model": None}
     item = ErrorItem(
-        code=MODEL_UNAVAILABLE,
+        code=request_codes.MODEL_UNAVAILABLE,
         message=f"Not every worker has the networks of the default profile: {', '.join(missing)}.",
         hint=install_command(*missing),
     )
@@ -191,12 +185,12 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
 def _no_worker_ready(workers: Sequence[WorkerStatus]) -> ErrorItem:
     if not workers:
         hint = "Start a worker, and see its log."
-        return ErrorItem(code=WORKER_UNAVAILABLE, message="There is no worker.", hint=hint)
+        return ErrorItem(code=request_codes.WORKER_UNAVAILABLE, message="There is no worker.", hint=hint)
     furthest = max(workers, key=lambda worker: worker.done)
     if furthest.total == 0:
-        return ErrorItem(code=WORKER_STARTING, message=f"{furthest.activity}.")
+        return ErrorItem(code=request_codes.WORKER_STARTING, message=f"{furthest.activity}.")
     message = f"{furthest.activity}: {furthest.done} of {furthest.total} steps. A first start takes some minutes."
-    return ErrorItem(code=WORKER_STARTING, message=message)
+    return ErrorItem(code=request_codes.WORKER_STARTING, message=message)
 
 
 RESOURCE = Resource(router=router, is_open=True)

@@ -22,14 +22,7 @@ from pipeline.core.errors import Problem
 from pipeline.core.findings import CERTAIN
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.core.options.rules import Installed, installation_problems, session_problems
-from pipeline.core.problems.request_codes import (
-    CALLBACK_INVALID,
-    CALLBACK_NOT_HTTPS,
-    CALLBACK_NOT_PUBLIC,
-    CHARACTER_UNKNOWN,
-    SPACE_MISSING,
-    WEBHOOK_SECRET_MISSING,
-)
+from pipeline.core.problems import request_codes
 from pipeline.run.space import foreseen_space, shown_bytes
 from worker.run import tracing
 from worker.run.planning import PlannableSession, has_videos, plan_config, plan_job
@@ -108,25 +101,25 @@ def check_spec(spec: JobSpec, session: Preflight | None, limits: SpecLimits) -> 
     problems += installation_problems(spec.config, limits.installed)
     if spec.callback_url is not None:
         if fault := url_fault(spec.callback_url):
-            problems.append(Problem(CALLBACK_INVALID, fault, field="callback_url"))
+            problems.append(Problem(request_codes.CALLBACK_INVALID, fault, field="callback_url"))
         elif not limits.allows_private_webhooks:
             address = urlsplit(spec.callback_url)
             if address.scheme != "https":
                 message = "Webhooks go to https addresses only."
-                problems.append(Problem(CALLBACK_NOT_HTTPS, message, field="callback_url"))
+                problems.append(Problem(request_codes.CALLBACK_NOT_HTTPS, message, field="callback_url"))
             if not may_be_public(address.hostname or ""):
                 message = "Webhooks go to public addresses only."
-                problems.append(Problem(CALLBACK_NOT_PUBLIC, message, field="callback_url"))
+                problems.append(Problem(request_codes.CALLBACK_NOT_PUBLIC, message, field="callback_url"))
         if not limits.records.has_webhook_secret():
             message = "There is no secret to sign webhooks with."
             hint = "Have the operator make one with `multicap webhooks rotate`."
-            problems.append(Problem(WEBHOOK_SECRET_MISSING, message, field="callback_url", hint=hint))
+            problems.append(Problem(request_codes.WEBHOOK_SECRET_MISSING, message, field="callback_url", hint=hint))
     if spec.character is not None:
         try:
             limits.records.characters.get(str(spec.character))
         except NotFound:
             message, hint = "There is no such character.", "GET /v1/characters lists them."
-            problems.append(Problem(CHARACTER_UNKNOWN, message, field="character", hint=hint))
+            problems.append(Problem(request_codes.CHARACTER_UNKNOWN, message, field="character", hint=hint))
     return problems
 
 
@@ -165,7 +158,7 @@ def queued_job(
         if not services.settings.artifacts_url and not services.disk.has_room(needed_bytes):
             free = shown_bytes(max(0, services.disk.free_bytes - services.disk.headroom_bytes))
             raise ApiError(
-                SPACE_MISSING,
+                request_codes.SPACE_MISSING,
                 f"The job needs about {shown_bytes(needed_bytes)}, and the service's disk has {free}.",
                 hint="Delete sessions that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
                 "time by frame_range.",

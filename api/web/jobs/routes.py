@@ -13,13 +13,7 @@ from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
-from api.web.jobs.queueing import (
-    check_spec,
-    installed_on_workers,
-    queued_job,
-    spec_limits,
-    with_session_choices,
-)
+from api.web.jobs import queueing
 from api.web.jobs.schemas import AttemptList, AttemptOut, JobEnded, JobOut, JobPage
 from api.web.sessions.form import CAPTURE_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job
@@ -97,12 +91,12 @@ def create_job(
         if session.purpose == "calibration":
             message = "The session was sent for a calibration, and its cameras are not calibrated."
             raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
-        spec = with_session_choices(spec, session.preflight)
-        limits = spec_limits(services, idempotent.records, has_videos=has_videos(session))
-        if found := check_spec(spec, session.preflight, limits):
+        spec = queueing.with_session_choices(spec, session.preflight)
+        limits = queueing.spec_limits(services, idempotent.records, has_videos=has_videos(session))
+        if found := queueing.check_spec(spec, session.preflight, limits):
             raise unprocessable([error_item(problem) for problem in found])
         services.disk.require_room()
-        with queued_job(services, idempotent.records, session, spec) as (work, job):
+        with queueing.queued_job(services, idempotent.records, session, spec) as (work, job):
             answer = idempotent.store(work, _accepted(job))
     return answer.response()
 
@@ -243,7 +237,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
         if job.state in RETRYABLE:  # else the store says why not
-            installed = installed_on_workers(services, has_videos=has_videos(session))
+            installed = queueing.installed_on_workers(services, has_videos=has_videos(session))
             if missing := [*installation_problems(job.spec.config, installed)]:
                 raise unprocessable([error_item(problem, None) for problem in missing])
         services.disk.require_room()

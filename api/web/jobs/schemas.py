@@ -10,15 +10,7 @@ from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.code_group import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME
 from pipeline.run.engine.stage import DETECT
-from worker.store.model.job_records import (
-    Attempt,
-    Failure,
-    JobKind,
-    JobRecord,
-    StageProgress,
-    is_worth_a_retry,
-    job_kind,
-)
+from worker.store.model import job_records
 from worker.store.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
 from worker.store.spec import JobSpec
 
@@ -38,7 +30,7 @@ class StageOut(ResponseModel):
     reused: bool = Field(description="Whether the outputs of an earlier job were used.")
 
     @classmethod
-    def from_stage(cls, stage: StageProgress) -> Self:
+    def from_stage(cls, stage: job_records.StageProgress) -> Self:
         """Build the response from a stage."""
         fraction = stage.done / stage.total if stage.total else float(stage.state is ChunkState.DONE)
         declared = STAGE_BY_NAME[stage.name]
@@ -83,7 +75,7 @@ class FailureOut(ResponseModel):
     reason: JobError = Field(description="Error of the attempt.")
 
     @classmethod
-    def from_failure(cls, failure: Failure) -> Self:
+    def from_failure(cls, failure: job_records.Failure) -> Self:
         """Build the response from a failure."""
         return cls.from_record(failure, chunk=failure.chunk_index, reason=failure.problem)
 
@@ -102,7 +94,7 @@ class AttemptOut(ResponseModel):
     failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
 
     @classmethod
-    def from_attempt(cls, attempt: Attempt) -> Self:
+    def from_attempt(cls, attempt: job_records.Attempt) -> Self:
         """Build the response from an attempt."""
         failures = tuple(map(FailureOut.from_failure, attempt.failures))
         return cls.from_record(attempt, error=attempt.problem, failures=failures)
@@ -157,7 +149,7 @@ class JobOut(ResponseModel):
     """
 
     id: Id
-    kind: JobKind = Field(description="What the job makes.")
+    kind: job_records.JobKind = Field(description="What the job makes.")
     calibration_id: Id | None = Field(description="Calibration that the job makes; null of others.")
     session_id: Id
     session_name: str = Field(description="Name of the session.", examples=["Handshake, take 3"])
@@ -218,14 +210,14 @@ class JobOut(ResponseModel):
     links: JobLinks
 
     @classmethod
-    def from_job(cls, job: JobRecord) -> Self:
+    def from_job(cls, job: job_records.JobRecord) -> Self:
         """Build the response from a job."""
         address = f"/v1/jobs/{job.id}"
         runs_networks = any(STAGE_BY_NAME[stage.name].runs_networks for stage in job.stages)
         return cls.from_record(
             job,
-            kind=job_kind(job.making),
-            calibration_id=job.id if job_kind(job.making) == "calibration" else None,
+            kind=job_records.job_kind(job.making),
+            calibration_id=job.id if job_records.job_kind(job.making) == "calibration" else None,
             provider=provider_name(job.provider) if runs_networks else None,
             stages=tuple(map(StageOut.from_stage, job.stages)),
             error=job.problem,
@@ -239,7 +231,7 @@ class JobOut(ResponseModel):
                 people=None if job.people is None else f"{address}/people",
                 cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
                 visuals=f"{address}/visuals" if _may_make_visuals(job) else None,
-                retry=f"{address}/retry" if is_worth_a_retry(job.state, job.problem) else None,
+                retry=f"{address}/retry" if job_records.is_worth_a_retry(job.state, job.problem) else None,
             ),
         )
 
@@ -249,7 +241,7 @@ class JobOut(ResponseModel):
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
 
 
-def _may_make_visuals(job: JobRecord) -> bool:
+def _may_make_visuals(job: job_records.JobRecord) -> bool:
     """Whether a request rebuilds the visuals of a job."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
     can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)

@@ -12,17 +12,7 @@ from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
 from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
-from pipeline.core.problems.request_codes import (
-    LIVE_CAMERA,
-    LIVE_FIELDS,
-    LIVE_JOINTS,
-    LIVE_MESSAGE,
-    LIVE_PACKET,
-    LIVE_TIME,
-    LIVE_TOO_LARGE,
-    MISSING_FIELD,
-    UNKNOWN_FIELD,
-)
+from pipeline.core.problems import request_codes
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
 _MAX_SHOWN = 40
@@ -34,19 +24,21 @@ def read_start(text: str) -> LiveStart:
     try:
         start = LiveStart.model_validate_json(text)
     except ValidationError:
-        raise wrong_message(text, (LiveStart,), LIVE_MESSAGE, LIVE_FIELDS) from None
+        raise wrong_message(text, (LiveStart,), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:
-        code, pointer = (UNKNOWN_FIELD, "calibration_id") if given else (MISSING_FIELD, "calibration")
+        code, pointer = (
+            (request_codes.UNKNOWN_FIELD, "calibration_id") if given else (request_codes.MISSING_FIELD, "calibration")
+        )
         message = "A capture has either a calibration or a calibration_id."
         items = [ErrorItem(code=code, message=message, pointer=pointer_to(pointer))]
-        raise SocketProblem(LIVE_FIELDS, WRONG_FIELDS, errors=items)
+        raise SocketProblem(request_codes.LIVE_FIELDS, WRONG_FIELDS, errors=items)
     return start
 
 
 def wrong_keypoints(text: str) -> SocketProblem:
     """Problem of a text that is no message ``keypoints`` and no ``end``."""
-    return wrong_message(text, (LiveKeypoints, LiveEnd), LIVE_MESSAGE, LIVE_FIELDS)
+    return wrong_message(text, (LiveKeypoints, LiveEnd), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS)
 
 
 class Intake:
@@ -75,7 +67,7 @@ class Intake:
         for person, points in enumerate(message.people):
             if len(points) != self._num_points:
                 detail = f"Person {person} has {len(points)} points, and the layout has {self._num_points}."
-                raise SocketProblem(LIVE_JOINTS, detail)
+                raise SocketProblem(request_codes.LIVE_JOINTS, detail)
         self._check(place, len(message.people), message.time_s)
         numbers = [*chain.from_iterable(chain.from_iterable(message.people))]
         return encode_keypoints(place, self._num_points, message.time_s, numbers, len(message.people))
@@ -84,20 +76,24 @@ class Intake:
         """Packet of a packed message, which is checked; raises ``SocketProblem``."""
         head = KeypointsHead.decode(packet)
         if head is None:
-            raise SocketProblem(LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states.")
+            raise SocketProblem(
+                request_codes.LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states."
+            )
         if head.num_people and head.num_points != self._num_points:
             detail = f"The packet states {head.num_points} points a person, and the layout has {self._num_points}."
-            raise SocketProblem(LIVE_JOINTS, detail)
+            raise SocketProblem(request_codes.LIVE_JOINTS, detail)
         numbers = array("f", bytes(KeypointsHead.packet_body(packet)))
         # The sum of finite numbers of single precision is finite in double precision; of others it is not.
         if not math.isfinite(sum(numbers)) or not -MAX_TIME_S <= head.time_s <= MAX_TIME_S:
-            raise SocketProblem(LIVE_PACKET, "A number of the packet is not finite, or the time is out of range.")
+            raise SocketProblem(
+                request_codes.LIVE_PACKET, "A number of the packet is not finite, or the time is out of range."
+            )
         scores = numbers[2::3]
         if numbers and not (
             min(scores) >= 0.0 and max(scores) <= 1.0 and min(numbers) >= -MAX_PX and max(numbers) <= MAX_PX
         ):
             detail = f"Coordinates are within {MAX_PX:,.0f} pixels, scores from 0 to 1."
-            raise SocketProblem(LIVE_PACKET, detail)
+            raise SocketProblem(request_codes.LIVE_PACKET, detail)
         self._check(head.camera, head.num_people, head.time_s)
         return packet
 
@@ -106,11 +102,11 @@ class Intake:
             raise _unknown_camera(camera, self._places)
         if num_people > self._max_people:
             detail = f"A frame has {num_people} people; at most {self._max_people} are allowed."
-            raise SocketProblem(LIVE_TOO_LARGE, detail)
+            raise SocketProblem(request_codes.LIVE_TOO_LARGE, detail)
         if self._newest_s is not None and time_s > self._newest_s + _MAX_AHEAD_S:
             ahead_s = time_s - self._newest_s
             detail = f"A frame is {ahead_s:.1f} s ahead of all others; at most {_MAX_AHEAD_S:g} s are allowed."
-            raise SocketProblem(LIVE_TIME, detail)
+            raise SocketProblem(request_codes.LIVE_TIME, detail)
         self._newest_s = time_s if self._newest_s is None else max(time_s, self._newest_s)
 
 
@@ -124,4 +120,4 @@ def require_size(message: Mapping[str, Any], max_bytes: int) -> None:
 def _unknown_camera(camera: str | int, names: Mapping[str, int]) -> SocketProblem:
     shown = repr(camera[:_MAX_SHOWN]) if isinstance(camera, str) else str(camera)
     known = ", ".join([name[:_MAX_SHOWN] for name in names][:8])
-    return SocketProblem(LIVE_CAMERA, f"The calibration has no camera {shown}; it has {known}.")
+    return SocketProblem(request_codes.LIVE_CAMERA, f"The calibration has no camera {shown}; it has {known}.")

@@ -6,22 +6,8 @@ import time
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket
 
+from api.web.recordings import messages
 from api.web.recordings.intake import RecordingIntake, parsed, server_s
-from api.web.recordings.messages import (
-    HOST_MESSAGES,
-    HOST_RECEIVED,
-    ClientPing,
-    HostDiscard,
-    HostMessage,
-    HostRemove,
-    HostRename,
-    HostStart,
-    HostState,
-    HostStop,
-    HostUpload,
-    LivePhoneOut,
-    Pong,
-)
 from api.web.recordings.phones import recording_limits, refusal_message, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
 from api.web.recordings.schemas import RecordingOut
@@ -57,9 +43,9 @@ class HostConnection:
     async def receive(self, intake: RecordingIntake) -> None:
         """Take the host's messages until it goes; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
         while True:
-            message = parsed(await intake.receive(), HOST_MESSAGES, HOST_RECEIVED)
-            if isinstance(message, ClientPing):
-                await send(self._websocket, Pong(t0_s=message.t0_s, server_s=server_s()), self._settings)
+            message = parsed(await intake.receive(), messages.HOST_MESSAGES, messages.HOST_RECEIVED)
+            if isinstance(message, messages.ClientPing):
+                await send(self._websocket, messages.Pong(t0_s=message.t0_s, server_s=server_s()), self._settings)
                 continue
             try:
                 recording = await run_in_threadpool(self._change, message)
@@ -85,35 +71,37 @@ class HostConnection:
                 number = next(iter(side.thumbnails))
                 await send(self._websocket, side.thumbnails.pop(number), self._settings)
 
-    def _change(self, message: HostMessage) -> RecordingSession:
+    def _change(self, message: messages.HostMessage) -> RecordingSession:
         recordings, recording_id = self._records.recordings, self._room.recording.id
         match message:
-            case HostStart():
+            case messages.HostStart():
                 settings = {} if message.settings is None else message.settings.model_dump()
                 self._disk.require_room()
                 start_s, limits = server_s() + _START_LEAD_S, recording_limits(self._settings)
                 return recordings.start_take(recording_id, message.name, settings, start_s, limits)
-            case HostStop():
+            case messages.HostStop():
                 return self._disk.using_reserve(lambda: recordings.stop_take(recording_id, server_s() + _STOP_LEAD_S))
-            case HostRename():
+            case messages.HostRename():
                 return recordings.rename_phone(recording_id, message.phone, message.name)
-            case HostRemove():
+            case messages.HostRemove():
                 return self._disk.using_reserve(lambda: recordings.remove_phone(recording_id, message.phone))
-            case HostUpload():
+            case messages.HostUpload():
                 return recordings.want_upload(recording_id, message.take)
-            case HostDiscard():
+            case messages.HostDiscard():
                 return self._disk.using_reserve(lambda: recordings.discard_take(recording_id, message.take))
-            case ClientPing():
+            case messages.ClientPing():
                 raise ValueError("a ping changes nothing")
 
-    def _state(self) -> HostState:
+    def _state(self) -> messages.HostState:
         room, now_s = self._room, server_s()
         is_new = room.recording.revision != self._shown_revision
         self._shown_revision = room.recording.revision
-        return HostState(
+        return messages.HostState(
             recording=RecordingOut.from_recording(room.recording, now_s) if is_new else None,
             live=tuple(
-                LivePhoneOut(number=number, is_connected=phone.is_connected, status=phone.status, hello=phone.hello)
+                messages.LivePhoneOut(
+                    number=number, is_connected=phone.is_connected, status=phone.status, hello=phone.hello
+                )
                 for number, phone in sorted(room.live.items())
             ),
             relay="away" if room.is_relay_away else "ok",

@@ -12,14 +12,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from api.web.http.rates import Pace
 from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem, wrong_message
 from api.web.settings import Settings
-from pipeline.core.problems.request_codes import (
-    RECORDING_FIELDS,
-    RECORDING_IDLE,
-    RECORDING_MESSAGE,
-    RECORDING_THUMBNAIL,
-    RECORDING_TOO_FAST,
-    RECORDING_TOO_LARGE,
-)
+from pipeline.core.problems import request_codes
 
 _Result = TypeVar("_Result")
 
@@ -35,7 +28,7 @@ async def in_time(way: Awaitable[_Result], wait_s: float | None, what: str) -> _
         async with asyncio.timeout(wait_s):
             return await way
     except TimeoutError:
-        raise SocketProblem(RECORDING_IDLE, f"{what} for {wait_s:g} s.") from None
+        raise SocketProblem(request_codes.RECORDING_IDLE, f"{what} for {wait_s:g} s.") from None
 
 
 _Message = TypeVar("_Message")
@@ -63,7 +56,7 @@ class RecordingIntake:
             raise WebSocketDisconnect(message.get("code", 1005))
         if not self._pace.has_room():
             per_s = self._settings.max_recording_messages_per_s
-            raise SocketProblem(RECORDING_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
+            raise SocketProblem(request_codes.RECORDING_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
         content: str | bytes = message["text"] if message.get("text") is not None else message["bytes"]
         is_text = isinstance(content, str)
         max_bytes = self._settings.max_recording_message_bytes if is_text else self._settings.max_thumbnail_bytes
@@ -75,18 +68,18 @@ class RecordingIntake:
 def parsed(content: str | bytes, adapter: TypeAdapter[_Message], models: Sequence[type[BaseModel]]) -> _Message:
     """Message in JSON of one of the models; raises ``SocketProblem`` with all that is wrong."""
     if isinstance(content, bytes):
-        raise SocketProblem(RECORDING_THUMBNAIL, "A message of bytes is not expected here.")
+        raise SocketProblem(request_codes.RECORDING_THUMBNAIL, "A message of bytes is not expected here.")
     try:
         return adapter.validate_json(content)
     except ValidationError:
-        raise wrong_message(content, models, RECORDING_MESSAGE, RECORDING_FIELDS) from None
+        raise wrong_message(content, models, request_codes.RECORDING_MESSAGE, request_codes.RECORDING_FIELDS) from None
 
 
 def require_jpeg(content: bytes) -> None:
     """Raise ``SocketProblem`` for bytes that are no JPEG, or one whose picture would fill the memory of hosts."""
     if max(_jpeg_size_px(content), default=0) not in range(1, _MAX_THUMBNAIL_PX + 1):
         detail = f"A thumbnail is a JPEG of at most {_MAX_THUMBNAIL_PX} x {_MAX_THUMBNAIL_PX} pixels."
-        raise SocketProblem(RECORDING_THUMBNAIL, detail)
+        raise SocketProblem(request_codes.RECORDING_THUMBNAIL, detail)
 
 
 def _jpeg_size_px(content: bytes) -> tuple[int, ...]:
@@ -102,9 +95,9 @@ def _jpeg_size_px(content: bytes) -> tuple[int, ...]:
 
 def too_large(max_bytes: int) -> SocketProblem:
     """Problem of a message with too many bytes."""
-    return SocketProblem(RECORDING_TOO_LARGE, f"This message has at most {max_bytes:,} bytes.", TOO_LARGE)
+    return SocketProblem(request_codes.RECORDING_TOO_LARGE, f"This message has at most {max_bytes:,} bytes.", TOO_LARGE)
 
 
 def wrong_text() -> SocketProblem:
     """Problem of a message that is no text, or of frames that break the protocol."""
-    return SocketProblem(RECORDING_MESSAGE, "The text of a message is not UTF-8.", WRONG_DATA)
+    return SocketProblem(request_codes.RECORDING_MESSAGE, "The text of a message is not UTF-8.", WRONG_DATA)

@@ -10,38 +10,13 @@ from api.web.errors import as_api_error
 from api.web.http.rates import Pace
 from api.web.http.websockets import SocketProblem
 from api.web.metrics import RecordingMetrics
+from api.web.recordings import messages
 from api.web.recordings.intake import RecordingIntake, in_time, parsed, require_jpeg, server_s
-from api.web.recordings.messages import (
-    PHONE_MESSAGES,
-    PHONE_RECEIVED,
-    ClientPing,
-    DeleteOut,
-    OfferedTake,
-    PhoneFile,
-    PhoneHello,
-    PhoneRename,
-    PhoneStarted,
-    PhoneStatus,
-    PhoneStopped,
-    PhoneWelcome,
-    Pong,
-    RecordingProblemOut,
-    RenameOut,
-    StartOut,
-    StopOut,
-    UploadOut,
-)
 from api.web.recordings.rooms import RecordingOver, Room, Side
 from api.web.recordings.schemas import VideoSettings
 from api.web.settings import Settings
 from pipeline.core.problems.request_codes import RECORDING_MESSAGE, RECORDING_TOO_FAST
-from worker.store.model.phone_records import (
-    ClipFile,
-    RecordingLimits,
-    RecordingSession,
-    RecordingTake,
-    TakeState,
-)
+from worker.store.model import phone_records
 from worker.store.tenant_records import TenantRecords
 
 # Messages of a phone that change rows, in a second.
@@ -57,7 +32,7 @@ class _Told:
     is_gone: bool
 
     @classmethod
-    def from_take(cls, take: RecordingTake) -> "_Told":
+    def from_take(cls, take: phone_records.RecordingTake) -> "_Told":
         return cls(take.is_stopped, take.is_upload_wanted, take.is_used or take.is_discarded)
 
 
@@ -93,7 +68,7 @@ class PhoneConnection:
         self._name = phone.name if phone is not None else ""
         self._told = {take.number: _Told.from_take(take) for take in recording.takes}
         await self._send(
-            PhoneWelcome(
+            messages.PhoneWelcome(
                 number=self._number,
                 name=self._name,
                 recording_id=recording.id,
@@ -134,7 +109,7 @@ class PhoneConnection:
             for message in self._news(self._room.recording):
                 await self._send(message)
 
-    def _require_here(self, recording: RecordingSession) -> None:
+    def _require_here(self, recording: phone_records.RecordingSession) -> None:
         phone = recording.phone(self._number)
         if phone is not None and phone.is_removed:
             raise RecordingOver("removed")
@@ -147,13 +122,13 @@ class PhoneConnection:
             self._room.show_thumbnail(self._number, content)
 
     async def _take(self, text: str) -> None:
-        message = parsed(text, PHONE_MESSAGES, PHONE_RECEIVED)
+        message = parsed(text, messages.PHONE_MESSAGES, messages.PHONE_RECEIVED)
         match message:
-            case ClientPing():
-                await self._send(Pong(t0_s=message.t0_s, server_s=server_s()))
-            case PhoneStatus():
+            case messages.ClientPing():
+                await self._send(messages.Pong(t0_s=message.t0_s, server_s=server_s()))
+            case messages.PhoneStatus():
                 self._room.set_status(self._number, message.model_dump(mode="json", exclude={"type"}))
-            case PhoneHello():
+            case messages.PhoneHello():
                 raise SocketProblem(RECORDING_MESSAGE, "A phone says hello once in a connection.")
             case _:
                 if not self._changes.has_room():
@@ -166,30 +141,32 @@ class PhoneConnection:
                 else:
                     self._room.changed(recording)
 
-    def _change(self, message: PhoneRename | PhoneStarted | PhoneStopped | PhoneFile) -> RecordingSession:
+    def _change(
+        self, message: messages.PhoneRename | messages.PhoneStarted | messages.PhoneStopped | messages.PhoneFile
+    ) -> phone_records.RecordingSession:
         recordings, recording_id = self._records.recordings, self._room.recording.id
         facts = message.model_dump(mode="json", exclude={"type", "take"})
         match message:
-            case PhoneRename():
+            case messages.PhoneRename():
                 return recordings.rename_phone(recording_id, self._number, message.name)
-            case PhoneStarted():
+            case messages.PhoneStarted():
                 return recordings.clip_started(recording_id, message.take, self._number, facts)
-            case PhoneStopped():
+            case messages.PhoneStopped():
                 return recordings.clip_stopped(recording_id, message.take, self._number, facts)
-            case PhoneFile():
+            case messages.PhoneFile():
                 return recordings.add_file(recording_id, message.take, self._number, _clip_file(message))
 
     async def _answer(self, error: Exception) -> None:
         """State why something was not done; the connection goes on."""
         await self._send(refusal_message(error, self._websocket.state.request_id))
 
-    def _news(self, recording: RecordingSession) -> list[BaseModel]:
+    def _news(self, recording: phone_records.RecordingSession) -> list[BaseModel]:
         """Messages about what the phone was not told yet."""
         news: list[BaseModel] = []
         phone = recording.phone(self._number)
         if phone is not None and phone.name != self._name:
             self._name = phone.name
-            news.append(RenameOut(name=phone.name))
+            news.append(messages.RenameOut(name=phone.name))
         for take in recording.takes:
             news += _take_news(take, self._told.get(take.number))
             self._told[take.number] = _Told.from_take(take)
@@ -199,10 +176,10 @@ class PhoneConnection:
         await send(self._websocket, message, self._settings)
 
 
-async def said_hello(intake: RecordingIntake) -> PhoneHello:
+async def said_hello(intake: RecordingIntake) -> messages.PhoneHello:
     """First message of a phone; raises ``SocketProblem`` for another one."""
-    message = parsed(await intake.receive(), PHONE_MESSAGES, (PhoneHello,))
-    if not isinstance(message, PhoneHello):
+    message = parsed(await intake.receive(), messages.PHONE_MESSAGES, (messages.PhoneHello,))
+    if not isinstance(message, messages.PhoneHello):
         raise SocketProblem(RECORDING_MESSAGE, "The first message of a phone is hello.")
     return message
 
@@ -216,10 +193,10 @@ async def send(websocket: WebSocket, message: BaseModel | bytes, settings: Setti
     await in_time(way, settings.recording_idle_s, "The client took nothing")
 
 
-def refusal_message(error: Exception, request_id: str) -> RecordingProblemOut:
+def refusal_message(error: Exception, request_id: str) -> messages.RecordingProblemOut:
     """Message about something that was not done, after which the connection goes on."""
     refusal = as_api_error(error)
-    return RecordingProblemOut(
+    return messages.RecordingProblemOut(
         code=refusal.code,
         detail=refusal.detail,
         errors=tuple(refusal.errors),
@@ -230,19 +207,21 @@ def refusal_message(error: Exception, request_id: str) -> RecordingProblemOut:
     )
 
 
-def recording_limits(settings: Settings) -> RecordingLimits:
+def recording_limits(settings: Settings) -> phone_records.RecordingLimits:
     """Limits of recordings of this service."""
-    return RecordingLimits(settings.max_recording_phones, settings.max_recording_takes, settings.max_take_s)
+    return phone_records.RecordingLimits(
+        settings.max_recording_phones, settings.max_recording_takes, settings.max_take_s
+    )
 
 
-def _take_news(take: RecordingTake, told: _Told | None) -> list[BaseModel]:
+def _take_news(take: phone_records.RecordingTake, told: _Told | None) -> list[BaseModel]:
     is_gone = take.is_used or take.is_discarded
     if told is None:
         if take.is_stopped or is_gone:
             return []  # it was over before the phone could begin
         settings = VideoSettings(**take.settings) if take.settings else None
         return [
-            StartOut(
+            messages.StartOut(
                 take=take.number,
                 name=take.name,
                 at_server_s=take.start_s,
@@ -253,32 +232,35 @@ def _take_news(take: RecordingTake, told: _Told | None) -> list[BaseModel]:
     news: list[BaseModel] = []
     if take.is_stopped and not told.is_stopped:
         news.append(
-            StopOut(take=take.number, at_server_s=min(take.stop_s, server_s() + 1.0) if is_gone else take.stop_s)
+            messages.StopOut(
+                take=take.number, at_server_s=min(take.stop_s, server_s() + 1.0) if is_gone else take.stop_s
+            )
         )
     if is_gone and not told.is_gone:
-        news.append(DeleteOut(take=take.number))
+        news.append(messages.DeleteOut(take=take.number))
     elif take.is_upload_wanted and not told.is_upload_wanted:
-        news.append(UploadOut(take=take.number))
+        news.append(messages.UploadOut(take=take.number))
     return news
 
 
-def _offered(take: RecordingTake, phone: int, now_s: float) -> OfferedTake:
+def _offered(take: phone_records.RecordingTake, phone: int, now_s: float) -> messages.OfferedTake:
     clip, state = take.clip(phone), take.state(now_s)
-    return OfferedTake(
+    return messages.OfferedTake(
         number=take.number,
         name=take.name,
         state=state,
         start_s=take.start_s,
         stop_s=take.stop_s,
         settings=VideoSettings(**take.settings) if take.settings else None,
-        is_upload_wanted=take.is_upload_wanted and state in {TakeState.RECORDING, TakeState.RECORDED},
+        is_upload_wanted=take.is_upload_wanted
+        and state in {phone_records.TakeState.RECORDING, phone_records.TakeState.RECORDED},
         parts=tuple(file.part for file in clip.files) if clip is not None else (),
     )
 
 
-def _clip_file(message: PhoneFile) -> ClipFile:
+def _clip_file(message: messages.PhoneFile) -> phone_records.ClipFile:
     known = {"type", "take", "part", "upload_id", "num_bytes", "first_frame_s", "std_s", "duration_s"}
-    return ClipFile(
+    return phone_records.ClipFile(
         part=message.part,
         upload_id=str(message.upload_id),
         num_bytes=message.num_bytes,

@@ -14,17 +14,8 @@ from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.idempotency import IdempotentRequestDep
 from api.web.jobs.schemas import JobOut
+from api.web.recordings import schemas
 from api.web.recordings.intake import server_s
-from api.web.recordings.schemas import (
-    JoinOut,
-    NewRecordingOut,
-    RecordingOut,
-    RecordingPage,
-    RecordingSpec,
-    TakeCalibrationSpec,
-    TakeSessionOut,
-    TakeSessionSpec,
-)
 from api.web.recordings.taking import made_calibration, made_session, used_take
 from api.web.sessions.receiving import spool_folder
 from pipeline.core.problems.request_codes import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
@@ -47,12 +38,12 @@ TakeNumber = Annotated[int, Path(ge=1, le=100_000, description="Number of a take
     },
 )
 def open_recording(
-    spec: RecordingSpec,
+    spec: schemas.RecordingSpec,
     request: Request,
     response: Response,
     services: ServicesDep,
     records: RecordsDep,
-) -> NewRecordingOut:
+) -> schemas.NewRecordingOut:
     """Open a recording: a room in which browsers of phones record takes together.
 
     The secret of the link is shown once and not stored, so there is no `Idempotency-Key`: a repeated request opens
@@ -74,12 +65,13 @@ def open_recording(
     summary="List recordings",
     responses=problems(422),
 )
-def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> RecordingPage:
+def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> schemas.RecordingPage:
     """List recordings that have not ended, the newest first."""
     found, now_s = records.recordings.page(limit=limit, after=str(cursor) if cursor else None), server_s()
     next_cursor = found[-1].id if len(found) == limit else None
-    return RecordingPage(
-        recordings=tuple(RecordingOut.from_recording(recording, now_s) for recording in found), next_cursor=next_cursor
+    return schemas.RecordingPage(
+        recordings=tuple(schemas.RecordingOut.from_recording(recording, now_s) for recording in found),
+        next_cursor=next_cursor,
     )
 
 
@@ -89,9 +81,9 @@ def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     summary="Read a recording",
     responses=problems(404),
 )
-def get_recording(recording_id: RecordingId, records: RecordsDep) -> RecordingOut:
+def get_recording(recording_id: RecordingId, records: RecordsDep) -> schemas.RecordingOut:
     """Read a recording: its phones, and its takes with the clips of the phones."""
-    return RecordingOut.from_recording(records.recordings.get(recording_id), server_s())
+    return schemas.RecordingOut.from_recording(records.recordings.get(recording_id), server_s())
 
 
 @router.post(
@@ -103,7 +95,7 @@ def get_recording(recording_id: RecordingId, records: RecordsDep) -> RecordingOu
 )
 def renew_link(
     recording_id: RecordingId, request: Request, services: ServicesDep, records: RecordsDep
-) -> NewRecordingOut:
+) -> schemas.NewRecordingOut:
     """Make another link by which phones join. The one before ends, and phones that joined by it are disconnected."""
     recording, secret = services.disk.using_reserve(lambda: records.recordings.renew_link(recording_id))
     return _new(request, services, recording, secret)
@@ -126,7 +118,7 @@ def delete_recording(recording_id: RecordingId, services: ServicesDep, records: 
     operation_id="createTakeSession",
     summary="Make a session of a take",
     status_code=status.HTTP_201_CREATED,
-    response_model=TakeSessionOut,
+    response_model=schemas.TakeSessionOut,
     responses={
         201: {"headers": {"Location": location("session")}},
         **problems(400, 404, 409, 410, 413, 415, 421, 422, 507),
@@ -135,7 +127,7 @@ def delete_recording(recording_id: RecordingId, services: ServicesDep, records: 
 async def create_take_session(
     recording_id: RecordingId,
     take: TakeNumber,
-    spec: TakeSessionSpec,
+    spec: schemas.TakeSessionSpec,
     request: Request,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
@@ -169,7 +161,7 @@ async def create_take_session(
 async def create_take_calibration(
     recording_id: RecordingId,
     take: TakeNumber,
-    spec: TakeCalibrationSpec,
+    spec: schemas.TakeCalibrationSpec,
     request: Request,
     services: ServicesDep,
     idempotent: IdempotentRequestDep,
@@ -192,19 +184,19 @@ async def create_take_calibration(
     return made.response()
 
 
-def _new(request: Request, services: Services, recording: RecordingSession, secret: str) -> NewRecordingOut:
+def _new(request: Request, services: Services, recording: RecordingSession, secret: str) -> schemas.NewRecordingOut:
     """Build the response from a recording and the secret of its link, which the page reads behind the hash."""
     origin = services.settings.public_url or f"{request.url.scheme}://{request.headers['host']}"
     url = f"{origin}/record#join={recording.id}.{secret}"
     svg = io.BytesIO()
     segno.make(url, error="m", micro=False).save(svg, "svg", scale=4, border=4, light="#fff", xmldecl=False, nl=False)
-    join = JoinOut(
+    join = schemas.JoinOut(
         url=url,
         secret=secret,
         qr_svg=svg.getvalue().decode(),
         expires_at=recording.expires_at,
     )
-    return NewRecordingOut.from_recording(recording, server_s(), join=join)
+    return schemas.NewRecordingOut.from_recording(recording, server_s(), join=join)
 
 
 RESOURCE = Resource(router=router)

@@ -13,12 +13,7 @@ from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_na
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.core.problems.request_codes import WRONG_FORMAT
-from worker.store.model.phone_records import (
-    RecordingSession,
-    RecordingTake,
-    TakeClip,
-    TakeState,
-)
+from worker.store.model import phone_records
 from worker.store.spec import JobSpec
 
 
@@ -166,7 +161,7 @@ class ClipOut(ResponseModel):
     )
 
     @classmethod
-    def from_clip(cls, clip: TakeClip) -> Self:
+    def from_clip(cls, clip: phone_records.TakeClip) -> Self:
         """Build the response from a clip."""
         return cls.from_record(clip, used_part=None if clip.longest is None else clip.longest.part)
 
@@ -176,7 +171,7 @@ class TakeOut(ResponseModel):
 
     number: int = Field(description="Number of the take, from 1.")
     name: str = Field(description="Name of the take.", examples=["Take 1"])
-    state: TakeState = Field(
+    state: phone_records.TakeState = Field(
         description="`recording`; `recorded`: the clips are on the phones or on their way; `used`: a session or a "
         "calibration was made from it; `discarded`.",
         examples=["recorded"],
@@ -193,7 +188,7 @@ class TakeOut(ResponseModel):
     clips: tuple[ClipOut, ...] = Field(description="Clips of the phones, in the order of their numbers.")
 
     @classmethod
-    def from_take(cls, take: RecordingTake, now_s: float) -> Self:
+    def from_take(cls, take: phone_records.RecordingTake, now_s: float) -> Self:
         """Build the response from a take, at a time by the service's clock."""
         clips = tuple(map(ClipOut.from_clip, take.clips))
         return cls.from_record(take, state=take.state(now_s), settings=take.settings or None, clips=clips)
@@ -210,7 +205,7 @@ class RecordingOut(ResponseModel):
     takes: tuple[TakeOut, ...] = Field(description="Takes, in the order of their numbers.")
 
     @classmethod
-    def from_recording(cls, recording: RecordingSession, now_s: float, **computed: Any) -> Self:
+    def from_recording(cls, recording: phone_records.RecordingSession, now_s: float, **computed: Any) -> Self:
         """Build the response from a recording, at a time by the service's clock."""
         takes = tuple(TakeOut.from_take(take, now_s) for take in recording.takes)
         return cls.from_record(recording, takes=takes, **computed)

@@ -9,13 +9,7 @@ from typing import Any
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 
-from api.web.calibrations.intake import (
-    CALIBRATION_FORM,
-    CheckedCalibration,
-    accepted,
-    begun_calibration,
-    check_calibration,
-)
+from api.web.calibrations import intake
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.field_places import NO_PLACES
@@ -164,10 +158,10 @@ async def made_calibration(
     records, videos = idempotent.records, take_videos(recording, take)
     choices = spec.spec(tuple(camera.model_dump(mode="json") for camera in videos.cameras()), take.name)
     documents = {SPEC: json.dumps({name: value for name, value in choices.items() if value not in (None, [])})}
-    form = await _form(request, services, records, folder, CALIBRATION_FORM, videos, documents)
-    sent = Sent(folder, CALIBRATION_FORM, form, None, NO_PLACES)
+    form = await _form(request, services, records, folder, intake.CALIBRATION_FORM, videos, documents)
+    sent = Sent(folder, intake.CALIBRATION_FORM, form, None, NO_PLACES)
     try:
-        checked = await check_calibration(request, services, records, sent)
+        checked = await intake.check_calibration(request, services, records, sent)
     except ApiError as error:
         raise _without_pointers(error) from None
     if isinstance(checked.content, CheckedSession):
@@ -269,11 +263,11 @@ def _begin(
     idempotent: IdempotentRequest,
     recording: RecordingSession,
     take: RecordingTake,
-    checked: CheckedCalibration,
+    checked: intake.CheckedCalibration,
 ) -> Answer:
-    with begun_calibration(services, idempotent.records, checked) as (work, job):
+    with intake.begun_calibration(services, idempotent.records, checked) as (work, job):
         work.recordings.use_take(recording.id, take.number, calibration_id=job.id)
-        return idempotent.store(work, accepted(job))
+        return idempotent.store(work, intake.accepted(job))
 
 
 def _made(session_id: str, job_id: str | None, checked: CheckedSession, videos: TakeVideos | None) -> Answer:

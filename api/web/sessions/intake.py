@@ -16,16 +16,8 @@ from starlette.requests import HTTPConnection
 
 from api.web.dependencies import Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
+from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form, ReceivedFile
-from api.web.http.bodies.form_kinds import (
-    CALIBRATION,
-    CALIBRATION_ID,
-    INTRINSICS,
-    MANIFEST,
-    SPEC,
-    TIMESTAMPS,
-    VIDEOS,
-)
 from api.web.jobs.queueing import check_spec, queued_job, spec_limits, with_session_choices
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
@@ -33,15 +25,8 @@ from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, 
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.core.errors import Problem
+from pipeline.core.problems import request_codes
 from pipeline.core.problems.finding_codes import PAIRED_IN_SORTED_ORDER
-from pipeline.core.problems.request_codes import (
-    CALIBRATION_UNKNOWN,
-    CALIBRATION_UNMADE,
-    CALIBRATION_UNPOSED,
-    CAMERAS_OF_KEYPOINTS,
-    FRAMES_TOO_LARGE,
-    WRONG_FORMAT,
-)
 from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.store.errors import NotFound
 from worker.store.files.file_keys import input_key, record_key, session_prefix, thumbnail_key
@@ -52,7 +37,7 @@ from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
 # Kinds of files that differ from the name of the form's part.
-_KINDS = {VIDEOS: "video", INTRINSICS: CALIBRATION}
+_KINDS = {form_kinds.VIDEOS: "video", form_kinds.INTRINSICS: form_kinds.CALIBRATION}
 
 # Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "offset_std_s", "rate"}
@@ -156,7 +141,7 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
     preflight: Preflight | None = None
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
-    if not form.errors and form.files[CALIBRATION]:
+    if not form.errors and form.files[form_kinds.CALIBRATION]:
         try:
             with _tracer.start_as_current_span("preflight"):
                 preflight = await services.checks.run(
@@ -175,7 +160,7 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
     if arrival.spec and sent.kind.has_job:
         limits = await run_in_threadpool(spec_limits, services, records, has_videos=not form.keypoints)
         problems = await run_in_threadpool(check_spec, arrival.spec, preflight, limits)
-        errors.extend(error_item(problem, (SPEC,)) for problem in problems)
+        errors.extend(error_item(problem, (form_kinds.SPEC,)) for problem in problems)
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
     preflight = replace(preflight, sync=arrival.manifest.sync, timeline=arrival.manifest.timeline)
@@ -200,7 +185,7 @@ def limit_problems(preflight: Preflight, settings: Settings) -> Iterator[Problem
             width, height = camera.size_px
             if width * height > settings.max_pixels:
                 message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
-                yield Problem(FRAMES_TOO_LARGE, message, file=camera.file, camera=camera.name)
+                yield Problem(request_codes.FRAMES_TOO_LARGE, message, file=camera.file, camera=camera.name)
 
 
 def new_session(services: Services, checked: CheckedSession) -> NewSession:
@@ -276,16 +261,18 @@ def session_and_job(
 def _parsed(sent: Sent) -> Arrival:
     """Parse the documents of a form."""
     form = sent_form(sent)
-    manifest, manifest_errors = document(sent, MANIFEST, Manifest)
-    spec, spec_problems = document(sent, SPEC, JobSpec)
+    manifest, manifest_errors = document(sent, form_kinds.MANIFEST, Manifest)
+    spec, spec_problems = document(sent, form_kinds.SPEC, JobSpec)
     arrival = Arrival(form, manifest, spec, (*manifest_errors, *spec_problems))
-    if (text := form.documents.get(CALIBRATION_ID)) is None:
+    if (text := form.documents.get(form_kinds.CALIBRATION_ID)) is None:
         return arrival
     try:
         return replace(arrival, calibration_id=str(uuid.UUID(text.decode().strip().strip('"'))))
     except ValueError:
         message = "The part calibration_id must be the id of a calibration."
-        return arrival.with_error(ErrorItem(code=WRONG_FORMAT, message=message, pointer=pointer_to(CALIBRATION_ID)))
+        return arrival.with_error(
+            ErrorItem(code=request_codes.WRONG_FORMAT, message=message, pointer=pointer_to(form_kinds.CALIBRATION_ID))
+        )
 
 
 def _named(services: Services, records: TenantRecords, sent: Sent, names: UploadedSession) -> Arrival:
@@ -321,7 +308,7 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
         "layout": preflight.layout.name if preflight.layout and preflight.layout.told_by == "choice" else None,
         "pair_by_order": any(finding.code == PAIRED_IN_SORTED_ORDER for finding in preflight.findings),
     }
-    if not any(file.kind == TIMESTAMPS for file in source.files):
+    if not any(file.kind == form_kinds.TIMESTAMPS for file in source.files):
         before["frame_rate_hz"] = preflight.timebase.frame_rate_hz
     return manifest.model_copy(update={name: before[name] for name in before.keys() - manifest.model_fields_set})
 
@@ -330,23 +317,29 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
     """Add the file of the stored calibration that a session names, if it names one."""
     if arrival.calibration_id is None:
         return arrival
-    pointer = pointer_to(CALIBRATION_ID)
+    pointer = pointer_to(form_kinds.CALIBRATION_ID)
     try:
         calibration = records.calibrations.get(arrival.calibration_id)
     except NotFound:
         message, hint = "There is no such calibration.", "GET /v1/calibrations lists them."
-        return arrival.with_error(ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(
+            ErrorItem(code=request_codes.CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint)
+        )
     if (files := calibration.files) is None:
         message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
-        return arrival.with_error(ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(
+            ErrorItem(code=request_codes.CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint)
+        )
     if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
         message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
-        return arrival.with_error(ErrorItem(code=CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint))
+        return arrival.with_error(
+            ErrorItem(code=request_codes.CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint)
+        )
     name = f"calibration-{arrival.calibration_id}.json"
     path, content = folder / name, files["multicap"].encode()
     path.write_bytes(content)
     file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
-    return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, CALIBRATION: (file,)}))
+    return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, form_kinds.CALIBRATION: (file,)}))
 
 
 def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
@@ -355,11 +348,11 @@ def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
         for field in ("offset_s", "offset_std_s", "rate", "more_files"):
             if getattr(camera, field):
                 yield ErrorItem(
-                    code=CAMERAS_OF_KEYPOINTS,
+                    code=request_codes.CAMERAS_OF_KEYPOINTS,
                     message="Keypoints have timestamps or one frame rate, and a camera has one archive.",
                     camera=camera.name,
                     field=field,
-                    pointer=pointer_to(MANIFEST, "cameras", index, field),
+                    pointer=pointer_to(form_kinds.MANIFEST, "cameras", index, field),
                     hint=f"Omit {field}: of a camera with keypoints only its file can be stated.",
                 )
 
@@ -370,7 +363,7 @@ def _facts_of_keypoints(manifest: Manifest) -> Iterator[ErrorItem]:
         yield ErrorItem(
             code=KEYPOINTS_LAYOUT,
             message="A layout belongs to keypoints; detectors of videos have their own.",
-            pointer=pointer_to(MANIFEST, "layout"),
+            pointer=pointer_to(form_kinds.MANIFEST, "layout"),
             hint="Omit layout.",
         )
 
@@ -422,12 +415,12 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
     if item.code == KEYPOINTS_LAYOUT:
-        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "layout")})
+        return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, "layout")})
     of_camera = [index for index, camera in enumerate(manifest.cameras) if camera.name == item.camera]
     if of_camera and ("recording" in item.code or item.field in _OF_CAMERA):
         stated = manifest.cameras[of_camera[-1]].model_fields_set
         field = [item.field] if item.field in stated else []
-        return item.model_copy(update={"pointer": pointer_to(MANIFEST, "cameras", of_camera[-1], *field)})
+        return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, "cameras", of_camera[-1], *field)})
     pointers = {file.name: pointer for pointer, file in form.pointers().items()}
     of_archive = {PurePosixPath(file.name).stem: pointers[file.name] for file in form.keypoints}
     file = item.file or ""

@@ -17,39 +17,25 @@ from starlette.routing import BaseRoute
 from api.web.contract.description import request_body
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
+from api.web.http.bodies import form_kinds
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, Parts
-from api.web.http.bodies.form_kinds import (
-    EITHER_TYPE,
-    FORM_TYPE,
-    JSON_TYPE,
-    KEYPOINTS,
-    SESSION_ID,
-    TIMESTAMPS,
-    VIDEOS,
-    FormKind,
-    UploadedFiles,
-)
 from api.web.http.bodies.multipart import receive_form
 from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
-from pipeline.core.problems.request_codes import (
-    MALFORMED_JSON,
-    PART_NOT_ALLOWED,
-    SESSION_UNKNOWN,
-    UNSUPPORTED_MEDIA_TYPE,
-    UPLOAD_UNFINISHED,
-    UPLOAD_UNKNOWN,
-    VIDEOS_DELETED,
-)
+from pipeline.core.problems import request_codes
 from worker.store.errors import NotFound
 from worker.store.tenant_records import TenantRecords
 
 _Model = TypeVar("_Model", bound=BaseModel)
 # Parts of a form for the kinds of files that are the footage of a session.
-_FOOTAGE = {"video": VIDEOS, KEYPOINTS: KEYPOINTS, TIMESTAMPS: TIMESTAMPS}
+_FOOTAGE = {
+    "video": form_kinds.VIDEOS,
+    form_kinds.KEYPOINTS: form_kinds.KEYPOINTS,
+    form_kinds.TIMESTAMPS: form_kinds.TIMESTAMPS,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +57,8 @@ class Sent:
     """
 
     folder: Path
-    kind: FormKind
-    content: Form | UploadedFiles
+    kind: form_kinds.FormKind
+    content: Form | form_kinds.UploadedFiles
     parts: object
     places: FieldPlaces
 
@@ -82,7 +68,7 @@ async def received(
     request: Request,
     services: Services,
     idempotent: IdempotentRequest,
-    kind: FormKind,
+    kind: form_kinds.FormKind,
     types: Collection[str],
 ) -> AsyncIterator[Sent]:
     """Receive a record as a form, or as JSON that names uploads; its files are there in the block.
@@ -102,7 +88,7 @@ async def received(
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if content_type not in types:
         raise _unsupported(types)
-    names_uploads = content_type == JSON_TYPE
+    names_uploads = content_type == form_kinds.JSON_TYPE
     places = FieldPlaces.declared_for(request, content_type)
     to_come = 0 if names_uploads else announced_bytes(request)
     # A request that comes again may need no more room than there is.
@@ -123,8 +109,11 @@ async def received(
 
 def _unsupported(types: Collection[str]) -> ApiError:
     """Error 415 that names the content types of an operation."""
-    ways = {FORM_TYPE: f"Files are sent as {FORM_TYPE}", JSON_TYPE: f"Uploads are named by {JSON_TYPE}"}
-    return ApiError(UNSUPPORTED_MEDIA_TYPE, f"{'. '.join(ways[content_type] for content_type in types)}.")
+    ways = {
+        form_kinds.FORM_TYPE: f"Files are sent as {form_kinds.FORM_TYPE}",
+        form_kinds.JSON_TYPE: f"Uploads are named by {form_kinds.JSON_TYPE}",
+    }
+    return ApiError(request_codes.UNSUPPORTED_MEDIA_TYPE, f"{'. '.join(ways[content_type] for content_type in types)}.")
 
 
 @contextlib.asynccontextmanager
@@ -161,19 +150,19 @@ def _fingerprint_parts(form: Form) -> object:
 
 
 async def _receive_names(
-    request: Request, services: Services, model: type[UploadedFiles], places: FieldPlaces
-) -> UploadedFiles:
+    request: Request, services: Services, model: type[form_kinds.UploadedFiles], places: FieldPlaces
+) -> form_kinds.UploadedFiles:
     body = await limited(request, services.settings.max_json_bytes).body()
     try:
         return model.model_validate_json(body)
     except ValidationError as error:
         items = model_items(error, model, places)
-        if any(item.code == MALFORMED_JSON for item in items):
-            raise ApiError(MALFORMED_JSON, "The body is not JSON.") from None
+        if any(item.code == request_codes.MALFORMED_JSON for item in items):
+            raise ApiError(request_codes.MALFORMED_JSON, "The body is not JSON.") from None
         raise unprocessable(items) from None
 
 
-def adopted(services: Services, records: TenantRecords, sent: Sent, names: UploadedFiles) -> Form:
+def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_kinds.UploadedFiles) -> Form:
     """Build the form from uploads, whose files stay on their spool."""
     parts = Parts(sent.folder, services.limits, sent.kind, sent.places)
     for part, upload_id in names.uploads():
@@ -182,14 +171,19 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: Uploa
             num_bytes = services.uploads.offset(upload)
         except NotFound:
             message = "There is no such upload."
-            parts.lack(part, UPLOAD_UNKNOWN, message, "It may have been used, or its time is over: send it again.")
+            parts.lack(
+                part,
+                request_codes.UPLOAD_UNKNOWN,
+                message,
+                "It may have been used, or its time is over: send it again.",
+            )
             continue
         except ApiError as error:  # its bytes are elsewhere
             parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
             continue
         if num_bytes < upload.num_bytes:
             message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
-            parts.lack(part, UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
+            parts.lack(part, request_codes.UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.file(upload))
     if (source_id := names.source_id()) is not None:
@@ -197,7 +191,7 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: Uploa
     return parts.form(names.named(), _num_stated_parts(records, names))
 
 
-def _num_stated_parts(records: TenantRecords, names: UploadedFiles) -> int:
+def _num_stated_parts(records: TenantRecords, names: form_kinds.UploadedFiles) -> int:
     """Number of videos that are stated as further parts of recordings, or were so in the session that is copied."""
     cameras = names.manifest.cameras if isinstance(names, UploadedSession) else ()
     stated = [*(camera.more_files for camera in cameras)]
@@ -214,13 +208,15 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
     """
     if any(parts.has(part) for part in _FOOTAGE.values()):
         message = "The footage is that of a session: files of footage can't be sent too."
-        parts.reject_field(SESSION_ID, PART_NOT_ALLOWED, message, "Omit session_id, or the files.")
+        parts.reject_field(
+            form_kinds.SESSION_ID, request_codes.PART_NOT_ALLOWED, message, "Omit session_id, or the files."
+        )
         return
     try:
         session = records.sessions.get(session_id)
         if session.videos_deleted_at is not None:
             message = "The videos of this session were deleted, and can't be copied."
-            parts.reject_field(SESSION_ID, VIDEOS_DELETED, message, "Send the videos.")
+            parts.reject_field(form_kinds.SESSION_ID, request_codes.VIDEOS_DELETED, message, "Send the videos.")
             return
         files = session.files
         for file in files:
@@ -230,15 +226,20 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
             with services.artifacts.open(file.key, file.sha256) as source:
                 parts.copy(part, file.name, source)
     except NotFound:
-        parts.reject_field(SESSION_ID, SESSION_UNKNOWN, "There is no such session.", "GET /v1/sessions lists them.")
+        parts.reject_field(
+            form_kinds.SESSION_ID,
+            request_codes.SESSION_UNKNOWN,
+            "There is no such session.",
+            "GET /v1/sessions lists them.",
+        )
 
 
 _Checked = TypeVar("_Checked")
 # Ends of paths and of ids of operations, by the bodies that they take.
 _WAYS = (
-    ("", "", EITHER_TYPE),
-    ("/from-files", "FromFiles", (FORM_TYPE,)),
-    ("/from-uploads", "FromUploads", (JSON_TYPE,)),
+    ("", "", form_kinds.EITHER_TYPE),
+    ("/from-files", "FromFiles", (form_kinds.FORM_TYPE,)),
+    ("/from-uploads", "FromUploads", (form_kinds.JSON_TYPE,)),
 )
 
 
@@ -246,7 +247,7 @@ _WAYS = (
 class Creation(Generic[_Checked]):
     """How records are created."""
 
-    form: FormKind  # Kind of the form, or of the JSON in its place
+    form: form_kinds.FormKind  # Kind of the form, or of the JSON in its place
     # Checks what was sent; raises ``ApiError`` with all that is wrong
     check: Callable[[Request, Services, TenantRecords, Sent], Awaitable[_Checked]]
     add: Callable[[Services, IdempotentRequest, _Checked], Answer]  # Stores the files and the record, both or neither

@@ -12,17 +12,7 @@ from typing import BinaryIO
 from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
-from api.web.uploads.spool import (
-    BLOCK_BYTES,
-    UNRECORDED_S,
-    Checksum,
-    Compared,
-    Writers,
-    elsewhere,
-    locked,
-    receive,
-    require_offset,
-)
+from api.web.uploads import spool
 from worker.store.errors import NotFound
 from worker.store.files.disk import DiskSpace, sync
 from worker.store.model.session_records import Upload
@@ -34,7 +24,7 @@ _SYNC_BYTES = 64 * 2**20
 _PIECE_SUFFIX = ".piece"
 
 
-class FolderUploads(Writers):
+class FolderUploads(spool.Writers):
     """Folder of the files of uploads: an ``UploadSpool``.
 
     The folder is created if it is missing. ``disk`` is the one whose free space is checked. Pieces whose checksum was
@@ -64,7 +54,7 @@ class FolderUploads(Writers):
         A file that is here is served, whatever the upload's row says: folders are shared, moved and restored.
         """
         if upload.spool != self.name and not self._path(upload.id).exists():
-            raise elsewhere(upload)
+            raise spool.elsewhere(upload)
 
     def offset(self, upload: Upload) -> int:
         """Bytes of an upload that are on disk; raises ``NotFound`` if there is no file, 421 if it is elsewhere."""
@@ -73,19 +63,21 @@ class FolderUploads(Writers):
             os.fsync(file)
             return os.fstat(file.fileno()).st_size
 
-    async def append(self, upload: Upload, offset: int, stream: AsyncIterator[bytes], checksum: Checksum | None) -> int:
+    async def append(
+        self, upload: Upload, offset: int, stream: AsyncIterator[bytes], checksum: spool.Checksum | None
+    ) -> int:
         """Append a piece to the file, which other processes that share the folder do not write to meanwhile."""
         target = await run_in_threadpool(self._lock, upload, offset)
         most = upload.num_bytes - offset
         with contextlib.ExitStack() as stack:
             stack.callback(target.close)
             if checksum is None:
-                return offset + await receive(_File(target, offset, self._disk.require_room), most, stream)
+                return offset + await spool.receive(_File(target, offset, self._disk.require_room), most, stream)
             piece_path = self._folder / f"{upload.id}{_PIECE_SUFFIX}"
             stack.callback(piece_path.unlink, missing_ok=True)
             with piece_path.open("w+b", buffering=0) as piece:
-                compared = Compared(_File(piece, 0, self._disk.require_room), checksum)
-                num_bytes = await receive(compared, most, stream)
+                compared = spool.Compared(_File(piece, 0, self._disk.require_room), checksum)
+                num_bytes = await spool.receive(compared, most, stream)
                 compared.require_equal()
                 return await run_in_threadpool(_move, piece, target, offset, num_bytes)
 
@@ -124,8 +116,8 @@ class FolderUploads(Writers):
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # other processes may share the folder
             except BlockingIOError:
-                raise locked() from None
-            require_offset(os.fstat(file.fileno()).st_size, offset)
+                raise spool.locked() from None
+            spool.require_offset(os.fstat(file.fileno()).st_size, offset)
             stack.pop_all()
         return file
 
@@ -158,14 +150,14 @@ def _write(file: BinaryIO, data: bytes, offset: int) -> None:
 
 def _move(piece: BinaryIO, target: BinaryIO, offset: int, num_bytes: int) -> int:
     """Append a piece whose checksum was compared; return the new offset."""
-    for start in range(0, num_bytes, BLOCK_BYTES):
-        _write(target, os.pread(piece.fileno(), BLOCK_BYTES, start), offset + start)
+    for start in range(0, num_bytes, spool.BLOCK_BYTES):
+        _write(target, os.pread(piece.fileno(), spool.BLOCK_BYTES, start), offset + start)
     os.fsync(target)
     return offset + num_bytes
 
 
 def _is_old(path: Path) -> bool:
     try:
-        return time.time() - path.stat().st_mtime > UNRECORDED_S
+        return time.time() - path.stat().st_mtime > spool.UNRECORDED_S
     except FileNotFoundError:
         return False

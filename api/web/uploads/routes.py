@@ -21,13 +21,7 @@ from api.web.http.bodies.form import name_error, too_large
 from api.web.http.bodies.reading import announced_bytes, drain
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
 from api.web.uploads.spool import Checksum
-from pipeline.core.problems.request_codes import (
-    CHECKSUM_INVALID,
-    HEADER_INVALID,
-    METADATA_INVALID,
-    TUS_VERSION,
-    UNSUPPORTED_MEDIA_TYPE,
-)
+from pipeline.core.problems import request_codes
 from worker.store.model.session_records import Upload
 from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords
@@ -69,7 +63,7 @@ def _require_version(
     """Raise 412 for clients of another version of tus."""
     if tus_resumable != VERSION:
         raise ApiError(
-            TUS_VERSION,
+            request_codes.TUS_VERSION,
             f"The service uses tus {VERSION}.",
             hint=f"Send Tus-Resumable: {VERSION}.",
             headers={"Tus-Version": VERSION},
@@ -271,13 +265,13 @@ def _common_headers(upload: Upload) -> dict[str, str]:
 
 def _natural(value: str | None, header: str) -> int:
     if value is None or not (value.isascii() and value.isdecimal() and len(value) <= _MAX_DIGITS):
-        raise ApiError(HEADER_INVALID, f"The header {header} is required and must be a number of bytes.")
+        raise ApiError(request_codes.HEADER_INVALID, f"The header {header} is required and must be a number of bytes.")
     return int(value)
 
 
 def _require_piece_type(request: Request) -> None:
     if request.headers.get("content-type") != PIECE_TYPE:
-        raise ApiError(UNSUPPORTED_MEDIA_TYPE, f"A piece must be sent as {PIECE_TYPE}.")
+        raise ApiError(request_codes.UNSUPPORTED_MEDIA_TYPE, f"A piece must be sent as {PIECE_TYPE}.")
 
 
 def _file_name(metadata: str) -> str:
@@ -300,7 +294,7 @@ def _file_name(metadata: str) -> str:
 
 
 def _metadata_error(message: str) -> ApiError:
-    return ApiError(METADATA_INVALID, message)
+    return ApiError(request_codes.METADATA_INVALID, message)
 
 
 def _checksum(header: str | None) -> Checksum | None:
@@ -312,7 +306,7 @@ def _checksum(header: str | None) -> Checksum | None:
     except (KeyError, ValueError):
         names = ", ".join(CHECKSUMS)
         message = f"Upload-Checksum must be one of {names}, a space, and the digest as base64."
-        raise ApiError(CHECKSUM_INVALID, message) from None
+        raise ApiError(request_codes.CHECKSUM_INVALID, message) from None
 
 
 RESOURCE = Resource(router=router)

@@ -14,13 +14,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.errors import ApiError
-from pipeline.core.problems.request_codes import (
-    CHECKSUM_MISMATCH,
-    CONTENT_TOO_LARGE,
-    OFFSET_MISMATCH,
-    UPLOAD_ELSEWHERE,
-    UPLOAD_LOCKED,
-)
+from pipeline.core.problems import request_codes
 from worker.store.errors import DamagedDatabase
 from worker.store.files.disk import DiskSpace
 from worker.store.model.session_records import Upload
@@ -73,7 +67,9 @@ async def receive(sink: Sink, num_bytes: int, stream: AsyncIterator[bytes]) -> i
     try:
         async for data in stream:
             if end + len(data) > num_bytes:
-                raise ApiError(CONTENT_TOO_LARGE, "The piece goes beyond the size that was announced for the upload.")
+                raise ApiError(
+                    request_codes.CONTENT_TOO_LARGE, "The piece goes beyond the size that was announced for the upload."
+                )
             pending.append(data)
             end += len(data)
             if sum(map(len, pending)) >= BLOCK_BYTES or time.monotonic() > written_s + _BLOCK_S:
@@ -103,7 +99,9 @@ class Compared:
     def require_equal(self) -> None:
         """Raise 460 unless all that was written has the checksum."""
         if self._digest.digest() != self._expected:
-            raise ApiError(CHECKSUM_MISMATCH, "The piece that arrived does not have the checksum that was sent.")
+            raise ApiError(
+                request_codes.CHECKSUM_MISMATCH, "The piece that arrived does not have the checksum that was sent."
+            )
 
 
 _log = structlog.get_logger(__name__)
@@ -222,7 +220,7 @@ def require_offset(found: int, offset: int) -> None:
     """Raise 409 unless an upload is at the offset that a client states."""
     if found != offset:
         raise ApiError(
-            OFFSET_MISMATCH,
+            request_codes.OFFSET_MISMATCH,
             f"The upload is at {found} bytes, not at {offset}.",
             hint="Ask for the offset with HEAD, and continue from there.",
             retryable=True,
@@ -233,7 +231,7 @@ def elsewhere(upload: Upload) -> ApiError:
     """Error 421 for an upload whose bytes this process can't reach; logged with their place."""
     _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
     return ApiError(
-        UPLOAD_ELSEWHERE,
+        request_codes.UPLOAD_ELSEWHERE,
         "The bytes of this upload are at another API process.",
         hint="The operator lets all API processes share uploads (MULTICAP_SHARED_UPLOADS), or routes each client to "
         "one process (sticky sessions). Or begin the upload again.",
@@ -242,4 +240,4 @@ def elsewhere(upload: Upload) -> ApiError:
 
 def locked() -> ApiError:
     """Error 423 for an upload to which another request writes."""
-    return ApiError(UPLOAD_LOCKED, "Another request is writing to this upload.", retryable=True)
+    return ApiError(request_codes.UPLOAD_LOCKED, "Another request is writing to this upload.", retryable=True)

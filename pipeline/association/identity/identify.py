@@ -10,18 +10,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import UInt8
 
+from pipeline.association.identity import proportions
 from pipeline.association.identity.clothes import tracklet_ratios
 from pipeline.association.identity.joining import Chain, TrackletLinks, chain_doubts, join
 from pipeline.association.identity.likenesses import find_likenesses, seen_in
 from pipeline.association.identity.merging import cut, merge, merge_doubles
 from pipeline.association.identity.phantoms import end_phantoms, is_spurious, mean_bodies
-from pipeline.association.identity.proportions import (
-    LimbProportions,
-    changes,
-    limb_lengths_m,
-    measure,
-    spread_of_a_second_m,
-)
 from pipeline.association.identity.recover_detections import recover_detections
 from pipeline.association.identity.tracklets import (
     DoubtfulMoment,
@@ -134,17 +128,19 @@ def _most_seen(
 def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -> TrackletLinks:
     """Cut pieces of tracks at all moments of doubt, and measure what links the tracklets."""
     paths = [make_path(track, joints) for track, _ in pieces]
-    lengths_m = [limb_lengths_m(track, joints) for track, _ in pieces]
-    spread_m = spread_of_a_second_m(lengths_m, frame_rate_hz)
+    lengths_m = [proportions.limb_lengths_m(track, joints) for track, _ in pieces]
+    spread_m = proportions.spread_of_a_second_m(lengths_m, frame_rate_hz)
     moments = encounters(paths, frame_rate_hz) + [
         DoubtfulMoment(path.start_frame + row, (number,))
         for number, (path, of_piece_m) in enumerate(zip(paths, lengths_m, strict=True))
-        for row in changes(of_piece_m, spread_m, frame_rate_hz)
+        for row in proportions.changes(of_piece_m, spread_m, frame_rate_hz)
     ]
     whole = [Tracklet(number, path.start_frame, path.stop_frame) for number, path in enumerate(paths)]
     tracklets = cut_at_moments(whole, sorted(moments))
     measured = [
-        measure(lengths_m[tracklet.track][tracklet.start_frame - start : tracklet.stop_frame - start], frame_rate_hz)
+        proportions.measure(
+            lengths_m[tracklet.track][tracklet.start_frame - start : tracklet.stop_frame - start], frame_rate_hz
+        )
         for tracklet in tracklets
         for start in [paths[tracklet.track].start_frame]
     ]
@@ -152,7 +148,7 @@ def _session(pieces: Sequence[Person], joints: JointSet, frame_rate_hz: float) -
         tracklets,
         first_ends(tracklets, paths, frame_rate_hz),
         last_ends(tracklets, paths, frame_rate_hz),
-        LimbProportions(measured, spread_m),
+        proportions.LimbProportions(measured, spread_m),
         viewed_area_m2(paths) if paths else 0.0,
     )
 

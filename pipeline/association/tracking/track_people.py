@@ -5,16 +5,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.association.tracking import observations
 from pipeline.association.tracking.kernels.observation_kernels import Sampling, locate, record
-from pipeline.association.tracking.observations import (
-    Detections2D,
-    detections_at,
-    gather,
-    make_sampling,
-    rows_by_person,
-    sampled_in,
-    undistorted,
-)
 from pipeline.association.tracking.tracker import Tracker, make_frames
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
@@ -50,8 +42,8 @@ def assign_detections(
         Identity of each detection by name of the camera; ``NOBODY`` if it belongs to no target, or to a target that was
         never confirmed.
     """
-    bodies = gather(cameras, times, detections)
-    identity = _identify(cameras, times, bodies, undistorted(cameras, bodies), parameters, ignore, ignore)
+    bodies = observations.gather(cameras, times, detections)
+    identity = _identify(cameras, times, bodies, observations.undistorted(cameras, bodies), parameters, ignore, ignore)
     return {camera.name: identity[bodies.camera == number] for number, camera in enumerate(cameras)}
 
 
@@ -81,10 +73,10 @@ def locate_people(
         Tracks, numbered from 1 in order of their first frame, with joints in metres, NaN where a joint is absent; the
         observations behind each of them; and the bodies that are left.
     """
-    bodies = gather(cameras, times, detections)
+    bodies = observations.gather(cameras, times, detections)
     identity = np.concatenate([identities[camera.name] for camera in cameras])
     samplings = _samplings(cameras, bodies, identity, timebase, parameters)
-    xyz_m = _triangulate(cameras, bodies, undistorted(cameras, bodies), samplings, parameters, ignore)
+    xyz_m = _triangulate(cameras, bodies, observations.undistorted(cameras, bodies), samplings, parameters, ignore)
     return _record(cameras, bodies, samplings, xyz_m, timebase, parameters, ignore)
 
 
@@ -115,14 +107,14 @@ def reconstruct_tracks(
     >>> [track.track_id for track in tracks]
     [1, 2, 3]
     """
-    people = track_bodies(cameras, times, gather(cameras, times, detections), timebase, parameters)
+    people = track_bodies(cameras, times, observations.gather(cameras, times, detections), timebase, parameters)
     return tuple(people.tracks), tuple(people.observations)
 
 
 def track_bodies(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: Detections2D,
+    bodies: observations.Detections2D,
     timebase: Timebase,
     parameters: TrackingParameters,
     on_share: OnShare = ignore,
@@ -145,7 +137,7 @@ def track_bodies(
     -------
         People; see ``locate_people``.
     """
-    ideal_px = undistorted(cameras, bodies)
+    ideal_px = observations.undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, sub_share(on_share, 0.0, 0.5), on_approximate)
     samplings = _samplings(cameras, bodies, identity, timebase, parameters)
     xyz_m = _triangulate(cameras, bodies, ideal_px, samplings, parameters, sub_share(on_share, 0.5, 0.75))
@@ -156,7 +148,7 @@ def track_bodies(
 def _identify(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
-    bodies: Detections2D,
+    bodies: observations.Detections2D,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     parameters: TrackingParameters,
     on_share: OnShare,
@@ -169,21 +161,21 @@ def _identify(
 
 def _samplings(
     cameras: Sequence[Camera],
-    bodies: Detections2D,
+    bodies: observations.Detections2D,
     identity: Int[np.ndarray, " detections"],
     timebase: Timebase,
     parameters: TrackingParameters,
 ) -> list[Sampling]:
     """Prepare the sampling of each person's observations."""
     return [
-        make_sampling(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
-        for rows in rows_by_person(bodies, identity)
+        observations.make_sampling(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
+        for rows in observations.rows_by_person(bodies, identity)
     ]
 
 
 def _triangulate(
     cameras: Sequence[Camera],
-    bodies: Detections2D,
+    bodies: observations.Detections2D,
     ideal_px: Float[np.ndarray, "detections joints 2"],
     samplings: Sequence[Sampling],
     parameters: TrackingParameters,
@@ -206,7 +198,7 @@ def _triangulate(
 
 def _record(
     cameras: Sequence[Camera],
-    bodies: Detections2D,
+    bodies: observations.Detections2D,
     samplings: Sequence[Sampling],
     xyz_m: Sequence[Float[np.ndarray, "_ joints 3"]],
     timebase: Timebase,
@@ -230,12 +222,12 @@ def _record(
     for sampling, whole_m, life in zip(_reported(samplings, on_share), xyz_m, lives, strict=True):
         if life is None:
             continue
-        person_m, sampled = whole_m[life], sampled_in(life, sampling)
+        person_m, sampled = whole_m[life], observations.sampled_in(life, sampling)
         source = close_gaps(timebase, person_m)
         ours = slice(num_done, num_done + len(person_m))
         errors = np.empty(source.shape), np.empty(source.shape), np.empty(source.shape, np.int64)
         record(sampled, bodies, flat_px[0], lenses, person_m, flat_px[1][ours], score[ours], *errors)
-        detection = detections_at(timebase, bodies, sampled) if bodies.colour.size else None
+        detection = observations.detections_at(timebase, bodies, sampled) if bodies.colour.size else None
         recorded.append(
             make_person(sampled.start_frame, person_m, source, errors, seen_px[ours], score[ours], detection)
         )
@@ -250,7 +242,7 @@ def _rows_within(sampling: Sampling, start_frame: int, num_frames: int, timebase
     return np.asarray(sampling.rows[(place > -1.0) & (place < num_frames)])
 
 
-def _leftovers(bodies: Detections2D, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
+def _leftovers(bodies: observations.Detections2D, rows: Int[np.ndarray, " n"], timebase: Timebase) -> Leftovers:
     place = (bodies.time_s[rows] - timebase.start_time_s) * timebase.frame_rate_hz
     frame = np.round(place).astype(int)
     inside = (frame >= 0) & (frame < timebase.num_frames)

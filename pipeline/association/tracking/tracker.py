@@ -8,14 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.association.tracking.initialization import (
-    Lost,
-    Unmatched,
-    find_returning,
-    group_unmatched,
-    is_body,
-    spread_m,
-)
+from pipeline.association.tracking import initialization
 from pipeline.association.tracking.kernels import tracking_kernels as kernels
 from pipeline.association.tracking.kernels.observation_kernels import keep_used
 from pipeline.association.tracking.kernels.state import (
@@ -203,21 +196,25 @@ class TrackerState:
     def _start_targets(self, frames: Frames, time_s: float) -> bool:
         """Start targets from the unmatched detections of every camera's most recent frame; return whether exactly."""
         pool = [
-            Unmatched(camera, row, float(self._pool.time_s[camera]), _points_px(frames, row), frames.score[row])
+            initialization.Unmatched(
+                camera, row, float(self._pool.time_s[camera]), _points_px(frames, row), frames.score[row]
+            )
             for camera in range(len(self._cameras))
             if time_s - self._pool.time_s[camera] < self._parameters.instant_s
             for row in self._pool.rows[camera, : self._pool.num_rows[camera]].tolist()
         ]
         bodies = []
-        groups = group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px)
+        groups = initialization.group_unmatched(pool, self._rig.fundamental, self._parameters.alpha_epipolar_px)
         is_exact = groups.is_exact
         for group in groups.people:
             group.sort(key=lambda body: body.time_s)
             xyz_m = self._locate(group)
-            if is_body(xyz_m, spread_m(self._rig, group, xyz_m), self._parameters):
+            if initialization.is_body(xyz_m, initialization.spread_m(self._rig, group, xyz_m), self._parameters):
                 bodies.append((group, xyz_m))
         slots = self._lost_slots(time_s)
-        returning = find_returning([xyz_m for _, xyz_m in bodies], self._lost(slots, time_s), self._parameters)
+        returning = initialization.find_returning(
+            [xyz_m for _, xyz_m in bodies], self._lost(slots, time_s), self._parameters
+        )
         for number, (group, xyz_m) in enumerate(bodies):
             if number in returning:
                 slot = self._resume(int(slots[returning[number]]))
@@ -234,15 +231,15 @@ class TrackerState:
         unseen_s = time_s - self._targets.matched_s[alive].max(-1)
         return alive[self._targets.state["confirmed"][alive] & (unseen_s > self._parameters.velocity_window_s)]
 
-    def _lost(self, slots: Int[np.ndarray, " lost"], time_s: float) -> Lost:
+    def _lost(self, slots: Int[np.ndarray, " lost"], time_s: float) -> initialization.Lost:
         state, num_joints = self._targets.state[slots], self._num_joints
-        return Lost(
+        return initialization.Lost(
             state["xyz_m"][..., :num_joints].swapaxes(-1, -2),
             state["velocity_m_s"][..., :num_joints].swapaxes(-1, -2),
             time_s - state["moved_s"],
         )
 
-    def _locate(self, group: Sequence[Unmatched]) -> Float[np.ndarray, "joints 3"]:
+    def _locate(self, group: Sequence[initialization.Unmatched]) -> Float[np.ndarray, "joints 3"]:
         return triangulate_frames(
             self._rig.image_from_world[[body.camera for body in group]],
             np.array([[body.points_px for body in group]]),
@@ -269,7 +266,7 @@ class TrackerState:
         self,
         slot: int,
         frames: Frames,
-        group: Sequence[Unmatched],
+        group: Sequence[initialization.Unmatched],
         xyz_m: Float[np.ndarray, "joints 3"],
         time_s: float,
     ) -> None:
@@ -283,7 +280,7 @@ class TrackerState:
             self._forget(body)
         kernels.move(targets, slot, time_s, self._limits, self._outcome.earned)
 
-    def _forget(self, claimed: Unmatched) -> None:
+    def _forget(self, claimed: initialization.Unmatched) -> None:
         """Remove a detection from the pool."""
         rows = self._pool.rows[claimed.camera]
         left = [row for row in rows[: self._pool.num_rows[claimed.camera]] if row != claimed.row]

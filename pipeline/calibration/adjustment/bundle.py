@@ -5,15 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.calibration.adjustment import parameters
 from pipeline.calibration.adjustment.deviations import Deviations, estimated, num_effective
 from pipeline.calibration.adjustment.normal import Normal, State, build, cost, is_delay, residuals_px
-from pipeline.calibration.adjustment.parameters import (
-    EXTRINSICS,
-    NUM_PARAMETERS,
-    Parameters,
-    move_camera,
-    world_moves,
-)
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Structure
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
@@ -40,7 +34,7 @@ class Adjustment:
     lengths_m: Float[np.ndarray, " lengths"]
     # Standard deviations of the cameras' parameters: 0 where a parameter was not free, infinite where the data don't
     # determine it
-    sigma: Parameters
+    sigma: parameters.Parameters
     # Projections minus observations, of bodies at the pose that all cameras share
     residuals_px: Float[np.ndarray, "n 2"]
     sigma_px: float  # Standard deviation of an observation's coordinate
@@ -71,7 +65,7 @@ def adjust(
     start: tuple[Camera, ...] | None = None,
     sigma_px: float | None = None,
     max_steps: int = _MAX_STEPS,
-    small_step: Parameters | None = None,
+    small_step: parameters.Parameters | None = None,
     deviations: Deviations | None = None,
 ) -> Adjustment:
     """Fit cameras and structure to observations.
@@ -137,9 +131,9 @@ def _with_variances(problem: AdjustmentProblem, state: State, sigma_px: float) -
     return replace(state, deviations=deviations), number, bool(change < _SMALL_VARIANCE_CHANGE)
 
 
-def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> Parameters:
+def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> parameters.Parameters:
     """Compute standard deviations of the cameras' parameters from the inverse of the reduced normal matrix."""
-    sigma = np.zeros((len(state.cameras), NUM_PARAMETERS))
+    sigma = np.zeros((len(state.cameras), parameters.NUM_PARAMETERS))
     reduced = build(problem, state, sigma_px).reduced()
     diagonal = np.diag(reduced)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -152,7 +146,7 @@ def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> P
     return read_only(sigma)
 
 
-def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> Parameters:
+def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> parameters.Parameters:
     """Compute standard deviations of the cameras' parameters with the world's position, orientation and scale held.
 
     For a problem in which all extrinsics are free and only priors hold the world: the seven directions in which the
@@ -160,7 +154,7 @@ def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> Par
     other free parameters these are the standard deviations of the adjustment. All free parameters need priors.
     """
     free, cameras = problem.free, adjusted.cameras
-    if not free[:, EXTRINSICS].all():
+    if not free[:, parameters.EXTRINSICS].all():
         return adjusted.sigma
     state = adjusted.state
     scale = problem.prior_sigma[free]
@@ -168,8 +162,8 @@ def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> Par
     information = np.zeros(free.shape)
     information[free] = np.diag(normal)
     # Cameras that see hardly anything do not hold the world.
-    holds_world = information[:, EXTRINSICS].min(-1) > _MIN_INFORMATION
-    moves = (world_moves(cameras) * holds_world[:, None, None])[free] / scale[:, None]
+    holds_world = information[:, parameters.EXTRINSICS].min(-1) > _MIN_INFORMATION
+    moves = (parameters.world_moves(cameras) * holds_world[:, None, None])[free] / scale[:, None]
     left, values, _ = np.linalg.svd(moves)
     basis = left[:, int((values > 1e-9 * values.max(initial=1e-9)).sum()) :]
     covariance = basis @ np.linalg.inv(basis.T @ normal @ basis) @ basis.T
@@ -197,7 +191,7 @@ def _noise_px(problem: AdjustmentProblem, state: State, num_deviations: float = 
 
 
 def _search(
-    problem: AdjustmentProblem, state: State, sigma_px: float, max_steps: int, small_step: Parameters | None
+    problem: AdjustmentProblem, state: State, sigma_px: float, max_steps: int, small_step: parameters.Parameters | None
 ) -> State:
     """Run Levenberg-Marquardt from a state with a fixed noise."""
     damping, lowest = 1e-4, cost(problem, state, sigma_px)
@@ -228,7 +222,9 @@ def _moved(
     """State after a step of the cameras' free parameters, of the structure's blocks, and of all else."""
     of_cameras, of_delays = np.zeros(problem.free.shape), is_delay(problem, state)
     of_cameras[problem.free] = step[~of_delays]
-    cameras = tuple(move_camera(camera, step) for camera, step in zip(state.cameras, of_cameras, strict=True))
+    cameras = tuple(
+        parameters.move_camera(camera, step) for camera, step in zip(state.cameras, of_cameras, strict=True)
+    )
     num_blocks, size = state.structure.num_blocks, state.structure.block_size
     of_blocks = eliminated[: num_blocks * size].reshape(num_blocks, size)
     lengths_m = read_only(state.lengths_m + eliminated[num_blocks * size :])
@@ -236,6 +232,6 @@ def _moved(
     if deviations is not None:
         moved = deviations.step + normal.deviation_steps(step, of_blocks)
         delay_s = deviations.delay_s.copy()
-        delay_s[problem.free[:, EXTRINSICS].any(1)] += step[of_delays]
+        delay_s[problem.free[:, parameters.EXTRINSICS].any(1)] += step[of_delays]
         deviations = replace(deviations, step=read_only(moved), delay_s=read_only(delay_s))
     return State(cameras, state.structure.moved(of_blocks), lengths_m, deviations)

@@ -13,16 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
+from pipeline.calibration.adjustment import parameters
 from pipeline.calibration.adjustment.bundle import Adjustment
 from pipeline.calibration.adjustment.normal import ObservationRows, build, observation_rows
-from pipeline.calibration.adjustment.parameters import (
-    EXTRINSICS,
-    NUM_PARAMETERS,
-    POSITION,
-    ROTATION,
-    Parameters,
-    world_moves,
-)
 from pipeline.calibration.adjustment.problem import AdjustmentProblem
 from pipeline.core.data.arrays import read_only
 
@@ -34,7 +27,7 @@ _MIN_FREEDOM = 0.1
 
 def correlated_sigma(
     problem: AdjustmentProblem, adjusted: Adjustment, levels: Sequence[Int[np.ndarray, " n"]]
-) -> Parameters:
+) -> parameters.Parameters:
     """Compute standard deviations of the cameras' parameters, each camera's in the world that the others hold.
 
     Parameters
@@ -111,7 +104,7 @@ def _variances(
 
 def _beside_others(
     problem: AdjustmentProblem, adjusted: Adjustment, covariance: Float[np.ndarray, "parameters parameters"]
-) -> Parameters:
+) -> parameters.Parameters:
     """Standard deviations of each camera after the move of the world that changes the other cameras least.
 
     Of two cameras both hold the world: one alone does not tell its scale.
@@ -121,9 +114,9 @@ def _beside_others(
     whole = np.zeros((free.size, free.size))
     rows = np.flatnonzero(free)
     whole[np.ix_(rows, rows)] = covariance
-    moves = world_moves(adjusted.cameras)
-    metric = np.zeros(NUM_PARAMETERS)
-    metric[ROTATION], metric[POSITION] = _TURN_RAD**-2.0, _SHIFT_M**-2.0
+    moves = parameters.world_moves(adjusted.cameras)
+    metric = np.zeros(parameters.NUM_PARAMETERS)
+    metric[parameters.ROTATION], metric[parameters.POSITION] = _TURN_RAD**-2.0, _SHIFT_M**-2.0
     sigma = np.zeros(free.shape)
     for number in range(num_cameras):
         holds = np.ones(num_cameras)
@@ -132,7 +125,9 @@ def _beside_others(
         weighted = (moves * metric[:, None] * holds[:, None, None]).reshape(free.size, -1)
         back = moves[number] @ np.linalg.solve(weighted.T @ moves.reshape(free.size, -1), weighted.T)
         change = -back
-        change[:, number * NUM_PARAMETERS : (number + 1) * NUM_PARAMETERS] += np.eye(NUM_PARAMETERS)
+        change[:, number * parameters.NUM_PARAMETERS : (number + 1) * parameters.NUM_PARAMETERS] += np.eye(
+            parameters.NUM_PARAMETERS
+        )
         sigma[number] = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", change, whole, change), 0.0))
-    sigma[:, EXTRINSICS.stop :][~free[:, EXTRINSICS.stop :]] = 0.0
+    sigma[:, parameters.EXTRINSICS.stop :][~free[:, parameters.EXTRINSICS.stop :]] = 0.0
     return read_only(sigma)

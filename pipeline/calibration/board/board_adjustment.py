@@ -7,18 +7,9 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.calibration.adjustment import parameters
 from pipeline.calibration.adjustment.bundle import Adjustment, adjust, block_covariance
 from pipeline.calibration.adjustment.deviations import Deviations, first_deviations
-from pipeline.calibration.adjustment.parameters import (
-    DISTORTION,
-    EXTRINSICS,
-    FOCAL,
-    PRINCIPAL,
-    Free,
-    Parameters,
-    no_prior,
-    none_free,
-)
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, Loss, PointObservations, RigidBodies
 from pipeline.calibration.board.spec import Board
 from pipeline.core.data.arrays import read_only
@@ -101,7 +92,7 @@ def _median_px(seen_px: np.ndarray, projected_px: np.ndarray) -> float:
 
 def refine_boards(cameras: Sequence[Camera], placed: Sequence[PlacedBoard], board: Board) -> list[PlacedBoard]:
     """Fit the poses of the board to the views of all cameras, which stay."""
-    free, prior = none_free(len(cameras)), no_prior(len(cameras))
+    free, prior = parameters.none_free(len(cameras)), parameters.no_prior(len(cameras))
     fitted = _fit(cameras, free, prior, [[instant] for instant in placed], board)
     return [
         replace(instant, root_from_board=pose) for instant, pose in zip(placed, fitted.root_from_boards, strict=True)
@@ -214,18 +205,18 @@ def adjust_board_rig(
     speed
         Steps a second by which the boards move; ``None``: they are not known.
     """
-    free, prior = none_free(len(cameras)), no_prior(len(cameras))
-    free[:, EXTRINSICS] = True
-    free[root, EXTRINSICS] = False
+    free, prior = parameters.none_free(len(cameras)), parameters.no_prior(len(cameras))
+    free[:, parameters.EXTRINSICS] = True
+    free[root, parameters.EXTRINSICS] = False
     if coefficients is not None:
         cameras = [_with_coefficients(camera) for camera in cameras]
-        free[:, FOCAL] = free[:, PRINCIPAL] = True
+        free[:, parameters.FOCAL] = free[:, parameters.PRINCIPAL] = True
         for number, chosen in enumerate(coefficients):
             if cameras[number].lens == "standard":
-                free[number, DISTORTION][: len(_PLAUSIBLE)] = True
-                prior[number, DISTORTION][: len(_PLAUSIBLE)] = _PLAUSIBLE
-            free[number, [DISTORTION.start + k for k in chosen]] = True
-            prior[number, [DISTORTION.start + k for k in chosen]] = np.inf
+                free[number, parameters.DISTORTION][: len(_PLAUSIBLE)] = True
+                prior[number, parameters.DISTORTION][: len(_PLAUSIBLE)] = _PLAUSIBLE
+            free[number, [parameters.DISTORTION.start + k for k in chosen]] = True
+            prior[number, [parameters.DISTORTION.start + k for k in chosen]] = np.inf
     if len(cameras) == 1:
         return _fit(cameras, free, prior, boards, board)
     deviations = first_deviations(
@@ -253,8 +244,8 @@ def _late_s(boards: Sequence[Sequence[PlacedBoard]], num_cameras: int) -> Float[
 
 def _fit(
     cameras: Sequence[Camera],
-    free: Free,
-    prior: Parameters,
+    free: parameters.Free,
+    prior: parameters.Parameters,
     boards: Sequence[Sequence[PlacedBoard]],
     board: Board,
     deviations: Deviations | None = None,

@@ -11,15 +11,7 @@ from pipeline.calibration.board.intrinsics import MIN_VIEWS
 from pipeline.calibration.board.spec import Board
 from pipeline.calibration.board.views import BoardViews, covered_share
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.finding_codes import (
-    BOARD_AMBIGUOUS,
-    BOARD_DISAGREES,
-    BOARD_FEW_SHARED,
-    BOARD_FEW_VIEWS,
-    BOARD_FLOOR_UNCERTAIN,
-    BOARD_MIRRORED,
-    BOARD_POOR_COVERAGE,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.core.problems.session_codes import BOARD_EXCHANGED, BOARD_NOT_FOUND, BOARD_UNLINKED, BOARD_UNSYNCHRONISED
 
 # Two cameras are linked by at least this many instants that agree, and this share of the instants that they share.
@@ -129,15 +121,15 @@ def view_warnings(views: Sequence[BoardViews]) -> Iterator[Problem]:
         if len(camera_views) < _FEW_VIEWS:
             message = f"The board was found in {len(camera_views)} of {camera_views.num_pictures} pictures."
             hint = "Film it longer, at several distances and tilts."
-            yield Problem(BOARD_FEW_VIEWS, message, camera=camera_views.camera, hint=hint)
+            yield Problem(finding_codes.BOARD_FEW_VIEWS, message, camera=camera_views.camera, hint=hint)
         if (share := covered_share(camera_views)) < _POOR_COVERAGE:
             message = f"The board covers {share:.0%} of the picture."
             hint = "Film it near the edges and the corners of the picture too, as the coverage picture shows."
-            yield Problem(BOARD_POOR_COVERAGE, message, camera=camera_views.camera, hint=hint)
+            yield Problem(finding_codes.BOARD_POOR_COVERAGE, message, camera=camera_views.camera, hint=hint)
         if camera_views.num_mirrored:
             message = f"The board is mirrored in {camera_views.num_mirrored} pictures."
             hint = "Turn off the mirroring of the camera: its videos would be mirrored too."
-            yield Problem(BOARD_MIRRORED, message, camera=camera_views.camera, hint=hint)
+            yield Problem(finding_codes.BOARD_MIRRORED, message, camera=camera_views.camera, hint=hint)
 
 
 def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> Iterator[Problem]:
@@ -147,7 +139,7 @@ def link_warnings(views: Sequence[BoardViews], pairs: Sequence[BoardPair]) -> It
         if most < _FEW_SHARED:
             message = f"The camera is linked by {most} views of the board that another camera shares."
             hint = "Film the board where this camera and a neighbour both see it."
-            yield Problem(BOARD_FEW_SHARED, message, camera=camera_views.camera, hint=hint)
+            yield Problem(finding_codes.BOARD_FEW_SHARED, message, camera=camera_views.camera, hint=hint)
 
 
 def require_placed(rig: BoardRig, placed: Sequence[PlacedBoard]) -> None:
@@ -200,7 +192,7 @@ def agreement_warnings(views: Sequence[BoardViews], fitted: BoardFit) -> Iterato
                 "The difference is there while the board hardly moves: look for a board that is bent, a stated size or "
                 "intrinsics that are wrong, or a camera that moved."
             )
-        yield Problem(BOARD_DISAGREES, message, camera=name, hint=hint)
+        yield Problem(finding_codes.BOARD_DISAGREES, message, camera=name, hint=hint)
 
 
 def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Problem]:
@@ -211,8 +203,8 @@ def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Prob
             "directions of x and y may be those of the opposite corner."
         )
         hint = "Use a board with an odd and an even number, a ChArUco board, or known points."
-        yield Problem(BOARD_AMBIGUOUS, message, hint=hint)
+        yield Problem(finding_codes.BOARD_AMBIGUOUS, message, hint=hint)
     if not places.is_certain:
         message = f"The board never lies still on the floor; the floor is taken as the board is at {time_s:.2f} s."
         hint = "Lay the board flat on the floor for a second, or state the time at which it lies there."
-        yield Problem(BOARD_FLOOR_UNCERTAIN, message, hint=hint)
+        yield Problem(finding_codes.BOARD_FLOOR_UNCERTAIN, message, hint=hint)

@@ -7,23 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS
-from pipeline.calibration.board.board_adjustment import (
-    BoardFit,
-    PlacedBoard,
-    adjust_board_rig,
-    alike_numbered,
-    place_board,
-    refine_boards,
-)
-from pipeline.calibration.board.board_checks import (
-    agreement_warnings,
-    floor_warnings,
-    link_warnings,
-    require_linked_by_board,
-    require_placed,
-    require_views,
-    view_warnings,
-)
+from pipeline.calibration.board import board_adjustment, board_checks
 from pipeline.calibration.board.board_rig import BoardRig, match_times, relate_by_board, spanning_tree
 from pipeline.calibration.board.board_world import BoardWorld, chosen_instants, find_board_world, find_places
 from pipeline.calibration.board.intrinsics import Intrinsics, calibrate_intrinsics
@@ -80,7 +64,7 @@ def calibrate_board(
     InputError
         If a camera has too few views, if cameras share too few, or if they or the known points disagree.
     """
-    require_views(views, board, needs_intrinsics=given is None)
+    board_checks.require_views(views, board, needs_intrinsics=given is None)
     has_times = all(np.isfinite(camera_views.time_s).all() for camera_views in views)
     if known_points and (problems := _point_problems(views, known_points, has_times)):
         raise InputError(problems)
@@ -104,18 +88,18 @@ def calibrate_board(
     on_share(0.5)
     related = (relate_by_board(k, m, rig.shared(k, m)) for k, m in combinations(range(len(views)), 2))
     pairs = [pair for pair in related if pair is not None]
-    usable = require_linked_by_board(rig, pairs, frame_rate_hz)
+    usable = board_checks.require_linked_by_board(rig, pairs, frame_rate_hz)
     root_poses = spanning_tree(len(views), usable)
     root = next(number for number, pose in root_poses.items() if not pose.translation_m.any())
     posed = {number: replace(cameras[number], cam_from_world=pose) for number, pose in root_poses.items()}
     on_share(0.6)
     placed = _place_all(rig, posed, board, _chosen_instants(rig, board))
     coefficients = None if given is not None else [lens.model.free for lens in intrinsics if lens is not None]
-    require_placed(rig, [placed_board for _, placed_board in placed])
+    board_checks.require_placed(rig, [placed_board for _, placed_board in placed])
     boards = [[placed_board] for _, placed_board in placed]
-    fitted = adjust_board_rig([posed[k] for k in range(len(views))], root, boards, board, coefficients)
+    fitted = board_adjustment.adjust_board_rig([posed[k] for k in range(len(views))], root, boards, board, coefficients)
     on_share(0.75)
-    doubts = (*view_warnings(views), *link_warnings(views, usable))
+    doubts = (*board_checks.view_warnings(views), *board_checks.link_warnings(views, usable))
     motion = _motion(rig, fitted.adjustment.cameras, board)
     centers_m = np.array([center_in_world(camera) for camera in fitted.adjustment.cameras])
     # The board's poses on the floor are adjusted with everything else: each of them has many instants.
@@ -129,11 +113,11 @@ def calibrate_board(
     ]
     speed = [motion.speed_at(seen.mean_time_s) for (seen,) in boards]
     speed += [np.zeros(6) for _ in on_floor]
-    fitted = adjust_board_rig(
+    fitted = board_adjustment.adjust_board_rig(
         fitted.adjustment.cameras, root, [*boards, *on_floor], board, coefficients, np.array(speed)
     )
     on_share(0.95)
-    doubts = (*doubts, *agreement_warnings(views, fitted))
+    doubts = (*doubts, *board_checks.agreement_warnings(views, fitted))
     if places is None:
         rig_in_world = place_by_points(fitted.adjustment.cameras, known_points, keeps_scale=True)
         return _made(views, fitted, rig_in_world.cameras, rig_in_world.world, (*doubts, *rig_in_world.warnings))
@@ -142,7 +126,7 @@ def calibrate_board(
     )
     begins_s = [float(motion.time_s[stretch.start]) for stretch in places.stretches]
     cameras = move_world(fitted.adjustment.cameras, world.world_from_root)
-    doubts = (*doubts, *floor_warnings(places, begins_s[0], board))
+    doubts = (*doubts, *board_checks.floor_warnings(places, begins_s[0], board))
     return _made(views, fitted, cameras, _world_sentence(world, begins_s, board), doubts)
 
 
@@ -175,7 +159,7 @@ def _intrinsics_only(
         has_extrinsics=False,
         by_camera=tuple(reports),
         reprojection_error_px=float(np.median([report.reprojection_error_px for report in reports])),
-        warnings=tuple(view_warnings(views)),
+        warnings=tuple(board_checks.view_warnings(views)),
         world=_INTRINSICS_ONLY,
         pictures=_pictures(views),
     )
@@ -196,14 +180,14 @@ def _chosen_instants(rig: BoardRig, board: Board) -> list[int]:
 
 def _place_all(
     rig: BoardRig, posed: Mapping[int, Camera], board: Board, instants: Sequence[int]
-) -> list[tuple[int, PlacedBoard]]:
+) -> list[tuple[int, board_adjustment.PlacedBoard]]:
     """Board at some instants, where it can be placed."""
     boards = []
     for instant in instants:
         seeing = {number: int(view) for number, view in enumerate(rig.instants[instant]) if view >= 0}
         corners = {number: rig.views[number].corners_px[view] for number, view in seeing.items()}
         poses = {number: rig.poses[number][view] for number, view in seeing.items()}
-        if (placed := place_board(posed, corners, poses, board)) is not None:
+        if (placed := board_adjustment.place_board(posed, corners, poses, board)) is not None:
             times_s = {number: float(rig.views[number].time_s[view]) for number, view in seeing.items()}
             boards.append((instant, replace(placed, time_s=times_s)))
     return boards
@@ -214,7 +198,7 @@ def _motion(rig: BoardRig, cameras: Sequence[Camera], board: Board) -> BoardMoti
     number = len(rig.instants)
     looked_at = np.unique(np.linspace(0, number - 1, min(number, _FLOOR_INSTANTS)).round().astype(int))
     placed = [seen for _, seen in _place_all(rig, dict(enumerate(cameras)), board, looked_at.tolist())]
-    boards = alike_numbered(refine_boards(cameras, placed, board), board)
+    boards = board_adjustment.alike_numbered(board_adjustment.refine_boards(cameras, placed, board), board)
     time_s = read_only(np.array([seen.mean_time_s for seen in boards]))
     return BoardMotion(time_s, boards, board.corners_m.mean(0))
 
@@ -232,7 +216,7 @@ def _world_sentence(world: BoardWorld, begins_s: Sequence[float], board: Board) 
 
 def _made(
     views: Sequence[BoardViews],
-    fitted: BoardFit,
+    fitted: board_adjustment.BoardFit,
     cameras: tuple[Camera, ...],
     world: str,
     warnings: tuple[Problem, ...],

@@ -9,14 +9,7 @@ from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import CERTAIN, Finding, Severity
-from pipeline.core.problems.finding_codes import (
-    DISTORTION_FOLDS,
-    FOCAL_LENGTH,
-    NO_COMMON_VIEW,
-    PIXELS_NOT_SQUARE,
-    PRINCIPAL_POINT,
-    TOO_FEW_CAMERAS,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.geometry.camera import center_in_world, project, rays_in_world, twelve_coefficients
 from pipeline.geometry.fisheye import MAX_ANGLE_RAD, angle_limit_rad, radius
 
@@ -53,12 +46,12 @@ def _check_focal_length(camera: Camera) -> Iterator[Finding]:
             f"{angle_deg:.3g} degrees."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, in pixels."
-        yield Finding(FOCAL_LENGTH, message, camera.name, "warning", hint, {"angle_deg": angle_deg})
+        yield Finding(finding_codes.FOCAL_LENGTH, message, camera.name, "warning", hint, {"angle_deg": angle_deg})
     aspect = float(focal_px[1] / focal_px[0])
     if abs(np.log(aspect)) > _MAX_ASPECT:
         message = f"The focal lengths along x and y, {focal_px[0]:.0f} and {focal_px[1]:.0f} px, differ."
         hint = "Check the camera matrix: pixels are square, unless the picture was stretched."
-        yield Finding(PIXELS_NOT_SQUARE, message, camera.name, "warning", hint, {"aspect": aspect})
+        yield Finding(finding_codes.PIXELS_NOT_SQUARE, message, camera.name, "warning", hint, {"aspect": aspect})
 
 
 def _check_principal_point(camera: Camera) -> Iterator[Finding]:
@@ -71,7 +64,7 @@ def _check_principal_point(camera: Camera) -> Iterator[Finding]:
             f"({size_px[0] / 2:.0f}, {size_px[1] / 2:.0f}) px."
         )
         hint = "Check that the camera matrix belongs to this size of the picture, and that the picture was not cropped."
-        yield Finding(PRINCIPAL_POINT, message, camera.name, "warning", hint, {"share": share})
+        yield Finding(finding_codes.PRINCIPAL_POINT, message, camera.name, "warning", hint, {"share": share})
 
 
 def _check_distortion(camera: Camera) -> Iterator[Finding]:
@@ -87,7 +80,12 @@ def _check_distortion(camera: Camera) -> Iterator[Finding]:
     )
     hint = "Calibrate the lens again with views of the board near the edges, or with fewer coefficients."
     yield Finding(
-        DISTORTION_FOLDS, message, camera.name, "error" if limit < inner else "warning", hint, {"share": share}
+        finding_codes.DISTORTION_FOLDS,
+        message,
+        camera.name,
+        "error" if limit < inner else "warning",
+        hint,
+        {"share": share},
     )
 
 
@@ -172,7 +170,7 @@ def _check_number(cameras: Sequence[Camera]) -> list[Finding]:
         return []
     message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: nobody can be located."
     hint = "Give a calibration of at least two cameras."
-    return [Finding(TOO_FEW_CAMERAS, message, None, "error", hint, {"num_cameras": len(cameras)})]
+    return [Finding(finding_codes.TOO_FEW_CAMERAS, message, None, "error", hint, {"num_cameras": len(cameras)})]
 
 
 def check_views(cameras: Sequence[Camera]) -> list[Finding]:
@@ -193,7 +191,7 @@ def check_views(cameras: Sequence[Camera]) -> list[Finding]:
     hint = "Check the camera's pose and the axes of the calibration, or turn the camera to the others' view."
     # Without this camera the others can do.
     severity: Severity = "error" if len(alone) == len(cameras) else "warning"
-    return [Finding(NO_COMMON_VIEW, message, name, severity, hint) for name in alone]
+    return [Finding(finding_codes.NO_COMMON_VIEW, message, name, severity, hint) for name in alone]
 
 
 def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:

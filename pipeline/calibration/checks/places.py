@@ -9,18 +9,11 @@ from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
-from pipeline.core.problems.finding_codes import (
-    CAMERA_BELOW_FLOOR,
-    NOT_UPRIGHT,
-    SAME_PLACE,
-    UP_AXIS_UNKNOWN,
-    UPSIDE_DOWN,
-    WORLD_UNIT,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
 from pipeline.geometry.camera import center_in_world
 
-UP_AXIS_CODES = (UPSIDE_DOWN, NOT_UPRIGHT, UP_AXIS_UNKNOWN)
+UP_AXIS_CODES = (finding_codes.UPSIDE_DOWN, finding_codes.NOT_UPRIGHT, finding_codes.UP_AXIS_UNKNOWN)
 """Codes of findings about the axis that points up."""
 
 # Distance in metres of the cameras that are farthest apart, in rigs for people, and in any rig that sees people.
@@ -76,11 +69,11 @@ def _same_places(
         if turn_deg[later, first] < _SAME_TURN_DEG:
             message = f"The camera has the same pose as {cameras[first].name}."
             hint = "Check whether one camera stands twice in the file."
-            yield Finding(SAME_PLACE, message, camera.name, "error", hint, evidence)
+            yield Finding(finding_codes.SAME_PLACE, message, camera.name, "error", hint, evidence)
         else:
             message = f"The camera is at the same place as {cameras[first].name}: the two alone can't locate anybody."
             hint = "Check the positions, or let other cameras see the same people."
-            yield Finding(SAME_PLACE, message, camera.name, "warning", hint, evidence)
+            yield Finding(finding_codes.SAME_PLACE, message, camera.name, "warning", hint, evidence)
 
 
 def _unit(extent_m: float) -> Iterator[Finding]:
@@ -90,7 +83,7 @@ def _unit(extent_m: float) -> Iterator[Finding]:
     message = f"The cameras are up to {extent_m:,.3g} m apart: the unit of the calibration may not be the metre."
     is_possible = _POSSIBLE_EXTENT_M[0] <= extent_m <= _POSSIBLE_EXTENT_M[1]
     severity: Severity = "warning" if is_possible else "error"
-    yield Finding(WORLD_UNIT, message, None, severity, _hint_of_unit(extent_m), {"extent_m": extent_m})
+    yield Finding(finding_codes.WORLD_UNIT, message, None, severity, _hint_of_unit(extent_m), {"extent_m": extent_m})
 
 
 def _hint_of_unit(extent_m: float) -> str:
@@ -118,11 +111,18 @@ def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
             message = f"The cameras do not tell which axis points up: {names}. Z is taken."
             severity: Severity = "info" if "z" in axes else "warning"
             other = next(axis for axis in axes if axis != "z")
-            yield Finding(UP_AXIS_UNKNOWN, message, None, severity, _CHOOSE.format(other), {"up_axes": list(axes)})
+            yield Finding(
+                finding_codes.UP_AXIS_UNKNOWN, message, None, severity, _CHOOSE.format(other), {"up_axes": list(axes)}
+            )
     elif angle_deg > 180.0 - _MAX_ANGLE_DEG:
         message = "The cameras are upside down: the calibration's Z axis points down."
         yield Finding(
-            UPSIDE_DOWN, message, None, "error", _TURN.format("-z"), {"angle_deg": angle_deg, "up_axis": "-z"}
+            finding_codes.UPSIDE_DOWN,
+            message,
+            None,
+            "error",
+            _TURN.format("-z"),
+            {"angle_deg": angle_deg, "up_axis": "-z"},
         )
     elif angle_deg > _MAX_ANGLE_DEG:
         axis = nearest_axis(up)
@@ -132,14 +132,14 @@ def _up_axis(cameras: Sequence[Camera]) -> Iterator[Finding]:
             f"{axis.upper()}: the calibration's up axis may be {axis.upper()}."
         )
         evidence = {"angle_deg": angle_deg, "up_axis": axis}
-        yield Finding(NOT_UPRIGHT, message, None, "warning", _TURN.format(axis), evidence)
+        yield Finding(finding_codes.NOT_UPRIGHT, message, None, "warning", _TURN.format(axis), evidence)
 
 
 def _below_floor(cameras: Sequence[Camera], centers_m: Float[np.ndarray, "cameras 3"]) -> list[Finding]:
     hint = "Check the calibration's axes and origin: the floor is z = 0."
     return [
         Finding(
-            CAMERA_BELOW_FLOOR,
+            finding_codes.CAMERA_BELOW_FLOOR,
             f"The camera is {-height_m:.2f} m below z = 0.",
             camera.name,
             "warning",

@@ -7,12 +7,7 @@ from math import dist, hypot
 
 from pipeline.core.errors import Problem
 from pipeline.core.options.job_choices import KnownPoint
-from pipeline.core.problems.session_codes import (
-    CAMERA_UNKNOWN,
-    KNOWN_POINTS_FEW,
-    KNOWN_POINTS_INVALID,
-    KNOWN_POINTS_ON_A_LINE,
-)
+from pipeline.core.problems import session_codes
 
 MIN_POINTS = 3
 # Points are on a line if no triangle of them is higher than this share of its longest side.
@@ -31,10 +26,12 @@ def point_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -
         hint = "Mark each point in the pictures of two cameras or more, under the same name."
         if alone:
             hint = f"{hint} Seen by one camera: {', '.join(alone[:10])}."
-        problems.append(Problem(KNOWN_POINTS_FEW, message, field="known_points", hint=hint))
+        problems.append(Problem(session_codes.KNOWN_POINTS_FEW, message, field="known_points", hint=hint))
     elif _are_on_a_line(seen):
         message = "The points that two cameras see are on a line, about which the world could turn."
-        problems.append(Problem(KNOWN_POINTS_ON_A_LINE, message, field="known_points", hint="Add a point beside it."))
+        problems.append(
+            Problem(session_codes.KNOWN_POINTS_ON_A_LINE, message, field="known_points", hint="Add a point beside it.")
+        )
     return problems
 
 
@@ -55,7 +52,7 @@ def _misplaced(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -> It
     for camera, name in unknown.items():
         hint = f"The cameras are {', '.join(sizes_px)}."
         yield Problem(
-            CAMERA_UNKNOWN,
+            session_codes.CAMERA_UNKNOWN,
             f"There is no camera of this name, in which the point {name} is seen.",
             camera=camera,
             field="known_points",
@@ -89,4 +86,4 @@ def _are_on_a_line(points: Sequence[KnownPoint]) -> bool:
 
 
 def _invalid(message: str, hint: str, camera: str | None = None) -> Problem:
-    return Problem(KNOWN_POINTS_INVALID, message, camera=camera, field="known_points", hint=hint)
+    return Problem(session_codes.KNOWN_POINTS_INVALID, message, camera=camera, field="known_points", hint=hint)

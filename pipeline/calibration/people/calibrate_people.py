@@ -8,15 +8,10 @@ import numpy as np
 
 from pipeline.calibration.known_points.fit import place_by_points
 from pipeline.calibration.known_points.point_checks import point_problems
+from pipeline.calibration.people import people_checks
 from pipeline.calibration.people.bodies import MatchedBodies, gather_bodies
 from pipeline.calibration.people.pairs import RelativePose, relate_by_people
 from pipeline.calibration.people.people_adjustment import PeopleFit, adjust_people_rig
-from pipeline.calibration.people.people_checks import (
-    people_warnings,
-    require_linked_by_people,
-    require_people,
-    world_or_refused,
-)
 from pipeline.calibration.people.people_rig import pose_cameras
 from pipeline.calibration.people.people_world import PeopleWorld, find_people_world
 from pipeline.calibration.people.tracklets import ViewTracklet, find_tracklets, shared_instants, with_camera
@@ -73,7 +68,7 @@ def calibrate_people(
     instants_s = shared_instants([times[camera.name] for camera in cameras])
     tracklets = find_tracklets(cameras, times, detections, joints, instants_s)
     rate_hz = 1.0 / float(instants_s[1] - instants_s[0])
-    require_people(cameras, tracklets, rate_hz)
+    people_checks.require_people(cameras, tracklets, rate_hz)
     on_share(0.1)
     if not has_intrinsics:
         cameras = _with_likely_focals(cameras, tracklets)
@@ -83,10 +78,10 @@ def calibrate_people(
     on_share(0.6)
     bodies = gather_bodies(tracklets, relatives, len(cameras))
     posed = pose_cameras(cameras, relatives, bodies, not has_intrinsics)
-    linked = require_linked_by_people(cameras, posed, relatives)
+    linked = people_checks.require_linked_by_people(cameras, posed, relatives)
     on_share(0.8)
     fitted = adjust_people_rig(linked, bodies, instants_s, has_free_lenses=not has_intrinsics)
-    world = world_or_refused(find_people_world(fitted.cameras, bodies, stature_m, rate_hz))
+    world = people_checks.world_or_refused(find_people_world(fitted.cameras, bodies, stature_m, rate_hz))
     on_share(1.0)
     result = _made(fitted, world, bodies, stature_m, has_intrinsics, rate_hz)
     if not known_points:
@@ -142,7 +137,7 @@ def _made(
         has_extrinsics=True,
         by_camera=reports,
         reprojection_error_px=float(np.nanmedian(fitted.error_px)),
-        warnings=tuple(people_warnings(reports, fitted.fitting, world, stature_m, rate_hz)),
+        warnings=tuple(people_checks.people_warnings(reports, fitted.fitting, world, stature_m, rate_hz)),
         world=(
             f"Z up, floor under the feet, origin under the middle of the people, y away from {world.cameras[0].name}; "
             f"scale from a stature of {statures}."

@@ -6,17 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from pipeline.calibration.adjustment import parameters
 from pipeline.calibration.adjustment.bundle import Adjustment, adjust
 from pipeline.calibration.adjustment.correlated import correlated_sigma
-from pipeline.calibration.adjustment.parameters import (
-    DISTORTION,
-    EXTRINSICS,
-    FOCAL,
-    POSITION,
-    Parameters,
-    no_prior,
-    none_free,
-)
 from pipeline.calibration.adjustment.problem import (
     AdjustmentProblem,
     DistanceLinks,
@@ -64,7 +56,7 @@ class PeopleFit:
     """Adjusted cameras."""
 
     cameras: tuple[Camera, ...]  # Cameras; the world is the one they came with
-    sigma: Parameters  # Standard deviations of their parameters
+    sigma: parameters.Parameters  # Standard deviations of their parameters
     error_px: Float[np.ndarray, " cameras"]  # Median distance of each camera's projections from the observations
     fitting: Float[np.ndarray, " cameras"]  # Share of each camera's observations that fit the other cameras
 
@@ -129,17 +121,17 @@ def _adjust(
         camera, number[body, joint], np.zeros((len(camera), 3)), bodies.points_px[body, camera, joint]
     )
     links, lengths_m = _links(bodies, number, xyz_m, instants_s) if instants_s is not None else ((), np.empty(0))
-    free, sigma = none_free(len(cameras)), no_prior(len(cameras))
-    free[1:, EXTRINSICS] = True
+    free, sigma = parameters.none_free(len(cameras)), parameters.no_prior(len(cameras))
+    free[1:, parameters.EXTRINSICS] = True
     centers_m = np.array([center_in_world(camera) for camera in cameras])
     # The scale is fixed by one coordinate of the camera that is farthest from the first one.
     farthest = int(np.argmax(np.linalg.norm(centers_m - centers_m[0], axis=-1)))
     along = int(np.argmax(np.abs(centers_m[farthest] - centers_m[0])))
-    free[farthest, POSITION.start + along] = False
+    free[farthest, parameters.POSITION.start + along] = False
     if has_free_lenses:
-        free[:, FOCAL] = True
-        free[:, DISTORTION.start] = True
-        sigma[:, FOCAL], sigma[:, DISTORTION.start] = _FOCAL_SIGMA, _K1_SIGMA
+        free[:, parameters.FOCAL] = True
+        free[:, parameters.DISTORTION.start] = True
+        sigma[:, parameters.FOCAL], sigma[:, parameters.DISTORTION.start] = _FOCAL_SIGMA, _K1_SIGMA
     problem = AdjustmentProblem(
         tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),

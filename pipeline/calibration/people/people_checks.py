@@ -11,22 +11,7 @@ from pipeline.calibration.people.tracklets import ViewTracklet
 from pipeline.calibration.report import CameraReport
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.problems.finding_codes import (
-    PEOPLE_FEW_VIEWS,
-    PEOPLE_POOR_FIT,
-    PEOPLE_SAME_PLACE,
-    PEOPLE_STATURES,
-    PEOPLE_UNCERTAIN_FLOOR,
-    PEOPLE_UNCERTAIN_FOCAL,
-    PEOPLE_UNCERTAIN_POSE,
-)
-from pipeline.core.problems.session_codes import (
-    PEOPLE_DISAGREE,
-    PEOPLE_NOT_FOUND,
-    PEOPLE_NOT_WHOLE,
-    PEOPLE_ONE_CAMERA,
-    PEOPLE_UNLINKED,
-)
+from pipeline.core.problems import finding_codes, session_codes
 from pipeline.geometry.camera import center_in_world
 
 _FILM = "Let one or two people walk about for a minute where several cameras see them whole."
@@ -50,14 +35,14 @@ def require_people(cameras: Sequence[Camera], tracklets: Sequence[ViewTracklet],
     """Raise ``InputError`` if there is one camera only, or with all cameras that see people too briefly."""
     if len(cameras) < 2:
         message = "People calibrate two cameras or more."
-        raise InputError([Problem(PEOPLE_ONE_CAMERA, message, hint="For one camera, film a board.")])
+        raise InputError([Problem(session_codes.PEOPLE_ONE_CAMERA, message, hint="For one camera, film a board.")])
     problems = []
     for number, camera in enumerate(cameras):
         seen = sum(len(tracklet.points_px) for tracklet in tracklets if tracklet.camera == number)
         if seen < _MIN_INSTANTS:
             least_s = _MIN_INSTANTS / rate_hz
             message = f"The camera sees people for {seen / rate_hz:.1f} s; at least {least_s:.0f} s are required."
-            problems.append(Problem(PEOPLE_NOT_FOUND, message, camera=camera.name, hint=_FILM))
+            problems.append(Problem(session_codes.PEOPLE_NOT_FOUND, message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
 
@@ -73,10 +58,10 @@ def require_linked_by_people(
         own = [pose for pose in relatives if number in (pose.first, pose.second)]
         if own:
             message = "What the camera sees of the people disagrees with the other cameras."
-            problems.append(Problem(PEOPLE_DISAGREE, message, camera=camera.name, hint=_CHECK))
+            problems.append(Problem(session_codes.PEOPLE_DISAGREE, message, camera=camera.name, hint=_CHECK))
         else:
             message = "The camera sees nobody at the same time as another camera, or can't be told to."
-            problems.append(Problem(PEOPLE_UNLINKED, message, camera=camera.name, hint=_FILM))
+            problems.append(Problem(session_codes.PEOPLE_UNLINKED, message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
     return [posed[number] for number in range(len(cameras))]
@@ -86,7 +71,7 @@ def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
     """World. Raises ``InputError`` if there is none."""
     if world is None:
         message = "Nobody is seen from the shoulders to the ankles for a second; scale and vertical are unknown."
-        raise InputError([Problem(PEOPLE_NOT_WHOLE, message, hint=_FILM)])
+        raise InputError([Problem(session_codes.PEOPLE_NOT_WHOLE, message, hint=_FILM)])
     return world
 
 
@@ -108,29 +93,29 @@ def people_warnings(
                 f"{100 * share:.0f} % of what the camera sees of the people fit the other cameras, of whose own "
                 f"{100 * np.median(fitting):.0f} % do: it may stand elsewhere."
             )
-            yield Problem(PEOPLE_POOR_FIT, message, camera=report.name, hint=f"{_CHECK} Or film longer.")
+            yield Problem(finding_codes.PEOPLE_POOR_FIT, message, camera=report.name, hint=f"{_CHECK} Or film longer.")
         if report.reprojection_error_px > _POOR_FIT * median_px:
             message = (
                 f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than that of the other "
                 f"cameras ({median_px:.1f} px)."
             )
-            yield Problem(PEOPLE_POOR_FIT, message, camera=report.name, hint=_CHECK)
+            yield Problem(finding_codes.PEOPLE_POOR_FIT, message, camera=report.name, hint=_CHECK)
         if report.num_views < _FEW_INSTANTS:
             message = f"The camera shares people with another camera for {report.num_views / rate_hz:.1f} s."
-            yield Problem(PEOPLE_FEW_VIEWS, message, camera=report.name, hint=_FILM)
+            yield Problem(finding_codes.PEOPLE_FEW_VIEWS, message, camera=report.name, hint=_FILM)
         if report.rotation_sigma_deg > _MAX_ROTATION_DEG:
             message = (
                 f"The camera's rotation is known to {report.rotation_sigma_deg:.1f} degrees and its position to "
                 f"{report.position_sigma_mm:.0f} mm."
             )
-            yield Problem(PEOPLE_UNCERTAIN_POSE, message, camera=report.name, hint=_FILM)
+            yield Problem(finding_codes.PEOPLE_UNCERTAIN_POSE, message, camera=report.name, hint=_FILM)
         if np.isfinite(report.focal_sigma_percent) and report.focal_sigma_percent > _MAX_FOCAL_PERCENT:
             message = f"The focal length is known to {report.focal_sigma_percent:.1f} %."
             hint = "Give the intrinsics, or calibrate them from a board."
-            yield Problem(PEOPLE_UNCERTAIN_FOCAL, message, camera=report.name, hint=hint)
+            yield Problem(finding_codes.PEOPLE_UNCERTAIN_FOCAL, message, camera=report.name, hint=hint)
     if not world.has_floor:
         message = "The feet reach too little ground to find its slope; the vertical comes from upright standing."
-        yield Problem(PEOPLE_UNCERTAIN_FLOOR, message, hint="Let the people walk all over the place.")
+        yield Problem(finding_codes.PEOPLE_UNCERTAIN_FLOOR, message, hint="Let the people walk all over the place.")
 
 
 def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[Problem]:
@@ -139,10 +124,10 @@ def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[
     given = ", ".join(f"{height_m:.2f}" for height_m in stature_m)
     if -1 in world.statures:
         message = f"More people are seen at once than statures are given ({given} m)."
-        yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
+        yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)
     if unused := [f"{stature_m[number]:.2f}" for number in range(len(stature_m)) if number not in world.statures]:
         message = f"Of the statures {given} m, nobody was given {', '.join(unused)} m: fewer people are seen whole."
-        yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
+        yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)
     pairs = [
         (own_m, stature_m[number])
         for own_m, number in zip(world.estimates_m, world.statures, strict=True)
@@ -155,7 +140,7 @@ def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[
                 f"The ratios of the statures {given} m are not those of the people: the person of {known_m:.2f} m is "
                 f"{own_m:.2f} m tall at the scale that fits most."
             )
-            yield Problem(PEOPLE_STATURES, message, field="stature_m", hint=hint)
+            yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)
 
 
 def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
@@ -165,4 +150,4 @@ def _same_places(cameras: Sequence[Camera]) -> Iterator[Problem]:
     for number, neighbour in zip(*np.nonzero(np.tril(apart_m < limit_m, -1)), strict=True):
         message = f"The camera is at nearly the same place as {cameras[neighbour].name}."
         hint = "Check whether one video was given twice."
-        yield Problem(PEOPLE_SAME_PLACE, message, camera=cameras[number].name, hint=hint)
+        yield Problem(finding_codes.PEOPLE_SAME_PLACE, message, camera=cameras[number].name, hint=hint)

@@ -21,16 +21,8 @@ from pipeline.core.errors import Problem, listed_names
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.paths import StrPath
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FILE_IGNORED
-from pipeline.core.problems.session_codes import (
-    DUPLICATE_KEYPOINTS,
-    KEYPOINTS_MISSING,
-    KEYPOINTS_NONE,
-    KEYPOINTS_UNREADABLE,
-    RECORDING_CAMERA_UNKNOWN,
-    TOO_FEW_FOLDERS,
-    TOO_MANY_PEOPLE,
-)
 
 _FILE_NAME = re.compile(r"(?:.*\D)?(\d{1,15})_keypoints\.json", re.ASCII)
 _LABELS = re.compile(r"(?:.*\D)?(\d{1,15})\.txt", re.ASCII)
@@ -61,7 +53,7 @@ def camera_folders(
     are read elsewhere, ``used``, and copies of them are not reported.
     """
     if not folder.is_dir():
-        problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
+        problems.append(Problem(session_codes.KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name))
         return {}
     entries = sorted(path for path in folder.iterdir() if not path.name.startswith(".") and not is_passed_over(path))
     of_cameras = None if any(path.is_dir() for path in entries) else freemocap.file_of_cameras(entries)
@@ -90,7 +82,7 @@ def camera_folders(
         hint = "Provide a folder of keypoint files for each camera."
         if kinds := foreign.described(path.name for path in entries if path.is_file()):
             message, hint = f"{message} {kinds[0]}", f"{hint} {kinds[1]}"
-        problems.append(Problem(TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
+        problems.append(Problem(session_codes.TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
     return folders
 
 
@@ -115,20 +107,26 @@ def stated_folders(
     names = [camera.name for camera in cameras]
     for camera, folder in folders.items():
         if not folder.is_dir():
-            problems.append(Problem(KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name, camera=camera))
+            problems.append(
+                Problem(session_codes.KEYPOINTS_MISSING, "The folder does not exist.", file=folder.name, camera=camera)
+            )
         if names and camera not in names:
             message, hint = "The calibration has no camera of this name.", f"It has {listed_names(names)}."
-            problems.append(Problem(RECORDING_CAMERA_UNKNOWN, message, file=folder.name, camera=camera, hint=hint))
+            problems.append(
+                Problem(session_codes.RECORDING_CAMERA_UNKNOWN, message, file=folder.name, camera=camera, hint=hint)
+            )
     places = [folder.resolve() for folder in folders.values()]
     for camera, folder in folders.items():
         if places.count(folder.resolve()) > 1:
             message = "The folder is stated to be that of several cameras."
             problems.append(
-                Problem(DUPLICATE_KEYPOINTS, message, file=folder.name, camera=camera, hint="State others.")
+                Problem(
+                    session_codes.DUPLICATE_KEYPOINTS, message, file=folder.name, camera=camera, hint="State others."
+                )
             )
     if len(folders) < MIN_CAMERAS:
         message = f"{len(folders)} folders are stated; at least {MIN_CAMERAS} cameras are needed."
-        problems.append(Problem(TOO_FEW_FOLDERS, message, hint="State a folder for each camera."))
+        problems.append(Problem(session_codes.TOO_FEW_FOLDERS, message, hint="State a folder for each camera."))
     is_there = {camera: folder for camera, folder in folders.items() if folder.is_dir()}
     return is_there if not names else {camera: folder for camera, folder in is_there.items() if camera in names}
 
@@ -189,7 +187,7 @@ class _Problems:
         if not self._num_more:
             return self._first
         message = f"{self._num_more} more {things} have problems."
-        return [*self._first, Problem(KEYPOINTS_UNREADABLE, message, file=self._folder.name)]
+        return [*self._first, Problem(session_codes.KEYPOINTS_UNREADABLE, message, file=self._folder.name)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +208,9 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
     labels = _labels(files)
     if labels and captures:
         message = f"The folder has files of two forms: {captures[0].name} and YOLO's labels {labels[0].name}."
-        problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint="Keep the files of one form."))
+        problems.add(
+            Problem(session_codes.KEYPOINTS_NONE, message, file=folder.name, hint="Keep the files of one form.")
+        )
         return _Files({}, None, [])
     if not named and len(captures) == 1:
         return _Files({}, captures[0], [path for path in paths if path != captures[0]])
@@ -224,7 +224,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
             others.append(path)
         elif (number := int(match[1])) in numbered:
             message = f"{numbered[number].name} has the same frame number."
-            problems.add(Problem(DUPLICATE_KEYPOINTS, message, file=path.name))
+            problems.add(Problem(session_codes.DUPLICATE_KEYPOINTS, message, file=path.name))
         else:
             numbered[number] = path
     if not numbered:
@@ -238,7 +238,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
             message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
         elif known := foreign.described(path.name for path in files):
             message, hint = f"{message} {known[0]}", known[1]
-        problems.add(Problem(KEYPOINTS_NONE, message, file=folder.name, hint=hint))
+        problems.add(Problem(session_codes.KEYPOINTS_NONE, message, file=folder.name, hint=hint))
     return _Files(numbered, None, others)
 
 
@@ -301,7 +301,7 @@ def _read_capture(
     reader, frames = split
     for number, frame in sorted(frames.items()):
         people = _attempt(partial(reader.read, frame, reading), path, camera, number, _FILE_HINT)
-        if isinstance(people, Problem) and people.code == KEYPOINTS_UNREADABLE:
+        if isinstance(people, Problem) and people.code == session_codes.KEYPOINTS_UNREADABLE:
             people = replace(people, message=f"Frame {number}: {people.message}")
         yield number, people
 
@@ -325,11 +325,11 @@ def _attempt(
         return read()
     except CrowdError as error:
         message = f"Frame {number} has {error.num_people} people; at most {MAX_PEOPLE} are allowed."
-        return Problem(TOO_MANY_PEOPLE, message, file=file, camera=camera, hint=_CROWD_HINT)
+        return Problem(session_codes.TOO_MANY_PEOPLE, message, file=file, camera=camera, hint=_CROWD_HINT)
     except KeypointsError as error:
         message, field = str(error), error.field
     except OSError:
         message = "The file can't be read."
     except (UnreadableError, TypeError, KeyError, AttributeError):
         message = "The file is not a keypoint file of a known format, or its people have different numbers of joints."
-    return Problem(KEYPOINTS_UNREADABLE, message, file=file, field=field, hint=hint)
+    return Problem(session_codes.KEYPOINTS_UNREADABLE, message, file=file, field=field, hint=hint)

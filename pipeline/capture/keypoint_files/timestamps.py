@@ -14,15 +14,8 @@ from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FRAMES_DROPPED
-from pipeline.core.problems.session_codes import (
-    FRAME_RATE,
-    NO_FRAME_RATE,
-    TIMESTAMPS_INVALID,
-    TIMESTAMPS_MISSING,
-    TIMESTAMPS_ORDER,
-    TIMESTAMPS_START,
-)
 from pipeline.core.tables import Table, open_table
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
@@ -53,11 +46,15 @@ def times_from_rate(
     if rate_hz is None:
         message = "Keypoints have no times: the frame rate of their videos must be stated, or their timestamps."
         hint = "State frames a second (--frame-rate, or frame_rate_hz in the manifest), or give timestamps."
-        problems.append(Problem(NO_FRAME_RATE, message, field="frame_rate_hz", hint=hint))
+        problems.append(Problem(session_codes.NO_FRAME_RATE, message, field="frame_rate_hz", hint=hint))
         return {}, None
     if not FRAME_RATE_HZ.holds(rate_hz):
         problems.append(
-            Problem(FRAME_RATE, f"A frame rate of {rate_hz:g} Hz is not allowed.", hint=f"Use {FRAME_RATE_HZ}.")
+            Problem(
+                session_codes.FRAME_RATE,
+                f"A frame rate of {rate_hz:g} Hz is not allowed.",
+                hint=f"Use {FRAME_RATE_HZ}.",
+            )
         )
         return {}, None
     rate_hz = float(without_rounding(rate_hz))
@@ -66,7 +63,7 @@ def times_from_rate(
     if not TIME_S.holds(first / rate_hz):
         message = f"The first frame has the number {first}, which is at {first / rate_hz:,.0f} s; {TIME_S} are allowed."
         hint = "Number the files from the start of the capture. If the numbers are times, give timestamps."
-        problems.append(Problem(TIMESTAMPS_START, message, field="frame", hint=hint))
+        problems.append(Problem(session_codes.TIMESTAMPS_START, message, field="frame", hint=hint))
         return {}, None
     times = {
         camera: FrameTimes(np.array(list(by_frame), dtype=np.float64) / rate_hz) for camera, by_frame in frames.items()
@@ -112,13 +109,13 @@ def times_from_file(
         missing = [number for number in by_frame if number not in read.get(camera, {})]
         if missing:
             message = f"{len(missing)} frames have no time; the first is frame {missing[0]}."
-            problems.append(Problem(TIMESTAMPS_MISSING, message, file=timestamps.name, camera=camera))
+            problems.append(Problem(session_codes.TIMESTAMPS_MISSING, message, file=timestamps.name, camera=camera))
             continue
         time_s = np.array([read[camera][number] for number in by_frame], dtype=np.float64)
         if (np.diff(time_s) <= 0).any():
             first = list(by_frame)[int(np.argmax(np.diff(time_s) <= 0)) + 1]
             message = f"Times must ascend from frame to frame; the time of frame {first} does not."
-            problems.append(Problem(TIMESTAMPS_ORDER, message, file=timestamps.name, camera=camera))
+            problems.append(Problem(session_codes.TIMESTAMPS_ORDER, message, file=timestamps.name, camera=camera))
             continue
         times[camera] = FrameTimes(time_s)
     # A camera that saw nobody may have no frames: some programs list none without people.
@@ -129,7 +126,9 @@ def times_from_file(
         (float(times[camera].time_s[0]), min(by_frame)) for camera, by_frame in frames.items() if by_frame
     )
     if start_s > _MAX_START_S:
-        problems.append(Problem(TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT))
+        problems.append(
+            Problem(session_codes.TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT)
+        )
         return times, None
     rates_hz = [measured_rate_hz(time_s) for time_s in with_frames if len(time_s) > 1]
     rate_hz = max(rates_hz, default=float(DEFAULT_RATE))
@@ -138,7 +137,7 @@ def times_from_file(
         hint = (
             "Check that the times are in seconds. Number pictures that are farther apart by seconds: 0, 1, 2 and so on."
         )
-        problems.append(Problem(FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
+        problems.append(Problem(session_codes.FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
     start_s = 0.0 if start_s * rate_hz < 1.0 else start_s
     source = TimeSource(
         files=dict.fromkeys(times, timestamps.name),
@@ -168,13 +167,13 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
             for line, row in table.rows:
                 _add_row(row, line, times_s, name_of)
     except _LateError as error:
-        problems.append(Problem(TIMESTAMPS_START, str(error), file=path.name, hint=_START_HINT))
+        problems.append(Problem(session_codes.TIMESTAMPS_START, str(error), file=path.name, hint=_START_HINT))
     except _InvalidError as error:
-        problems.append(Problem(TIMESTAMPS_INVALID, str(error), file=path.name))
+        problems.append(Problem(session_codes.TIMESTAMPS_INVALID, str(error), file=path.name))
     except FileNotFoundError:
-        problems.append(Problem(TIMESTAMPS_INVALID, "The file does not exist.", file=path.name))
+        problems.append(Problem(session_codes.TIMESTAMPS_INVALID, "The file does not exist.", file=path.name))
     except (OSError, ValueError, csv.Error):
-        problems.append(Problem(TIMESTAMPS_INVALID, "The file can't be read as CSV.", file=path.name))
+        problems.append(Problem(session_codes.TIMESTAMPS_INVALID, "The file can't be read as CSV.", file=path.name))
     else:
         return times_s
     return None

@@ -10,14 +10,7 @@ from pipeline.capture.synchronization.coarse import CameraSplit
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion
 from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes
 from pipeline.core.errors import Problem
-from pipeline.core.problems.finding_codes import (
-    SYNC_AMBIGUOUS,
-    SYNC_IMPRECISE,
-    SYNC_LITTLE_OVERLAP,
-    SYNC_NO_MOTION,
-    SYNC_NOTHING_IN_COMMON,
-    SYNC_UNCERTAIN,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.video.frame_rate import measured_rate_hz
 
 _DECLARE = "Give the offset of each camera."
@@ -85,14 +78,14 @@ def _unlinked(
         if all(moving[k] < _MIN_MOTION for k in split.cameras) or all(moving[k] < _MIN_MOTION for k in others):
             still = number if moving[number] < _MIN_MOTION else min(others, key=lambda k: moving[k])
             message = "The camera sees nobody who moves."
-            yield Problem(SYNC_NO_MOTION, message, camera=cameras[still].name, hint=f"{_FILM} {_DECLARE}")
+            yield Problem(finding_codes.SYNC_NO_MOTION, message, camera=cameras[still].name, hint=f"{_FILM} {_DECLARE}")
         elif shared_s < _MIN_SHARED_S:
             message = f"The camera shares {max(shared_s, 0.0):.1f} s with the others."
-            yield Problem(SYNC_LITTLE_OVERLAP, message, camera=name, hint=_DECLARE)
+            yield Problem(finding_codes.SYNC_LITTLE_OVERLAP, message, camera=name, hint=_DECLARE)
         else:
             message = "No motion of people that the camera sees fits the other cameras, at any offset."
             hint = f"Check that it sees the same people, and its calibration. {_DECLARE}"
-            yield Problem(SYNC_NOTHING_IN_COMMON, message, camera=name, hint=hint)
+            yield Problem(finding_codes.SYNC_NOTHING_IN_COMMON, message, camera=name, hint=hint)
 
 
 def _ambiguous(cameras: Sequence[Camera], splits: Sequence[CameraSplit]) -> Iterator[Problem]:
@@ -106,10 +99,14 @@ def _ambiguous(cameras: Sequence[Camera], splits: Sequence[CameraSplit]) -> Iter
                 f"The motion fits about as well if the camera is {abs(rival.shift_s):.2f} s "
                 f"{'later' if rival.shift_s > 0 else 'earlier'}: it repeats itself, or little of it is in common."
             )
-            yield Problem(SYNC_AMBIGUOUS, message, camera=_names(cameras, split), hint=f"{_FILM} {_DECLARE}")
+            yield Problem(
+                finding_codes.SYNC_AMBIGUOUS, message, camera=_names(cameras, split), hint=f"{_FILM} {_DECLARE}"
+            )
         else:
             message = "People hardly move where the camera sees them: many offsets fit about as well."
-            yield Problem(SYNC_NO_MOTION, message, camera=_names(cameras, split), hint=f"{_FILM} {_DECLARE}")
+            yield Problem(
+                finding_codes.SYNC_NO_MOTION, message, camera=_names(cameras, split), hint=f"{_FILM} {_DECLARE}"
+            )
 
 
 class Rival(NamedTuple):
@@ -149,7 +146,7 @@ def _uncertain(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -
             message = f"The camera's offset is known to {1000 * clock.sigma_s:.0f} ms only."
             if not np.isfinite(clock.sigma_s):
                 message = "Nothing tells the camera's offset."
-            yield Problem(SYNC_IMPRECISE, message, camera=clock.camera, hint=f"{_FILM} {_DECLARE}")
+            yield Problem(finding_codes.SYNC_IMPRECISE, message, camera=clock.camera, hint=f"{_FILM} {_DECLARE}")
 
 
 def _imprecise(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -> Iterator[Problem]:
@@ -157,7 +154,7 @@ def _imprecise(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -
         frames = clock.sigma_s / _period_s(times, clock)
         if frames > _GOOD_SIGMA_FRAMES:
             message = f"The camera's offset is known to {1000 * clock.sigma_s:.1f} ms, {frames:.2f} frames."
-            yield Problem(SYNC_UNCERTAIN, message, camera=clock.camera, hint=_FILM)
+            yield Problem(finding_codes.SYNC_UNCERTAIN, message, camera=clock.camera, hint=_FILM)
 
 
 def _period_s(times: Mapping[str, FrameTimes], clock: CameraClock) -> float:

@@ -9,15 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any
 
+from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.request_codes import (
-    INVALID_VALUE,
-    OUT_OF_RANGE,
-    VALUE_NOT_ALLOWED,
-    WRONG_FORMAT,
-    WRONG_LENGTH,
-    WRONG_TYPE,
-)
 
 _NOUNS: Mapping[str, str] = {
     "array": "a list",
@@ -65,16 +58,19 @@ def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Step
         yield from ((place, code, schema if place == steps else of_item) for place, code, of_item in found[0])
         return
     codes = {code for of_branch in found for _, code, _ in of_branch}
-    if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
-        yield steps, VALUE_NOT_ALLOWED, schema
+    if codes == {
+        request_codes.VALUE_NOT_ALLOWED,
+        request_codes.WRONG_FORMAT,
+    }:  # neither a named value nor a name of the user's own
+        yield steps, request_codes.VALUE_NOT_ALLOWED, schema
     else:
-        yield steps, codes.pop() if len(codes) == 1 else INVALID_VALUE, schema
+        yield steps, codes.pop() if len(codes) == 1 else request_codes.INVALID_VALUE, schema
 
 
 def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, Code, Schema]]:
     if schema["type"] == "array" and isinstance(value, list | tuple):
         if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", math.inf):
-            yield steps, WRONG_LENGTH, schema
+            yield steps, request_codes.WRONG_LENGTH, schema
             return
         for index, item in enumerate(value):
             of_item = schema["items"] if "items" in schema else schema["prefixItems"][index]
@@ -87,28 +83,28 @@ def _fault(schema: Schema, value: Any) -> Code | None:
     """Code of what is wrong with a value that is no list."""
     match schema:
         case {"enum": names}:
-            code: Code | None = VALUE_NOT_ALLOWED if value not in names else None
+            code: Code | None = request_codes.VALUE_NOT_ALLOWED if value not in names else None
         case {"const": name}:
-            code = VALUE_NOT_ALLOWED if value != name else None
+            code = request_codes.VALUE_NOT_ALLOWED if value != name else None
         case {"type": "string", "pattern": pattern} if isinstance(value, str):
-            code = WRONG_FORMAT if not re.search(pattern, value) else None
+            code = request_codes.WRONG_FORMAT if not re.search(pattern, value) else None
         case {"type": "boolean"} if isinstance(value, bool):
             code = None
         case {"type": "integer" | "number"} if isinstance(value, Real) and not isinstance(value, bool):
             code = _number_fault(schema, value)
         case _:
-            code = WRONG_TYPE
+            code = request_codes.WRONG_TYPE
     return code
 
 
 def _number_fault(schema: Schema, value: Any) -> Code | None:
     is_whole = isinstance(value, Integral)  # one of any size, which may be no float
     if not (is_whole or math.isfinite(value)):
-        return OUT_OF_RANGE
+        return request_codes.OUT_OF_RANGE
     if schema["type"] == "integer" and not (is_whole or float(value).is_integer()):
-        return WRONG_TYPE
+        return request_codes.WRONG_TYPE
     is_above = value >= schema.get("minimum", -math.inf) and value > schema.get("exclusiveMinimum", -math.inf)
-    return None if is_above and value <= schema.get("maximum", math.inf) else OUT_OF_RANGE
+    return None if is_above and value <= schema.get("maximum", math.inf) else request_codes.OUT_OF_RANGE
 
 
 def path_text(steps: Steps) -> str:

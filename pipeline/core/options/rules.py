@@ -16,15 +16,8 @@ from pipeline.core.options.choices import Choice, declared_choices
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES, NETWORKS, JobChoices, ReconstructionConfig, Smoothing
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, installed_formats
 from pipeline.core.options.requirements import Steps, faults, path_text, requirement
+from pipeline.core.problems import request_codes
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE, UNKNOWN_PARAMETER
-from pipeline.core.problems.request_codes import (
-    BODY_NOT_INSTALLED,
-    CUTOFF_RANGE,
-    DETECTOR_NOT_INSTALLED,
-    EXPORT_REPEATED,
-    FORMAT_NOT_INSTALLED,
-    FRAME_RANGE,
-)
 from pipeline.core.problems.session_codes import TOO_MANY_FRAMES
 
 CONFIG_CHOICES = {choice.name: choice for choice in declared_choices(ReconstructionConfig)}
@@ -96,7 +89,7 @@ def value_faults(choice: Choice, value: Any) -> list[tuple[Steps, Problem]]:
         found.append((steps, Problem(code, f"{field} must be {words[id(schema)]}.", field=field)))
     if not found and choice.kind == "several" and len(set(value)) < len(value):
         message = f"{choice.name} must name each format once."
-        found.append(((), Problem(EXPORT_REPEATED, message, field=choice.name)))
+        found.append(((), Problem(request_codes.EXPORT_REPEATED, message, field=choice.name)))
     return found
 
 
@@ -126,14 +119,14 @@ def frame_range_problems(start: int, stop: int, num_frames: int) -> Iterator[Pro
     if not 0 <= start < stop <= num_frames:
         message = f"The session has the output frames 0 to {num_frames}, not {start} to {stop}."
         hint = "The second number is the one after the last frame."
-        yield Problem(FRAME_RANGE, message, field="frame_range", hint=hint)
+        yield Problem(request_codes.FRAME_RANGE, message, field="frame_range", hint=hint)
 
 
 def cutoff_problems(smoothing: Smoothing, cutoff_hz: float, frame_rate_hz: float) -> Iterator[Problem]:
     """Find out whether a low-pass is impossible at a frame rate."""
     if smoothing == "butterworth" and not 0 < cutoff_hz < frame_rate_hz / 2:
         message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
-        yield Problem(CUTOFF_RANGE, message, field="cutoff_hz", hint="6 Hz suits most movements.")
+        yield Problem(request_codes.CUTOFF_RANGE, message, field="cutoff_hz", hint="6 Hz suits most movements.")
 
 
 def file_problems(
@@ -173,7 +166,7 @@ def format_problems(exports: Collection[Export], installed: Collection[str]) -> 
             needed = f"the package {form.package.name} and {form.file.name}"
             message = f"{export.upper()} files need {needed}, of which one or both are not installed."
             hint = f"Install them: {command}, then {form.file.install}. Or use another format."
-        yield Problem(FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
+        yield Problem(request_codes.FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
 
 
 def installation_problems(choices: JobChoices, installed: Installed) -> Iterator[Problem]:
@@ -186,7 +179,7 @@ def installation_problems(choices: JobChoices, installed: Installed) -> Iterator
         and choices.body not in installed.bodies
     ):
         message = f"The body {choices.body} is not installed for files of this job."
-        yield Problem(BODY_NOT_INSTALLED, message, field="body", hint=INSTALL_BODY)
+        yield Problem(request_codes.BODY_NOT_INSTALLED, message, field="body", hint=INSTALL_BODY)
     if installed.formats is not None:
         yield from format_problems(choices.exports, installed.formats)
     if installed.networks is not None:
@@ -194,7 +187,7 @@ def installation_problems(choices: JobChoices, installed: Installed) -> Iterator
         if missing:
             message = f"Networks of this job are not installed: {', '.join(missing)}."
             field = "profile" if choices.detector == "auto" else "detector"
-            yield Problem(DETECTOR_NOT_INSTALLED, message, field=field, hint=install_command(*missing))
+            yield Problem(request_codes.DETECTOR_NOT_INSTALLED, message, field=field, hint=install_command(*missing))
 
 
 def install_command(*names: str) -> str:

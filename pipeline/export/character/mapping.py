@@ -18,16 +18,7 @@ import numpy as np
 from pipeline.core.errors import InputError, Problem, listed_names, printable
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.problems.session_codes import BONES_INVALID, CHARACTER_BONES
-from pipeline.export.character.bone_names import (
-    HEAD,
-    HIPS,
-    LIMBS,
-    OPTIONAL,
-    REQUIRED,
-    SIDES,
-    joints_by_name,
-    twist_bones,
-)
+from pipeline.export.character import bone_names
 from pipeline.export.character.bone_shapes import joints_by_shape
 from pipeline.export.character.gltf_reader import CharacterFile, decomposed
 from pipeline.export.character.rig import CharacterRig
@@ -93,8 +84,8 @@ def bone_table(document: Any, name: str | None = None) -> dict[str, str | None]:
         raise InputError([Problem(BONES_INVALID, "The table has no object `bones`.", file=name, hint=_HINT)])
     problems = []
     for joint, bone in bones.items():
-        if joint not in (HIPS, *REQUIRED, *OPTIONAL):
-            hint = f"Joints are {HIPS}, {', '.join(REQUIRED)}, {', '.join(OPTIONAL)}."
+        if joint not in (bone_names.HIPS, *bone_names.REQUIRED, *bone_names.OPTIONAL):
+            hint = f"Joints are {bone_names.HIPS}, {', '.join(bone_names.REQUIRED)}, {', '.join(bone_names.OPTIONAL)}."
             problems.append(Problem(BONES_INVALID, f"There is no joint {printable(joint)}.", file=name, hint=hint))
         elif not (bone is None or isinstance(bone, str)):
             problems.append(Problem(BONES_INVALID, f"The bone of {joint} is no name.", file=name, hint=_HINT))
@@ -123,12 +114,12 @@ def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None =
     nodes = {joint: rig.names.index(bone) for joint, bone in stated.items() if bone is not None}
     named, shaped = (
         {joint: node for joint, node in joints.items() if joint not in stated} | nodes
-        for joints in (joints_by_name(rig, character.humanoid), joints_by_shape(rig))
+        for joints in (bone_names.joints_by_name(rig, character.humanoid), joints_by_shape(rig))
     )
     problems = _wrong(rig, named, character.name)
     if not problems:
         return _completed("vrm" if character.humanoid else "names", rig, named, stated)
-    agrees = all(shaped.get(joint) == node for joint, node in named.items() if joint in REQUIRED)
+    agrees = all(shaped.get(joint) == node for joint, node in named.items() if joint in bone_names.REQUIRED)
     if agrees and not _wrong(rig, shaped, character.name):
         return _completed("shape", rig, shaped, stated)
     raise InputError(problems)
@@ -150,10 +141,10 @@ def connected(rig: CharacterRig, joints: Mapping[str, int]) -> tuple[CharacterRi
     parents = rig.parents.copy()
     translations, rotations, scales = rig.translations.copy(), rig.rotations.copy(), rig.scales.copy()
     moved = []
-    for first, above, end in LIMBS:
+    for first, above, end in bone_names.LIMBS:
         if not {first, above, end} <= joints.keys() or rig.path(joints[above], joints[end]):
             continue
-        node, others = joints[end], {joints[joint] for joint in REQUIRED if joint in joints and joint != end}
+        node, others = joints[end], {joints[joint] for joint in bone_names.REQUIRED if joint in joints and joint != end}
         start, middle, last = rig.positions[[joints[first], joints[above], node]]
         is_near = np.linalg.norm(last - middle) < _MAX_LOWER_SHARE * np.linalg.norm(middle - start)
         in_limb = decomposed(np.linalg.inv(rig.worlds[joints[above]]) @ rig.worlds[node])
@@ -181,8 +172,8 @@ def _unknown(rig: CharacterRig, stated: Mapping[str, str | None], name: str) -> 
 def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Problem]:
     """Problems of bones by joint: missing ones, and limbs that don't hang together."""
     rig, _ = connected(rig, joints)
-    missing = [joint for joint in REQUIRED if joint not in joints]
-    if len(missing) == len(REQUIRED):
+    missing = [joint for joint in bone_names.REQUIRED if joint not in joints]
+    if len(missing) == len(bone_names.REQUIRED):
         hint = "Export the mesh together with its skeleton (armature); a mesh without one has to be rigged first."
         return [Problem(CHARACTER_BONES, "The file has no skeleton of a person.", file=name, hint=hint)]
     if missing:
@@ -195,12 +186,12 @@ def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Prob
             )
         ]
     wrong = []
-    for limb in LIMBS:
+    for limb in bone_names.LIMBS:
         for above, below in itertools.pairwise(limb):
             if joints[above] == joints[below] or not rig.path(joints[above], joints[below]):
                 bones = f"{rig.names[joints[below]]} ({below}) is not below {rig.names[joints[above]]} ({above})"
                 wrong.append(Problem(CHARACTER_BONES, f"The bone {bones}.", file=name, hint=_CHAIN_HINT))
-    if not wrong and rig.common_ancestor(*(joints[joint] for joint in REQUIRED)) is None:
+    if not wrong and rig.common_ancestor(*(joints[joint] for joint in bone_names.REQUIRED)) is None:
         wrong.append(Problem(CHARACTER_BONES, "The bones of the body do not hang together.", file=name))
     return wrong
 
@@ -214,17 +205,24 @@ def _completed(
     """Mapping with the bones of the trunk, and those that share the twist of limbs."""
     own = rig
     rig, moved = connected(rig, joints)
-    arms = [joints[f"{side}Arm"] for side in SIDES]
-    hips = joints[HIPS] if stated.get(HIPS) is not None else rig.common_ancestor(*(joints[joint] for joint in REQUIRED))
-    chest = rig.common_ancestor(*arms, joints[HEAD])
+    arms = [joints[f"{side}Arm"] for side in bone_names.SIDES]
+    hips = (
+        joints[bone_names.HIPS]
+        if stated.get(bone_names.HIPS) is not None
+        else rig.common_ancestor(*(joints[joint] for joint in bone_names.REQUIRED))
+    )
+    chest = rig.common_ancestor(*arms, joints[bone_names.HEAD])
     if hips is None or chest is None:  # Excluded by ``_wrong``.
         raise ValueError("the bones have no common ancestor")
-    spine, neck = rig.path(hips, chest)[1:], rig.path(chest, joints[HEAD])[1:-1]
-    of_joints = {HIPS: hips, **{joint: joints[joint] for joint in (*REQUIRED, *OPTIONAL) if joint in joints}}
+    spine, neck = rig.path(hips, chest)[1:], rig.path(chest, joints[bone_names.HEAD])[1:-1]
+    of_joints = {
+        bone_names.HIPS: hips,
+        **{joint: joints[joint] for joint in (*bone_names.REQUIRED, *bone_names.OPTIONAL) if joint in joints},
+    }
     twists = _twists(rig, of_joints)
     used = {*of_joints.values(), *spine, *neck, *twists}
     # Hips are where the limbs and the head meet in the tree.
-    recognised: dict[str, Recognition] = {joint: "shape" if joint == HIPS else method for joint in of_joints}
+    recognised: dict[str, Recognition] = {joint: "shape" if joint == bone_names.HIPS else method for joint in of_joints}
     return BoneMapping(
         "table" if stated else method,
         {joint: rig.names[node] for joint, node in of_joints.items()},
@@ -232,7 +230,7 @@ def _completed(
         tuple(rig.names[node] for node in spine),
         tuple(rig.names[node] for node in neck),
         {rig.names[node]: joint for node, joint in twists.items()},
-        tuple(joint for joint in OPTIONAL if joint not in of_joints),
+        tuple(joint for joint in bone_names.OPTIONAL if joint not in of_joints),
         tuple(rig.names[node] for node in rig.bones if node not in used),
         tuple(_note(own, rig, joints[joint]) for joint in moved),
     )
@@ -254,8 +252,8 @@ def _twists(rig: CharacterRig, joints: Mapping[str, int]) -> dict[int, str]:
     They are on the way from the elbow to the wrist, or named so and children of the forearm.
     """
     found: dict[int, str] = {}
-    named = set(twist_bones(rig))
-    for side in SIDES:
+    named = set(bone_names.twist_bones(rig))
+    for side in bone_names.SIDES:
         elbow, hand = joints[f"{side}ForeArm"], joints[f"{side}Hand"]
         beside: Sequence[int] = [child for child in rig.children[elbow] if child in named]
         for node in (*rig.path(elbow, hand)[1:-1], *beside):

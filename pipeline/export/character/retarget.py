@@ -20,19 +20,9 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.joints import FINGERS
+from pipeline.export.character import limbs
 from pipeline.export.character.bone_names import HEAD, HIPS, SIDES
 from pipeline.export.character.figure import CharacterFigure
-from pipeline.export.character.limbs import (
-    REACH,
-    BentLimb,
-    HeldFoot,
-    ScaledFloor,
-    between,
-    hold_foot,
-    reach,
-    scaled,
-    twist_rad,
-)
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M
 from pipeline.motion.skeleton.feet.support import belt_m
 from pipeline.motion.skeleton.fitting.articulation import ARM_HINGES, KNEE_HINGE
@@ -152,7 +142,7 @@ class CharacterMotion:
     # Rotations of nodes from the rest pose, about the world's axes
     turns: Mapping[int, Float[np.ndarray, "frames 3 3"]]
     stands: Mapping[str, Bool[np.ndarray, " frames"]]  # Frames in which a foot is held, by side
-    floor: ScaledFloor | None
+    floor: limbs.ScaledFloor | None
     ground: Float[np.ndarray, "frames 3"]  # Way of the ground, such as a treadmill's belt, since the first frame
 
 
@@ -191,7 +181,7 @@ class _Fit:
         self._places_m, self._turned = posed_joints(source)
         legs_m = [source.bone_length_m[[INDEX[f"{side}Leg"], INDEX[f"{side}Foot"]]].sum() for side in SIDES]
         self.scale = figure.leg_length / float(np.mean(legs_m))
-        self.floor = scaled(floor, self.scale)
+        self.floor = limbs.scaled(floor, self.scale)
         self._lift = self._height_of_soles(floor)
         ankles_m = self._places_m[:, [INDEX[f"{side}Foot"] for side in SIDES]]
         is_known = np.ones(ankles_m.shape[:2], bool)
@@ -274,24 +264,24 @@ class _Fit:
             start, leg = starts[side] - lowered, legs[side]
             path = held[side].path(start + leg.thigh + leg.shin - self.ground)
             path = path._replace(ankle=path.ankle + self.ground)
-            limb = BentLimb(self.joint(f"{side}UpLeg"), self.joint(f"{side}Leg"), path.ankle)
-            limb = reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle, is_firm=True)
+            limb = limbs.BentLimb(self.joint(f"{side}UpLeg"), self.joint(f"{side}Leg"), path.ankle)
+            limb = limbs.reach(start, limb, _DOWN, np.array(KNEE_HINGE), lengths[side], path.ankle, is_firm=True)
             for joint, turned in zip(
                 ("UpLeg", "Leg", "Foot", "ToeBase"), (limb.upper, limb.lower, path.foot, path.toes), strict=True
             ):
                 self.set_turn(f"{side}{joint}", turned)
             self.stands[side] = path.stands
 
-    def _held_foot(self, side: str) -> HeldFoot:
+    def _held_foot(self, side: str) -> limbs.HeldFoot:
         """Foot in its contacts, on the ground that a treadmill may move."""
         ankle = self.place(f"{side}Foot") + self._lift[:, None] * _UP - self.ground
         contacts = [c for c in self._source.contacts if c.pinned and c.side == side.lower()]
         foot, measures = self.joint(f"{side}Foot"), self._figure.feet[side]
-        return hold_foot(ankle, foot, measures, contacts, self.floor, self._source.frame_rate_hz)
+        return limbs.hold_foot(ankle, foot, measures, contacts, self.floor, self._source.frame_rate_hz)
 
     def _lowered(
         self,
-        held: Mapping[str, HeldFoot],
+        held: Mapping[str, limbs.HeldFoot],
         starts: Mapping[str, Float[np.ndarray, "frames 3"]],
         lengths: Mapping[str, tuple[float, float]],
     ) -> Float[np.ndarray, "frames 3"]:
@@ -300,7 +290,7 @@ class _Fit:
         for side in SIDES:
             # NaN where the foot is free.
             way = starts[side] - held[side].held - self.ground
-            longest = sum(lengths[side]) * REACH
+            longest = sum(lengths[side]) * limbs.REACH
             reachable = np.sqrt(np.maximum(longest**2 - way[:, 0] ** 2 - way[:, 1] ** 2, 0.0))
             lowered = np.fmax(lowered, way[:, 2] - reachable)
         return _smoothed_above(lowered, self._source.frame_rate_hz)[:, None] * _UP
@@ -311,16 +301,16 @@ class _Fit:
         spine, neck = ([names.index(bone) for bone in bones] for bones in (mapping.spine, mapping.neck))
         for number, node in enumerate(spine, 1):
             share = (number - 1) / (len(spine) - 1) if len(spine) > 1 else 1.0
-            self.turns[node] = between(self.joint("Spine"), self.joint("Chest"), share)
+            self.turns[node] = limbs.between(self.joint("Spine"), self.joint("Chest"), share)
         for number, node in enumerate(neck):
-            self.turns[node] = between(self.joint("Neck"), self.joint(HEAD), number / len(neck))
+            self.turns[node] = limbs.between(self.joint("Neck"), self.joint(HEAD), number / len(neck))
         for joint in (HEAD, *(f"{side}Shoulder" for side in SIDES)):
             self.set_turn(joint, self.joint(joint))
 
     def move_arms(self) -> None:
         """Turn arms as the person's, and lead hands to where they met."""
         figure = self._figure
-        arms: dict[str, BentLimb] = {}
+        arms: dict[str, limbs.BentLimb] = {}
         starts, lengths, free, led = {}, {}, {}, {}
         for side in SIDES:
             lengths[side] = (
@@ -331,7 +321,7 @@ class _Fit:
             upper, lower = self.joint(f"{side}Arm"), self.joint(f"{side}ForeArm")
             (first, second), out = lengths[side], _OUTWARDS[side]
             free[side] = starts[side] + first * times(upper, out) + second * times(lower, out)
-            arms[side] = BentLimb(upper, lower, free[side])
+            arms[side] = limbs.BentLimb(upper, lower, free[side])
         wrists_m = {side: self._places_m[:, INDEX[f"{side}Hand"]] for side in SIDES}
         for side in SIDES:
             share = self._on_floor[side]
@@ -341,7 +331,7 @@ class _Fit:
         middle = (led["Left"] + led["Right"]) / 2
         for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
             place = led[side] + share * (middle + sign * self.scale * apart_m - led[side])
-            limb = reach(
+            limb = limbs.reach(
                 starts[side],
                 arms[side],
                 _OUTWARDS[side],
@@ -364,7 +354,7 @@ class _Fit:
             along = figure.positions[hand] - figure.positions[elbow]
             share = np.clip((figure.positions[node] - figure.positions[elbow]) @ along / (along @ along), 0.0, 1.0)
             axis = along / np.linalg.norm(along)
-            angle = twist_rad(self.turns[elbow].swapaxes(1, 2) @ self.turns[hand], axis)
+            angle = limbs.twist_rad(self.turns[elbow].swapaxes(1, 2) @ self.turns[hand], axis)
             turned = Rotation.from_rotvec(share * angle[:, None] * axis).as_matrix()
             self.turns[node] = self.turns[elbow] @ turned
 

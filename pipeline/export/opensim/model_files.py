@@ -20,27 +20,9 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import JointSet
 from pipeline.core.options.file_formats import file_ending
 from pipeline.core.progress import OnShare, ignore, split
+from pipeline.export.opensim import setup
 from pipeline.export.opensim.installed import ATTRIBUTION, LICENCE_FILE, load
 from pipeline.export.opensim.process import OpenSimLog, run_opensim
-from pipeline.export.opensim.setup import (
-    GENERIC_MODEL,
-    IK_SETUP,
-    MARKER_PATHS,
-    MARKER_SET,
-    MOTION,
-    SCALE_SETUP,
-    SCALED_MODEL,
-    MarkerPaths,
-    ModelSize,
-    encode_ik_setup,
-    encode_marker_set,
-    encode_paths,
-    encode_scale_setup,
-    marker_errors_file,
-    marker_paths,
-    model_size,
-    read_columns,
-)
 from pipeline.export.person_files import replacing, spoilt, without_resting_fingers
 from pipeline.export.results import at_rate
 from pipeline.export.scene import file_origin_m
@@ -156,12 +138,12 @@ class _Work:
     def write(self, folder: Path, model: bytes, licence: bytes, on_share: OnShare) -> WrittenPerson:
         """Write a person's archive."""
         number = self.track.track_id
-        size = model_size(self.motion, self.track, self.joints)
-        paths = marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
+        size = setup.model_size(self.motion, self.track, self.joints)
+        paths = setup.marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
         if len(paths.frames) < _MIN_FRAMES:
             problem = "Hips and shoulders are known together in fewer than two frames: OpenSim's model has no place."
             return WrittenPerson(None, OpenSimPerson(number, len(paths.frames), problem=problem))
-        (self.scratch / GENERIC_MODEL).write_bytes(model)
+        (self.scratch / setup.GENERIC_MODEL).write_bytes(model)
         (self.scratch / LICENCE_FILE).write_bytes(licence)
         self._write_setups(size, paths)
         person = self._run(size, paths, on_share)
@@ -177,17 +159,17 @@ class _Work:
             self._pack(part)
         return WrittenPerson(target, person)
 
-    def _write_setups(self, size: ModelSize, paths: MarkerPaths) -> None:
-        with (self.scratch / MARKER_PATHS).open("wb") as file:
-            file.writelines(encode_paths(paths, self.timebase))
+    def _write_setups(self, size: setup.ModelSize, paths: setup.MarkerPaths) -> None:
+        with (self.scratch / setup.MARKER_PATHS).open("wb") as file:
+            file.writelines(setup.encode_paths(paths, self.timebase))
         for name, content in (
-            (MARKER_SET, encode_marker_set(paths.names, size)),
-            (SCALE_SETUP, encode_scale_setup(self.name, size)),
-            (IK_SETUP, encode_ik_setup(self.name, paths, self.timebase)),
+            (setup.MARKER_SET, setup.encode_marker_set(paths.names, size)),
+            (setup.SCALE_SETUP, setup.encode_scale_setup(self.name, size)),
+            (setup.IK_SETUP, setup.encode_ik_setup(self.name, paths, self.timebase)),
         ):
             (self.scratch / name).write_bytes(content)
 
-    def _run(self, size: ModelSize, paths: MarkerPaths, on_share: OnShare) -> OpenSimPerson:
+    def _run(self, size: setup.ModelSize, paths: setup.MarkerPaths, on_share: OnShare) -> OpenSimPerson:
         """Run OpenSim, and read what it wrote."""
         number, num_frames = self.track.track_id, len(paths.frames)
         if odd := size.odd_bodies:
@@ -205,13 +187,13 @@ class _Work:
 
     def _read_back(self, num_frames: int) -> float:
         """Read back what OpenSim has written; the RMS of the markers. ``OSError`` if it is not whole."""
-        for name in (SCALED_MODEL, MOTION, marker_errors_file(self.name)):
+        for name in (setup.SCALED_MODEL, setup.MOTION, setup.marker_errors_file(self.name)):
             path = self.scratch / name
             content = path.read_text(encoding="utf-8") if path.is_file() else ""
-            if name == SCALED_MODEL:
+            if name == setup.SCALED_MODEL:
                 is_whole = content.rstrip().endswith("</OpenSimDocument>")
             else:
-                columns = read_columns(content)
+                columns = setup.read_columns(content)
                 is_whole = bool(columns) and all(
                     len(values) == num_frames and np.isfinite(values).all() for values in columns.values()
                 )
@@ -241,7 +223,7 @@ def _farthest(log: OpenSimLog) -> tuple[str | None, float | None, float | None]:
     return log.farthest, _MM_PER_M * log.farthest_m, log.farthest_time_s
 
 
-def _factors_text(size: ModelSize, body: str) -> str:
+def _factors_text(size: setup.ModelSize, body: str) -> str:
     return " ".join(f"{factor:.2f}" for factor in dict.fromkeys(size.factors[body]))
 
 
@@ -250,21 +232,21 @@ def _readme(person: OpenSimPerson) -> str:
     found = f"Not complete: {person.problem}\n\n" if person.problem else ""
     return f"""Person {person.id} for OpenSim 4.
 
-{found}{MARKER_PATHS}  paths of the markers: metres, Y up; frames in which the pelvis is unknown are left out
-{GENERIC_MODEL}  generic model
-{MARKER_SET}  markers of the model
-{SCALE_SETUP}    setup of the scale tool: makes {SCALED_MODEL}
-{SCALED_MODEL}   model of the size of the person
-{IK_SETUP}       setup of the inverse kinematics: makes {MOTION}
-{MOTION}       coordinates of the model over time, degrees and metres
+{found}{setup.MARKER_PATHS}  paths of the markers: metres, Y up; frames in which the pelvis is unknown are left out
+{setup.GENERIC_MODEL}  generic model
+{setup.MARKER_SET}  markers of the model
+{setup.SCALE_SETUP}    setup of the scale tool: makes {setup.SCALED_MODEL}
+{setup.SCALED_MODEL}   model of the size of the person
+{setup.IK_SETUP}       setup of the inverse kinematics: makes {setup.MOTION}
+{setup.MOTION}       coordinates of the model over time, degrees and metres
 {REPORT}  stature, mass, factors of the bodies, errors of the markers
 
 To run it again: load the setups in OpenSim's windows Scale Model and Inverse Kinematics, or start in this folder
-  opensim-cmd run-tool {SCALE_SETUP}
-  opensim-cmd run-tool {IK_SETUP}
+  opensim-cmd run-tool {setup.SCALE_SETUP}
+  opensim-cmd run-tool {setup.IK_SETUP}
 or, with the Python package opensim, also in this folder:
-  python -c "import opensim; opensim.ScaleTool('{SCALE_SETUP}').run()"
-  python -c "import opensim; opensim.InverseKinematicsTool('{IK_SETUP}').run()"
+  python -c "import opensim; opensim.ScaleTool('{setup.SCALE_SETUP}').run()"
+  python -c "import opensim; opensim.InverseKinematicsTool('{setup.IK_SETUP}').run()"
 
 {ATTRIBUTION}
 Its terms are in {LICENCE_FILE}.

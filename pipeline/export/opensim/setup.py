@@ -11,28 +11,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import SIDES, JointSet
-from pipeline.export.opensim.anatomy import (
-    ANKLE_IN_FOOT,
-    FEET,
-    FOOT_M,
-    FOREARM_M,
-    HALF_HIPS_M,
-    HALF_SHOULDERS_M,
-    HIPS,
-    LUMBAR,
-    MARKERS,
-    NECK,
-    NECK_IN_HEAD,
-    SHANK_M,
-    SHOULDERS,
-    STATURE_M,
-    THIGH_M,
-    UPPER_ARM_M,
-    BoneMarker,
-    CentreMarker,
-    Place,
-    SeenMarker,
-)
+from pipeline.export.opensim import anatomy
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import fixed, frame_blocks
 from pipeline.export.writers.trc import head
@@ -55,8 +34,8 @@ class ModelSize:
 
     stature_m: float  # Stature by the lengths of legs and trunk
     mass_kg: float  # Mass by the stature
-    factors: Mapping[str, Place]  # Factors of each body along its axes X, Y and Z
-    places_m: Mapping[str, Place]  # Place of each marker in the body of the generic model, before it is scaled
+    factors: Mapping[str, anatomy.Place]  # Factors of each body along its axes X, Y and Z
+    places_m: Mapping[str, anatomy.Place]  # Place of each marker in the body of the generic model, before it is scaled
 
     @property
     def odd_bodies(self) -> tuple[str, ...]:
@@ -99,22 +78,25 @@ def _stature_m(motion: SkeletonMotion) -> float:
     return (_of_both(motion, "Leg") + _of_both(motion, "Foot") + _trunk_m(motion)) / share
 
 
-def _factors(motion: SkeletonMotion, track: Track3D, joints: JointSet, stature_m: float) -> dict[str, Place]:
-    whole = stature_m / STATURE_M
-    hips, shoulders = _of_both(motion, "UpLeg") / HALF_HIPS_M, _of_both(motion, "Arm") / HALF_SHOULDERS_M
+def _factors(motion: SkeletonMotion, track: Track3D, joints: JointSet, stature_m: float) -> dict[str, anatomy.Place]:
+    whole = stature_m / anatomy.STATURE_M
+    hips, shoulders = (
+        _of_both(motion, "UpLeg") / anatomy.HALF_HIPS_M,
+        _of_both(motion, "Arm") / anatomy.HALF_SHOULDERS_M,
+    )
     limbs = {
-        ("femur",): _of_both(motion, "Leg") / THIGH_M,
-        ("tibia",): _of_both(motion, "Foot") / SHANK_M,
-        ("humerus",): _of_both(motion, "ForeArm") / UPPER_ARM_M,
-        ("ulna", "radius", "hand"): _of_both(motion, "Hand") / FOREARM_M,
+        ("femur",): _of_both(motion, "Leg") / anatomy.THIGH_M,
+        ("tibia",): _of_both(motion, "Foot") / anatomy.SHANK_M,
+        ("humerus",): _of_both(motion, "ForeArm") / anatomy.UPPER_ARM_M,
+        ("ulna", "radius", "hand"): _of_both(motion, "Hand") / anatomy.FOREARM_M,
     }
     foot = _foot_factor(track, joints, whole)
     # The trunk is as long as the pelvis, up to the lumbar joint, and the torso from there.
-    back_m = whole * (LUMBAR[0] - HIPS[0]) + shoulders * SHOULDERS[0]
-    up_m = np.sqrt(max(_trunk_m(motion) ** 2 - back_m**2, 0.0)) - whole * (LUMBAR[1] - HIPS[1])
+    back_m = whole * (anatomy.LUMBAR[0] - anatomy.HIPS[0]) + shoulders * anatomy.SHOULDERS[0]
+    up_m = np.sqrt(max(_trunk_m(motion) ** 2 - back_m**2, 0.0)) - whole * (anatomy.LUMBAR[1] - anatomy.HIPS[1])
     return {
         **dict.fromkeys(("pelvis", "sacrum"), (whole, whole, hips)),
-        "torso": (shoulders, float(up_m / SHOULDERS[1]), shoulders),
+        "torso": (shoulders, float(up_m / anatomy.SHOULDERS[1]), shoulders),
         "head": (whole, whole, whole),
         **{
             f"{body}_{side[0]}": (factor, factor, factor)
@@ -122,7 +104,7 @@ def _factors(motion: SkeletonMotion, track: Track3D, joints: JointSet, stature_m
             for bodies, factor in limbs.items()
             for body in bodies
         },
-        **{body: (foot, foot, foot) for side in SIDES for body in FEET[side]},
+        **{body: (foot, foot, foot) for side in SIDES for body in anatomy.FEET[side]},
     }
 
 
@@ -136,20 +118,24 @@ def _foot_factor(track: Track3D, joints: JointSet, otherwise: float) -> float:
             apart_m.append(np.linalg.norm(toe_m - heel_m, axis=-1))
     known_m = np.concatenate(apart_m) if apart_m else np.empty(0)
     known_m = known_m[np.isfinite(known_m)]
-    return float(np.median(known_m)) / FOOT_M if len(known_m) else otherwise
+    return float(np.median(known_m)) / anatomy.FOOT_M if len(known_m) else otherwise
 
 
 def _places_m(
-    motion: SkeletonMotion, track: Track3D, joints: JointSet, factors: Mapping[str, Place]
-) -> dict[str, Place]:
+    motion: SkeletonMotion, track: Track3D, joints: JointSet, factors: Mapping[str, anatomy.Place]
+) -> dict[str, anatomy.Place]:
     rows = np.unique(np.linspace(0, track.num_frames - 1, min(track.num_frames, _MAX_ROWS)).astype(int))
     motion = replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
     part = replace(track, xyz_m=track.xyz_m[rows], source=track.source[rows], uncertainty_m=None)
     positions_m, world_from_segment, known = forward_kinematics(motion), segments_from(motion), observed(part, joints)
     places = {}
-    for name, marker in MARKERS.items():
+    for name, marker in anatomy.MARKERS.items():
         places[name] = marker.place_m
-        if isinstance(marker, SeenMarker) and marker.landmark in joints.names and not marker.segment.endswith("_hand"):
+        if (
+            isinstance(marker, anatomy.SeenMarker)
+            and marker.landmark in joints.names
+            and not marker.segment.endswith("_hand")
+        ):
             joint = "Head" if marker.segment == "head" else f"{marker.segment.partition('_')[0].capitalize()}Foot"
             away_m = part.xyz_m[:, joints.index(marker.landmark)] - positions_m[:, INDEX[joint]]
             beside_m = np.einsum("fji,fj->fi", world_from_segment[marker.segment], away_m)
@@ -161,17 +147,17 @@ def _places_m(
     return places
 
 
-def _head_m(motion: SkeletonMotion, factors: Mapping[str, Place]) -> Float[np.ndarray, " 3"]:
+def _head_m(motion: SkeletonMotion, factors: Mapping[str, anatomy.Place]) -> Float[np.ndarray, " 3"]:
     """Place of the skeleton's head in the scaled model's head, of a person who looks straight ahead."""
-    neck_m = (np.array(NECK) - SHOULDERS) * factors["torso"]
-    return np.array([0.0, _length_m(motion, "Head"), 0.0]) - neck_m + np.array(NECK_IN_HEAD) * factors["head"]
+    neck_m = (np.array(anatomy.NECK) - anatomy.SHOULDERS) * factors["torso"]
+    return np.array([0.0, _length_m(motion, "Head"), 0.0]) - neck_m + np.array(anatomy.NECK_IN_HEAD) * factors["head"]
 
 
-def _ankle_m(segment: str, factors: Mapping[str, Place]) -> Float[np.ndarray, " 3"]:
+def _ankle_m(segment: str, factors: Mapping[str, anatomy.Place]) -> Float[np.ndarray, " 3"]:
     """Place of the ankle in the heel bone of the scaled model."""
     side = segment.partition("_")[0]
     mirror = [1.0, 1.0, 1.0 if side == "right" else -1.0]
-    return np.array(ANKLE_IN_FOOT) * mirror * factors[f"calcn_{side[0]}"]
+    return np.array(anatomy.ANKLE_IN_FOOT) * mirror * factors[f"calcn_{side[0]}"]
 
 
 # Frames that are worked on at once, so that a long take needs little memory.
@@ -206,7 +192,7 @@ def marker_paths(
         of_pelvis.append(is_known)
     xyz_m = np.concatenate(blocks)
     is_shown = np.isfinite(xyz_m).all(-1).any(0)
-    names = tuple(name for name, shown in zip(MARKERS, is_shown, strict=True) if shown)
+    names = tuple(name for name, shown in zip(anatomy.MARKERS, is_shown, strict=True) if shown)
     frames = track.start_frame + np.flatnonzero(np.concatenate(of_pelvis))
     return MarkerPaths(names, frames, xyz_m[:, is_shown] - origin_m)
 
@@ -216,17 +202,17 @@ def _markers_m(
 ) -> tuple[Float[np.ndarray, "frames markers 3"], np.ndarray]:
     """World positions of all markers in some frames, and in which of them the pelvis is known."""
     positions_m, world_from_segment, known = forward_kinematics(motion), segments_from(motion), observed(track, joints)
-    xyz_m = np.full((track.num_frames, len(MARKERS), 3), np.nan)
-    for number, marker in enumerate(MARKERS.values()):
+    xyz_m = np.full((track.num_frames, len(anatomy.MARKERS), 3), np.nan)
+    for number, marker in enumerate(anatomy.MARKERS.values()):
         match marker:
-            case CentreMarker(joint=joint, landmark=landmark) if landmark in joints.names:
+            case anatomy.CentreMarker(joint=joint, landmark=landmark) if landmark in joints.names:
                 is_known = np.isfinite(track.xyz_m[:, joints.index(landmark)]).all(-1)
                 xyz_m[is_known, number] = positions_m[is_known, INDEX[joint]]
-            case BoneMarker(segment=segment, joint=joint, offset_m=offset_m):
+            case anatomy.BoneMarker(segment=segment, joint=joint, offset_m=offset_m):
                 offset = np.array(offset_m) * size.factors[marker.body]
                 place_m = positions_m[:, INDEX[joint]] + world_from_segment[segment] @ offset
                 xyz_m[known[segment], number] = place_m[known[segment]]
-            case SeenMarker(landmark=landmark, segment=segment) if landmark in joints.names:
+            case anatomy.SeenMarker(landmark=landmark, segment=segment) if landmark in joints.names:
                 # Fingers that nobody saw rest in a pose of the model.
                 is_known = known[segment] if segment.endswith("_hand") else np.ones(track.num_frames, bool)
                 xyz_m[is_known, number] = track.xyz_m[is_known, joints.index(landmark)]
@@ -259,7 +245,7 @@ def encode_marker_set(names: Sequence[str], size: ModelSize) -> bytes:
     """Write the markers of the model, at their places in its bodies before these are scaled."""
     markers = "".join(
         f'<Marker name="{escape(name)}">'
-        f"<socket_parent_frame>/bodyset/{MARKERS[name].body}</socket_parent_frame>"
+        f"<socket_parent_frame>/bodyset/{anatomy.MARKERS[name].body}</socket_parent_frame>"
         f"<location>{_numbers(size.places_m[name])}</location><fixed>true</fixed></Marker>\n"
         for name in names
     )
@@ -290,7 +276,7 @@ def encode_ik_setup(name: str, paths: MarkerPaths, timebase: Timebase) -> bytes:
     """Write the setup of the inverse kinematics: which markers count how much."""
     tasks = "".join(
         f'<IKMarkerTask name="{escape(marker)}"><apply>true</apply>'
-        f"<weight>{MARKERS[marker].weight:g}</weight></IKMarkerTask>\n"
+        f"<weight>{anatomy.MARKERS[marker].weight:g}</weight></IKMarkerTask>\n"
         for marker in paths.names
     )
     first_s, last_s = (timebase.time_s(int(paths.frames[row])) for row in (0, -1))

@@ -17,27 +17,7 @@ from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import Finding, SessionCheck
-from pipeline.core.problems.finding_codes import (
-    APPROXIMATE_ASSOCIATION,
-    CALIBRATION_KEPT,
-    CALIBRATION_REFINED,
-    CAMERA_BUMPED,
-    CAMERA_WITHOUT_PEOPLE,
-    DAMAGED_VIDEO,
-    EVERYBODY_REMOVED,
-    FEW_VIEWS,
-    FRAMES_DOUBLED,
-    LIMB_MISMEASURED,
-    MIRROR_IMAGE,
-    NOBODY_FOUND,
-    PERSON_LOST,
-    PERSON_NEVER_MOVES,
-    PHANTOM_ENDED,
-    SYNC_UNCERTAIN,
-    TOO_FEW_CAMERAS,
-    UNCERTAIN_IDENTITY,
-    WORLD_LEVELED,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.export.quality.world_checks import first_names
 from pipeline.motion.skeleton.landmarks import MAX_ASYMMETRY, Landmarks, located_limbs_m
 from pipeline.motion.skeleton.model import INDEX
@@ -122,12 +102,12 @@ def capture_checks(
     )
     findings: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
     measured: Mapping[str, Callable[[], dict[str, Any]]] = {
-        NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
-        PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
-        MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
-        PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
-        PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
-        LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
+        finding_codes.NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
+        finding_codes.PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
+        finding_codes.MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
+        finding_codes.PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
+        finding_codes.PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
+        finding_codes.LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
     }
     for finding in findings:
         if finding["code"] in measured:
@@ -138,7 +118,7 @@ def capture_checks(
 def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
     if len(names) < _MIN_VIEWS:
         yield (
-            TOO_FEW_CAMERAS,
+            finding_codes.TOO_FEW_CAMERAS,
             f"The session has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
         )
 
@@ -151,7 +131,7 @@ def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     ]
     if described:
         yield (
-            FRAMES_DOUBLED,
+            finding_codes.FRAMES_DOUBLED,
             f"Frames show the picture before once more in {first_names(described)}. People lag behind by a frame "
             "there; record with a camera that keeps its rate, or export without a constant rate.",
         )
@@ -175,7 +155,7 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     ]
     subject = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
     yield (
-        DAMAGED_VIDEO,
+        finding_codes.DAMAGED_VIDEO,
         f"{subject} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's "
         "next keyframe.",
     )
@@ -185,7 +165,10 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
     if seen:
         return
     if take.is_emptied:
-        yield EVERYBODY_REMOVED, "The edits leave nobody of the people who were found. Undo an edit to get them back."
+        yield (
+            finding_codes.EVERYBODY_REMOVED,
+            "The edits leave nobody of the people who were found. Undo an edit to get them back.",
+        )
         return
     check = take.check
     errors = list(_reasons(check))
@@ -199,7 +182,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
         detected = f"People were detected ({people}, at {check.num_instants} instants)"
         reason = f"{detected}, but not matched across cameras. {reason}"
-    yield NOBODY_FOUND, f"Nobody was found. {reason}"
+    yield finding_codes.NOBODY_FOUND, f"Nobody was found. {reason}"
 
 
 def _reasons(check: SessionCheck) -> Iterator[Finding]:
@@ -225,12 +208,12 @@ def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator
     unused = [name for name, is_used in zip(names, used, strict=True) if not is_used]
     if len(unused) == 1:
         yield (
-            CAMERA_WITHOUT_PEOPLE,
+            finding_codes.CAMERA_WITHOUT_PEOPLE,
             f"Nobody was matched in {unused[0]}: its video, calibration or timing may be wrong.",
         )
     elif unused:
         yield (
-            CAMERA_WITHOUT_PEOPLE,
+            finding_codes.CAMERA_WITHOUT_PEOPLE,
             f"Nobody was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
             "timing may be wrong.",
         )
@@ -241,10 +224,10 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
         return
     people = [f"person-{track_id}" for track_id, frames in seen.items() if _has_few_views(frames)]
     if len(people) == 1:
-        yield FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
+        yield finding_codes.FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
     elif people:
         yield (
-            FEW_VIEWS,
+            finding_codes.FEW_VIEWS,
             f"{len(people)} people were seen by fewer than {_MIN_VIEWS} cameras in most frames: {first_names(people)}.",
         )
 
@@ -252,7 +235,7 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
 def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
     if reconstruction.num_approximate_frames:
         yield (
-            APPROXIMATE_ASSOCIATION,
+            finding_codes.APPROXIMATE_ASSOCIATION,
             f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
             "many people for an exact matching: a simpler rule matched them.",
         )
@@ -267,7 +250,7 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
     if doubtful:
         described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
         yield (
-            UNCERTAIN_IDENTITY,
+            finding_codes.UNCERTAIN_IDENTITY,
             f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
@@ -278,14 +261,14 @@ def _check_losses(take: Reconstruction) -> Iterator[tuple[str, str]]:
     if vanished:
         subject = "A person vanishes" if len(vanished) == 1 else "People vanish"
         yield (
-            PERSON_LOST,
+            finding_codes.PERSON_LOST,
             f"{subject} in the middle of the room, where cameras view the place: {first_names(vanished)}. The person "
             "is hidden there, or was not detected or not matched.",
         )
     phantoms = [_describe_loss(loss) for loss in take.losses if loss.kind == "phantom"]
     if phantoms:
         yield (
-            PHANTOM_ENDED,
+            finding_codes.PHANTOM_ENDED,
             f"A track was made of other people's limbs, and these frames were taken from it: {first_names(phantoms)}.",
         )
 
@@ -318,7 +301,7 @@ def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[str, str]]:
             for limb in limbs
         ]
         yield (
-            LIMB_MISMEASURED,
+            finding_codes.LIMB_MISMEASURED,
             f"A limb was located with a wrong length in most frames: {first_names(described)}. Views, frames and the "
             "proportions of the body tell the length that is used. The limb may be hidden.",
         )
@@ -333,7 +316,7 @@ def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple
     if people:
         subject = "A person never moves" if len(people) == 1 else f"{len(people)} people never move"
         yield (
-            PERSON_NEVER_MOVES,
+            finding_codes.PERSON_NEVER_MOVES,
             f"{subject}: {first_names(people)}. It is a picture, a figure, or somebody who sleeps, and counts neither "
             "for the floor nor for the refinement of the calibration. Of a number of people to keep it is the last.",
         )
@@ -348,7 +331,7 @@ def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tupl
     if images:
         subject = "A person is the mirror image of another one" if len(images) == 1 else "People are mirror images"
         yield (
-            MIRROR_IMAGE,
+            finding_codes.MIRROR_IMAGE,
             f"{subject}: {first_names(images)}. Images count neither for the floor nor for the refinement of the "
             "calibration. Of a number of people to keep they are the last.",
         )
@@ -398,18 +381,18 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             for move in refinement.moved
         ]
         yield (
-            CALIBRATION_REFINED,
+            finding_codes.CALIBRATION_REFINED,
             f"The calibration did not fit the people: {errors[0]}. It was refined to {errors[1]}. Cameras moved, the "
             f"largest move first: {first_names(moves)}. Use calibration.json for takes of the same cameras.",
         )
     else:
         yield (
-            CALIBRATION_KEPT,
+            finding_codes.CALIBRATION_KEPT,
             f"The calibration was not refined, and is used as given. {_why_kept(refinement, *errors)}",
         )
     if refinement.world is not None:
         yield (
-            WORLD_LEVELED,
+            finding_codes.WORLD_LEVELED,
             f"The floor was tilted by {refinement.world.tilt_deg:.1f} degrees and at a height of "
             f"{refinement.world.height_m:.2f} m. The world was levelled: feet stand at z = 0. Use calibration.json for "
             "takes of the same cameras.",
@@ -420,7 +403,7 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]
             for bump in refinement.bumped
         ]
         yield (
-            CAMERA_BUMPED,
+            finding_codes.CAMERA_BUMPED,
             f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
             "their own.",
         )
@@ -446,7 +429,7 @@ def _check_synchronization(synchronization: Synchronization | None) -> Iterator[
     if synchronization is not None and synchronization.warnings:
         described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
         yield (
-            SYNC_UNCERTAIN,
+            finding_codes.SYNC_UNCERTAIN,
             f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "
             "all cameras see them.",
         )

@@ -17,17 +17,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import JointSet
+from pipeline.core.problems import finding_codes
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.finding_codes import (
-    CAMERA_BELOW_FLOOR,
-    CAMERA_DISAGREES,
-    FLOOR_NOT_AT_ZERO,
-    FLOOR_TILTED,
-    MIRRORED_WORLD,
-    NOT_UPRIGHT,
-    STATURE_OUT_OF_RANGE,
-    UPSIDE_DOWN,
-)
 from pipeline.export.quality.camera_shifts import CameraShift
 from pipeline.geometry.camera import center_in_world
 from pipeline.motion.skeleton.feet.floor import MAX_HEIGHT_M, MAX_TILT_DEG
@@ -162,12 +153,16 @@ def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> Le
             f"People lean {lean_deg:.0f} degrees{when}, and the cameras are upright: people {pose}, or the "
             "calibration's up axis is not Z."
         )
-        return LeanFault(NOT_UPRIGHT, message, f"If people stand, {_STATE_UP}", is_agreed)
+        return LeanFault(finding_codes.NOT_UPRIGHT, message, f"If people stand, {_STATE_UP}", is_agreed)
     if is_down:
         message = "Heads are below feet: the calibration's Z axis points down."
-        return LeanFault(UPSIDE_DOWN, message, "Turn the calibration: state by `up` which axis points up.", is_agreed)
+        return LeanFault(
+            finding_codes.UPSIDE_DOWN, message, "Turn the calibration: state by `up` which axis points up.", is_agreed
+        )
     message = f"People lean {lean_deg:.0f} degrees{when}: the calibration's up axis may not be Z."
-    return LeanFault(NOT_UPRIGHT, message, "Check which axis points up; state it by `up` if it is not Z.", is_agreed)
+    return LeanFault(
+        finding_codes.NOT_UPRIGHT, message, "Check which axis points up; state it by `up` if it is not Z.", is_agreed
+    )
 
 
 def _check_upright(cameras: Sequence[Camera], tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
@@ -184,10 +179,10 @@ def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
     if abs(floor_m) > MAX_HEIGHT_M:
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
         hint = f"Move the calibration's origin by {floor_m:.2f} m along Z, or level it (`refine_calibration`)."
-        yield FLOOR_NOT_AT_ZERO, message, None, floor_m, hint
+        yield finding_codes.FLOOR_NOT_AT_ZERO, message, None, floor_m, hint
     if floor is not None and floor.tilt_deg > MAX_TILT_DEG:
         message = f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
-        yield FLOOR_TILTED, message, None, floor.tilt_deg, _LEVEL
+        yield finding_codes.FLOOR_TILTED, message, None, floor.tilt_deg, _LEVEL
 
 
 def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
@@ -204,11 +199,11 @@ def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
     if len(odd_m) == 1:
         ((person, stature_m),) = odd_m.items()
         message = f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
-        yield STATURE_OUT_OF_RANGE, message, None, middle_m, hint
+        yield finding_codes.STATURE_OUT_OF_RANGE, message, None, middle_m, hint
         return
     people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
     yield (
-        STATURE_OUT_OF_RANGE,
+        finding_codes.STATURE_OUT_OF_RANGE,
         f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
         "may not be the metre.",
         None,
@@ -233,7 +228,7 @@ def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found
     if below:
         lowest = min(below, key=lambda name: heights_m[name])
         message = f"Cameras are below the floor: {first_names(below)}."
-        yield CAMERA_BELOW_FLOOR, message, lowest, heights_m[lowest], "Check the calibration's axes."
+        yield finding_codes.CAMERA_BELOW_FLOOR, message, lowest, heights_m[lowest], "Check the calibration's axes."
 
 
 def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
@@ -244,7 +239,7 @@ def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_
     share = float(np.mean(sign < 0.0)) if len(sign) else 0.0
     if len(sign) >= MIRRORED_FRAMES and share >= MIRRORED_SHARE:
         yield (
-            MIRRORED_WORLD,
+            finding_codes.MIRRORED_WORLD,
             f"People's left and right are exchanged in {100 * share:.0f} % of the frames: the world is mirrored.",
             None,
             share,
@@ -272,7 +267,7 @@ def _check_shifts(cameras: Sequence[Camera], shifted: Sequence[CameraShift]) -> 
     for shift in shifted:
         name = cameras[shift.camera].name
         yield (
-            CAMERA_DISAGREES,
+            finding_codes.CAMERA_DISAGREES,
             f"{name}: {shift.message}",
             name,
             shift.shift_px,

@@ -8,14 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.core.findings import Finding, worst_first
-from pipeline.export.report.biomechanics import (
-    GAIT_COLUMNS,
-    MOVEMENT_COLUMNS,
-    PersonAngles,
-    angle_parts,
-    gait_rows,
-    movement_rows,
-)
+from pipeline.export.report import biomechanics
 from pipeline.export.report.markup import Markup, data, element, join, source_hash
 from pipeline.export.report.pictures import Picture
 
@@ -33,7 +26,7 @@ class ReportContents:
     name: str  # Name of the take
     motion: Mapping[str, Any]  # Motion and quality for the script, as ``embed_motion`` gives them
     metrics: Mapping[str, Any]  # Content of ``metrics.json``
-    angles: Sequence[PersonAngles]  # Joint angles of the first people
+    angles: Sequence[biomechanics.PersonAngles]  # Joint angles of the first people
     findings: Sequence[Finding]  # Warnings of the result
     pictures: Sequence[Picture]  # Pictures of the cameras, pictures of a moment together
     notes: Sequence[str]  # Sentences about the report itself, such as pictures that are missing
@@ -165,8 +158,8 @@ def _gait(contents: ReportContents) -> Markup:
     tables = [
         _table(caption, columns, rows)
         for caption, columns, rows in (
-            ("Gait", GAIT_COLUMNS, gait_rows(named)),
-            ("Movements", MOVEMENT_COLUMNS, movement_rows(named)),
+            ("Gait", biomechanics.GAIT_COLUMNS, biomechanics.gait_rows(named)),
+            ("Movements", biomechanics.MOVEMENT_COLUMNS, biomechanics.movement_rows(named)),
         )
         if rows
     ]
@@ -184,7 +177,7 @@ def _angles(contents: ReportContents) -> Markup:
     ]
     if len(contents.metrics["people"]) > len(contents.angles):
         notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")
-    parts = angle_parts(contents.angles, contents.metrics["frame_rate_hz"])
+    parts = biomechanics.angle_parts(contents.angles, contents.metrics["frame_rate_hz"])
     return _section("angles", "Joint angles", (element("p", note, class_="quiet") for note in notes), parts)
 
 

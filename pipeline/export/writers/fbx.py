@@ -30,26 +30,11 @@ from pipeline.core.options.config import Body, Preset
 from pipeline.export.presets import PRESETS, Y_UP_FROM_WORLD, Convention
 from pipeline.export.scene import FLOOR, Rgb, TakeScene, color_rgb
 from pipeline.export.timelines import frame_blocks, held
+from pipeline.export.writers import fbx_scene
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_camera, add_material, add_mesh, add_skin
 from pipeline.export.writers.fbx_nodes import FbxError, Int64, Node, read, write
-from pipeline.export.writers.fbx_scene import (
-    ROTATION,
-    ROTATION_ORDERS,
-    SCENE,
-    TRANSLATION,
-    Clip,
-    FbxScene,
-    choice,
-    integer,
-    local,
-    number,
-    safe_name,
-    setting,
-    ticks,
-    vector,
-)
 from pipeline.export.writers.fbx_stored import StoredScene, has_setting, numbers, object_name
 from pipeline.export.writers.registry import TakeWriter, Writer
 from pipeline.export.writers.rotation_orders import chained, matrices, rotation_orders
@@ -164,18 +149,22 @@ class _People:
         body: BodyChoice,
     ) -> None:
         self._body = body
-        self.scene, self.convention = FbxScene(frame_rate_hz, convention.units_per_m), convention
+        self.scene, self.convention = fbx_scene.FbxScene(frame_rate_hz, convention.units_per_m), convention
         self._origin_m, self._frames = origin_m, frames
         self._at_rest: list[tuple[list[Int64], BodyAtRest]] = []
 
     def person_name(self, motion: SkeletonMotion) -> str:
         """Name of a person in the file, never a joint's name: some programs find models by their names."""
-        name = safe_name(motion.name) or f"person-{motion.track_id}"
+        name = fbx_scene.safe_name(motion.name) or f"person-{motion.track_id}"
         is_of_joint = name in {self.convention.name(joint.name) for joint in WHOLE_SKELETON}
         return f"{name} ({motion.track_id})" if is_of_joint else name
 
     def add(
-        self, motion: SkeletonMotion, clip: Clip, top_name: str, is_present: Bool[np.ndarray, " frames"] | None
+        self,
+        motion: SkeletonMotion,
+        clip: fbx_scene.Clip,
+        top_name: str,
+        is_present: Bool[np.ndarray, " frames"] | None,
     ) -> None:
         """Add a person with the body and the motion, below a node with a name."""
         scene, convention = self.scene, self.convention
@@ -208,31 +197,40 @@ class _People:
 
 
 def add_top(
-    scene: FbxScene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
+    scene: fbx_scene.FbxScene, motion: SkeletonMotion, name: str, origin_m: Float[np.ndarray, " 3"], start_frame: int
 ) -> Int64:
     """Add the node above the joints, on the floor."""
     facts = [
-        integer("track_id", motion.track_id, "U"),
-        integer("start_frame", start_frame, "U"),
-        number("frame_rate_hz", motion.frame_rate_hz, "U"),
+        fbx_scene.integer("track_id", motion.track_id, "U"),
+        fbx_scene.integer("start_frame", start_frame, "U"),
+        fbx_scene.number("frame_rate_hz", motion.frame_rate_hz, "U"),
     ]
     if origin_m.any():
-        facts.append(vector(ORIGIN, origin_m, flags="U"))
-    top = scene.add_model(name, "Null", SCENE, *facts)
+        facts.append(fbx_scene.vector(ORIGIN, origin_m, flags="U"))
+    top = scene.add_model(name, "Null", fbx_scene.SCENE, *facts)
     scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", "Null", Node("TypeFlags", ("Null",))), top)
     return top
 
 
-def _add_joint(scene: FbxScene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str) -> Int64:
-    turns = setting("RotationActive", "bool", "", 1), choice("RotationOrder", ROTATION_ORDERS.index(axes))
-    places = local(TRANSLATION, offset), local(ROTATION, np.zeros(3))
+def _add_joint(
+    scene: fbx_scene.FbxScene, name: str, parent: Int64, offset: Float[np.ndarray, " 3"], axes: str
+) -> Int64:
+    turns = (
+        fbx_scene.setting("RotationActive", "bool", "", 1),
+        fbx_scene.choice("RotationOrder", fbx_scene.ROTATION_ORDERS.index(axes)),
+    )
+    places = fbx_scene.local(fbx_scene.TRANSLATION, offset), fbx_scene.local(fbx_scene.ROTATION, np.zeros(3))
     bone = scene.add_model(name, _LIMB, parent, *turns, *places)
     scene.connect(scene.add("NodeAttribute", name, "NodeAttribute", _LIMB, Node("TypeFlags", ("Skeleton",))), bone)
     return bone
 
 
 def _add_skin(
-    scene: FbxScene, name: str, track_id: int, body: BodyAtRest, models: Mapping[Int64, Float[np.ndarray, " 3"]]
+    scene: fbx_scene.FbxScene,
+    name: str,
+    track_id: int,
+    body: BodyAtRest,
+    models: Mapping[Int64, Float[np.ndarray, " 3"]],
 ) -> Int64:
     """Add the body of a person; ``models`` are the node at the top and the joints' nodes, with their places.
 
@@ -260,8 +258,8 @@ def _moved(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _animate(
-    scene: FbxScene,
-    clip: Clip,
+    scene: fbx_scene.FbxScene,
+    clip: fbx_scene.Clip,
     models: list[Int64],
     motion: SkeletonMotion,
     convention: Convention,
@@ -276,19 +274,19 @@ def _animate(
     if not len(motion.root_m):
         return
     places = convention.file_from_xyz_m(held(motion.root_m, motion.frames, frames) - origin_m)
-    scene.animate(clip, models[0], TRANSLATION, places[0], lambda axis: places[:, axis])
+    scene.animate(clip, models[0], fbx_scene.TRANSLATION, places[0], lambda axis: places[:, axis])
     num_joints = len(motion.bone_length_m)
     joints = [*_with_children(num_joints), *range(num_joints, len(models))]
     angles = _Angles(motion, convention, orders, joints, frames)
     for index in joints:
-        scene.animate(clip, models[index], ROTATION, angles.first(index), partial(angles.angles_deg, index))
+        scene.animate(clip, models[index], fbx_scene.ROTATION, angles.first(index), partial(angles.angles_deg, index))
 
 
-def _animate_rest(scene: FbxScene, clip: Clip, models: list[Int64], body: BodyAtRest) -> None:
+def _animate_rest(scene: fbx_scene.FbxScene, clip: fbx_scene.Clip, models: list[Int64], body: BodyAtRest) -> None:
     """Add curves of the rest pose, so that programs stand the skeleton in it, whatever pose it was in before."""
-    scene.animate(clip, models[0], TRANSLATION, body.offsets[0], lambda axis: body.offsets[:1, axis])
+    scene.animate(clip, models[0], fbx_scene.TRANSLATION, body.offsets[0], lambda axis: body.offsets[:1, axis])
     for index in _with_children(len(models)):
-        scene.animate(clip, models[index], ROTATION, np.zeros(3), lambda _: np.zeros(1))
+        scene.animate(clip, models[index], fbx_scene.ROTATION, np.zeros(3), lambda _: np.zeros(1))
 
 
 def _with_children(num_joints: int) -> list[int]:
@@ -400,20 +398,20 @@ class _StoredSkeleton:
             raise FbxError("joints have other parents")
         facts = scene.objects[top]
         self.origin_m = np.array(numbers(facts, ORIGIN, 3) if has_setting(facts, ORIGIN) else (0.0, 0.0, 0.0))
-        self.offsets = np.array([numbers(scene.objects[model], TRANSLATION, 3) for model in models])
+        self.offsets = np.array([numbers(scene.objects[model], fbx_scene.TRANSLATION, 3) for model in models])
         (rate_hz,) = numbers(scene.global_settings, "CustomFrameRate", 1)
         layer = next(iter(scene.find_all("AnimationLayer", "")), 0)
-        self.places = _curves(scene, layer, models[0], TRANSLATION, rate_hz)
+        self.places = _curves(scene, layer, models[0], fbx_scene.TRANSLATION, rate_hz)
         self.num_frames = len(self.places[0]) if self.places else 0
         self.rotations = {}
         for index in _with_children(num_joints) if self.num_frames else ():
             (order,) = numbers(scene.objects[models[index]], "RotationOrder", 1)
-            if order not in range(len(ROTATION_ORDERS)):
+            if order not in range(len(fbx_scene.ROTATION_ORDERS)):
                 raise FbxError(f"rotations have the order {order}")
-            curves = _curves(scene, layer, models[index], ROTATION, rate_hz)
+            curves = _curves(scene, layer, models[index], fbx_scene.ROTATION, rate_hz)
             if not curves or len(curves[0]) != self.num_frames:
                 raise FbxError("curves have different numbers of frames")
-            self.rotations[index] = ROTATION_ORDERS[int(order)], curves
+            self.rotations[index] = fbx_scene.ROTATION_ORDERS[int(order)], curves
 
 
 def _limbs_below(scene: StoredScene, top: int) -> dict[str, int]:
@@ -435,7 +433,7 @@ def _curves(
         return []
     times, values = found
     for curve in times:
-        if not np.array_equal(curve, ticks(len(values[0]), rate_hz)):
+        if not np.array_equal(curve, fbx_scene.ticks(len(values[0]), rate_hz)):
             raise FbxError("a curve has keys at other times than the frames")
     return values
 

@@ -9,24 +9,9 @@ from jaxtyping import Float, Int
 
 from pipeline.export.presets import Convention
 from pipeline.export.scene import Rgb, SceneCamera
+from pipeline.export.writers import fbx_scene
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_nodes import Int64, Node, array
-from pipeline.export.writers.fbx_scene import (
-    ROTATION,
-    ROTATION_ORDERS,
-    SCENE,
-    TRANSLATION,
-    FbxScene,
-    choice,
-    local,
-    matrix,
-    number,
-    safe_name,
-    setting,
-    settings,
-    vector,
-    visible,
-)
 
 _MESH = "Mesh"
 # Distances between which programs show what a camera sees.
@@ -49,7 +34,7 @@ class DrawnMesh:
 
 
 def add_mesh(
-    scene: FbxScene,
+    scene: fbx_scene.FbxScene,
     name: str,
     vertices: Float[np.ndarray, "vertices 3"],
     polygons: Int[np.ndarray, "polygons corners"],
@@ -66,7 +51,7 @@ def add_mesh(
     if uv is not None:
         places = Node("UV", (array("d", uv[polygons].reshape(-1)),))
         pictured = (_layer_element("LayerElementUV", 101, "ByPolygonVertex", "Direct", places),)
-    model = scene.add_model(name, _MESH, SCENE, visible(True))
+    model = scene.add_model(name, _MESH, fbx_scene.SCENE, fbx_scene.visible(True))
     geometry = scene.add(
         *("Geometry", name, "Geometry", _MESH),
         Node("GeometryVersion", (124,)),
@@ -121,7 +106,7 @@ class BoundVertices:
     file_from_model: Float[np.ndarray, "4 4"]  # Transform of the model in the bind pose
 
 
-def add_skin(scene: FbxScene, name: str, drawn: DrawnMesh, bound: Iterable[BoundVertices]) -> None:
+def add_skin(scene: fbx_scene.FbxScene, name: str, drawn: DrawnMesh, bound: Iterable[BoundVertices]) -> None:
     """Bind a mesh, whose vertices are in the file's axes, to models."""
     skin = scene.add("Deformer", name, "Deformer", "Skin", Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)))
     scene.connect(skin, drawn.geometry)
@@ -132,14 +117,14 @@ def add_skin(scene: FbxScene, name: str, drawn: DrawnMesh, bound: Iterable[Bound
             Node("UserData", ("", "")),
             Node("Indexes", (array("i", part.vertices),)),
             Node("Weights", (array("d", part.weights),)),
-            Node("Transform", (matrix(np.linalg.inv(part.file_from_model)),)),
-            Node("TransformLink", (matrix(part.file_from_model),)),
+            Node("Transform", (fbx_scene.matrix(np.linalg.inv(part.file_from_model)),)),
+            Node("TransformLink", (fbx_scene.matrix(part.file_from_model),)),
         )
         scene.connect(cluster, skin)
         scene.connect(part.model, cluster)
 
 
-def add_material(scene: FbxScene, name: str, rgb: Rgb) -> Int64:
+def add_material(scene: fbx_scene.FbxScene, name: str, rgb: Rgb) -> Int64:
     """Add a matt material of a colour."""
     color = np.array(rgb) / 255.0
     return scene.add(
@@ -147,16 +132,20 @@ def add_material(scene: FbxScene, name: str, rgb: Rgb) -> Int64:
         Node("Version", (102,)),
         Node("ShadingModel", ("lambert",)),
         Node("MultiLayer", (0,)),
-        settings(vector("DiffuseColor", color, "Color", ""), number("DiffuseFactor", 1.0)),
+        fbx_scene.settings(
+            fbx_scene.vector("DiffuseColor", color, "Color", ""), fbx_scene.number("DiffuseFactor", 1.0)
+        ),
     )
 
 
-def add_camera(scene: FbxScene, shown: SceneCamera, convention: Convention, origin_m: Float[np.ndarray, " 3"]) -> None:
+def add_camera(
+    scene: fbx_scene.FbxScene, shown: SceneCamera, convention: Convention, origin_m: Float[np.ndarray, " 3"]
+) -> None:
     """Add a camera: its place, focal length and film, and the calibration of the lens as a text."""
-    name, camera = safe_name(shown.camera.name), shown.camera
+    name, camera = fbx_scene.safe_name(shown.camera.name), shown.camera
     place = shown.world_from_cam
     turn = convention.file_from_world @ place.rotation @ _CV_FROM_FBX_CAMERA
-    (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], ROTATION_ORDERS[:1], np.zeros((1, 3)))
+    (((z_deg, y_deg, x_deg),),) = euler_deg(turn[None, None], fbx_scene.ROTATION_ORDERS[:1], np.zeros((1, 3)))
     (width, height), (f_x, f_y) = camera.size_px, camera.matrix[[0, 1], [0, 1]]
     is_upright = height / f_y > width / f_x
     # The film of an upright picture is a square of which the sides are not seen.
@@ -164,29 +153,29 @@ def add_camera(scene: FbxScene, shown: SceneCamera, convention: Convention, orig
     film_height_mm = focal_length_mm * height / f_y
     across_deg, upright_deg = np.degrees(shown.fov_rad)
     model = scene.add_model(
-        *(name, "Camera", SCENE),
-        local(TRANSLATION, convention.file_from_xyz_m(place.translation_m - origin_m)),
-        local(ROTATION, (x_deg, y_deg, z_deg)),
-        setting("calibration", "KString", "", json.dumps(shown.facts), flags="U"),
+        *(name, "Camera", fbx_scene.SCENE),
+        fbx_scene.local(fbx_scene.TRANSLATION, convention.file_from_xyz_m(place.translation_m - origin_m)),
+        fbx_scene.local(fbx_scene.ROTATION, (x_deg, y_deg, z_deg)),
+        fbx_scene.setting("calibration", "KString", "", json.dumps(shown.facts), flags="U"),
     )
     lens = scene.add(
         *("NodeAttribute", name, "NodeAttribute", "Camera"),
-        settings(
-            setting("AspectWidth", "double", "Number", float(width)),
+        fbx_scene.settings(
+            fbx_scene.setting("AspectWidth", "double", "Number", float(width)),
             # Of square pixels: programs take the shape of the picture from here.
-            setting("AspectHeight", "double", "Number", float(height * f_x / f_y)),
-            choice("ResolutionMode", 0),
-            choice("ApertureMode", _FOCAL_LENGTH_MODE),
-            choice("GateFit", _FIT_VERTICAL if is_upright else _FIT_NONE),
-            number("FilmWidth", _FILM_MM / _MM_PER_INCH),
-            number("FilmHeight", film_height_mm / _MM_PER_INCH),
-            number("FilmAspectRatio", _FILM_MM / film_height_mm),
-            number("FocalLength", focal_length_mm),
-            number("FieldOfView", across_deg),
-            number("FieldOfViewX", across_deg),
-            number("FieldOfViewY", upright_deg),
-            number("NearPlane", _NEAR_M * convention.units_per_m),
-            number("FarPlane", _FAR_M * convention.units_per_m),
+            fbx_scene.setting("AspectHeight", "double", "Number", float(height * f_x / f_y)),
+            fbx_scene.choice("ResolutionMode", 0),
+            fbx_scene.choice("ApertureMode", _FOCAL_LENGTH_MODE),
+            fbx_scene.choice("GateFit", _FIT_VERTICAL if is_upright else _FIT_NONE),
+            fbx_scene.number("FilmWidth", _FILM_MM / _MM_PER_INCH),
+            fbx_scene.number("FilmHeight", film_height_mm / _MM_PER_INCH),
+            fbx_scene.number("FilmAspectRatio", _FILM_MM / film_height_mm),
+            fbx_scene.number("FocalLength", focal_length_mm),
+            fbx_scene.number("FieldOfView", across_deg),
+            fbx_scene.number("FieldOfViewX", across_deg),
+            fbx_scene.number("FieldOfViewY", upright_deg),
+            fbx_scene.number("NearPlane", _NEAR_M * convention.units_per_m),
+            fbx_scene.number("FarPlane", _FAR_M * convention.units_per_m),
         ),
         Node("TypeFlags", ("Camera",)),
         Node("GeometryVersion", (124,)),

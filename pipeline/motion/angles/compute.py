@@ -10,21 +10,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import FINGER_JOINTS, JointSet
-from pipeline.motion.angles.definitions import (
-    ANGLE_NAMES,
-    JOINTS,
-    SEGMENTS,
-    WORLD,
-    AngleJoint,
-    BodySegment,
-    angle_name,
-    angles_rad,
-    continuous,
-    is_locked,
-    joint_segments,
-    joint_sides,
-    mirrored,
-)
+from pipeline.motion.angles import definitions
 from pipeline.motion.angles.precision import angle_sigma_rad, vector_m
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 from pipeline.motion.skeleton.rotations import unit
@@ -33,7 +19,7 @@ from pipeline.motion.skeleton.rotations import unit
 _STRAIGHT_SINE = 0.2
 # Frames that are worked on at once, so that a long take needs little memory.
 _BLOCK_FRAMES = 2048
-_JOINTS = tuple((joint, side) for joint in JOINTS for side in joint_sides(joint))
+_JOINTS = tuple((joint, side) for joint in definitions.JOINTS for side in definitions.joint_sides(joint))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,21 +64,24 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
             replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
         )
         known = observed(part, joints)
-        bent = {name: is_bent(name, part, joints) for name in SEGMENTS}
+        bent = {name: is_bent(name, part, joints) for name in definitions.SEGMENTS}
         for number, (joint, side) in enumerate(_JOINTS):
             rotation = _proximal_from_distal(world_from_segment, joint, side)
-            found_rad[number, rows] = angles_rad(rotation, joint.sequence)
+            found_rad[number, rows] = definitions.angles_rad(rotation, joint.sequence)
             if has_sigmas:
                 sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
-            ends = [name for name in joint_segments(joint, side) if name]
+            ends = [name for name in definitions.joint_segments(joint, side) if name]
             is_free[number, rows] = np.all([known[name] for name in ends], axis=0)[:, None]
-            is_free[number, rows, ::2] &= ~is_locked(rotation, joint.sequence)[:, None]
+            is_free[number, rows, ::2] &= ~definitions.is_locked(rotation, joint.sequence)[:, None]
             is_free[number, rows, joint.twist] &= np.all([bent[name] for name in ends], axis=0)
-    angle_deg, sigma_deg = np.full((2, num_frames, len(ANGLE_NAMES)), np.nan)
+    angle_deg, sigma_deg = np.full((2, num_frames, len(definitions.ANGLE_NAMES)), np.nan)
     for number, (joint, side) in enumerate(_JOINTS):
-        turned_deg = np.degrees(continuous(found_rad[number], joint.is_proper))
+        turned_deg = np.degrees(definitions.continuous(found_rad[number], joint.is_proper))
         for angle in joint.angles:
-            column, free = ANGLE_NAMES.index(angle_name(angle, side)), is_free[number, :, angle.rotation]
+            column, free = (
+                definitions.ANGLE_NAMES.index(definitions.angle_name(angle, side)),
+                is_free[number, :, angle.rotation],
+            )
             angle_deg[free, column] = angle.sign * turned_deg[free, angle.rotation]
             sigma_deg[free, column] = np.degrees(sigma_rad[number, free, angle.rotation])
     return JointAngles(motion.start_frame, read_only(angle_deg), read_only(sigma_deg))
@@ -115,14 +104,18 @@ def _track_rows(track: Track3D, rows: slice) -> Track3D:
 def observable_angles(joints: JointSet) -> tuple[str, ...]:
     """Names of the angles that the joints of a detector can show, in the order of ``ANGLE_NAMES``."""
     return tuple(
-        angle_name(angle, side)
+        definitions.angle_name(angle, side)
         for joint, side in _JOINTS
-        if all(_has_landmarks(SEGMENTS[name], joints) for name in joint_segments(joint, side) if name)
+        if all(
+            _has_landmarks(definitions.SEGMENTS[name], joints)
+            for name in definitions.joint_segments(joint, side)
+            if name
+        )
         for angle in joint.angles
     )
 
 
-def _has_landmarks(segment: BodySegment, joints: JointSet) -> bool:
+def _has_landmarks(segment: definitions.BodySegment, joints: JointSet) -> bool:
     """Return whether the joints of a detector have all landmarks of a segment."""
     return {*segment.primary, *segment.secondary} <= set(joints.names)
 
@@ -131,7 +124,8 @@ def segments_from(motion: SkeletonMotion) -> dict[str, Float[np.ndarray, "frames
     """Orientations ``world_from_segment`` of all segments of ``SEGMENTS`` by name."""
     _, world_from_joint = posed_joints(motion)
     return {
-        name: world_from_joint[INDEX[segment.joint]] @ segment.rest_from_segment for name, segment in SEGMENTS.items()
+        name: world_from_joint[INDEX[segment.joint]] @ segment.rest_from_segment
+        for name, segment in definitions.SEGMENTS.items()
     }
 
 
@@ -143,14 +137,16 @@ def segment_angles(
     NaN for joints one of whose segments is missing. Where a sequence is locked, two of its angles are arbitrary.
     """
     num_frames = len(next(iter(world_from_segment.values())))
-    angle_rad = np.full((num_frames, len(ANGLE_NAMES)), np.nan)
+    angle_rad = np.full((num_frames, len(definitions.ANGLE_NAMES)), np.nan)
     for joint, side in _JOINTS:
-        if not {name for name in joint_segments(joint, side) if name} <= world_from_segment.keys():
+        if not {name for name in definitions.joint_segments(joint, side) if name} <= world_from_segment.keys():
             continue
         rotation = _proximal_from_distal(world_from_segment, joint, side)
-        turned_rad = continuous(angles_rad(rotation, joint.sequence), joint.is_proper)
+        turned_rad = definitions.continuous(definitions.angles_rad(rotation, joint.sequence), joint.is_proper)
         for angle in joint.angles:
-            angle_rad[:, ANGLE_NAMES.index(angle_name(angle, side))] = angle.sign * turned_rad[:, angle.rotation]
+            angle_rad[:, definitions.ANGLE_NAMES.index(definitions.angle_name(angle, side))] = (
+                angle.sign * turned_rad[:, angle.rotation]
+            )
     return angle_rad
 
 
@@ -162,7 +158,7 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
     """
     known = np.isfinite(track.xyz_m).all(-1)
     by_segment = {}
-    for name, segment in SEGMENTS.items():
+    for name, segment in definitions.SEGMENTS.items():
         landmarks = sorted({*segment.primary, *segment.secondary})
         if not _has_landmarks(segment, joints):
             by_segment[name] = np.zeros(len(known), bool)
@@ -180,7 +176,7 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
 
     The twist of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
     """
-    segment = SEGMENTS[name]
+    segment = definitions.SEGMENTS[name]
     if not _has_landmarks(segment, joints):
         return np.zeros(track.num_frames, bool)
     along, aside = (unit(vector_m(weights, track, joints)) for weights in (segment.primary, segment.secondary))
@@ -188,13 +184,13 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
 
 
 def _proximal_from_distal(
-    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: AngleJoint, side: str | None
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: definitions.AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotation of a joint; the left side is mirrored."""
-    proximal, distal = joint_segments(joint, side)
-    world_from_proximal = WORLD if proximal is None else world_from_segment[proximal]
+    proximal, distal = definitions.joint_segments(joint, side)
+    world_from_proximal = definitions.WORLD if proximal is None else world_from_segment[proximal]
     rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]
-    return mirrored(rotation) if side == "left" else rotation
+    return definitions.mirrored(rotation) if side == "left" else rotation
 
 
 def ranges_of_motion(angles: JointAngles) -> dict[str, dict[str, float | None]]:
@@ -204,7 +200,7 @@ def ranges_of_motion(angles: JointAngles) -> dict[str, dict[str, float | None]]:
     angle that was never known is left out.
     """
     found: dict[str, dict[str, float | None]] = {}
-    for name, angle_deg, sigma_deg in zip(ANGLE_NAMES, angles.angle_deg.T, angles.sigma_deg.T, strict=True):
+    for name, angle_deg, sigma_deg in zip(definitions.ANGLE_NAMES, angles.angle_deg.T, angles.sigma_deg.T, strict=True):
         known_deg, stated_deg = angle_deg[np.isfinite(angle_deg)], sigma_deg[np.isfinite(sigma_deg)]
         if len(known_deg):
             found[name] = {

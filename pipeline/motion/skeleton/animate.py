@@ -14,16 +14,7 @@ from pipeline.core.progress import OnShare, ignore, split
 from pipeline.motion.skeleton.feet.floor import shared_floor
 from pipeline.motion.skeleton.feet.stances import FootPoints, foot_contacts, foot_points, hold_feet
 from pipeline.motion.skeleton.fitting.fit import FitState, SkeletonFit, fit_to_rays, follow
-from pipeline.motion.skeleton.hands.whole import (
-    fit_hands,
-    follow_hands,
-    has_fingers,
-    selected,
-    unseen,
-    views_of_hands,
-    with_fingers,
-    with_hands,
-)
+from pipeline.motion.skeleton.hands import whole
 from pipeline.motion.skeleton.time_series import smooth_track
 
 # Shares of the computing time: of the fit, positions and skeleton motion; then holding feet, positions from the motion.
@@ -131,7 +122,7 @@ class PersonFitter:
         """Fit a person's skeleton, up to where the floor counts."""
         require(cutoff_problems(self.config.smoothing, self.config.cutoff_hz, self.timebase.frame_rate_hz))
         on_positions, on_motion = split(on_share, _FITTING)
-        fit = self._prepared(*selected(track, seen, self.joints, self._body.names), on_positions)
+        fit = self._prepared(*whole.selected(track, seen, self.joints, self._body.names), on_positions)
         motion = fit.motion(on_motion)
         return FittedPerson(fit.state, foot_points(fit, motion, self._body))
 
@@ -140,14 +131,14 @@ class PersonFitter:
     ) -> tuple[Track3D, SkeletonMotion]:
         """Hold a fitted person's feet on the floor; return the final track and motion, with hands."""
         on_held, on_followed = split(on_share, _FINISHING)
-        _, body_seen = selected(track, seen, self.joints, self._body.names)
+        _, body_seen = whole.selected(track, seen, self.joints, self._body.names)
         fit = SkeletonFit.resumed(
             fitted.state, body_seen, self.cameras, self.timebase, self._body, self.offsets, self._by_rays
         )
         contacts = foot_contacts(fitted.points, floor, self.timebase.frame_rate_hz, self.config.feet)
         motion = hold_feet(fit, fit.current, fitted.points, contacts, floor, on_held)
         followed = follow(fit, motion, body_seen, self.cameras, on_followed) if self._by_rays else fit.track
-        if has_fingers(self.joints):
+        if whole.has_fingers(self.joints):
             motion, followed = self._with_hands(motion, followed, track, seen, fit.has_torso)
         return followed, motion
 
@@ -185,14 +176,14 @@ class PersonFitter:
             are.
         """
         start = track if self._by_rays else self._smoothed(track, seen)
-        views = views_of_hands(start, seen, self.joints, self.timebase.frame_rate_hz)
+        views = whole.views_of_hands(start, seen, self.joints, self.timebase.frame_rate_hz)
         if not is_placed:
-            views = {side: unseen(view) for side, view in views.items()}
-        hands = fit_hands(motion, start, views, self.joints, self.cameras if self._by_rays else None)
+            views = {side: whole.unseen(view) for side, view in views.items()}
+        hands = whole.fit_hands(motion, start, views, self.joints, self.cameras if self._by_rays else None)
         if self._by_rays and is_placed:
-            fingers = follow_hands(followed, motion, hands, track, seen, self.joints, self.cameras)
+            fingers = whole.follow_hands(followed, motion, hands, track, seen, self.joints, self.cameras)
         else:
-            fingers, _ = selected(
+            fingers, _ = whole.selected(
                 start, seen, self.joints, [name for name in self.joints.names if name in FINGER_JOINTS]
             )
-        return with_hands(motion, hands), with_fingers(followed, fingers, self.joints)
+        return whole.with_hands(motion, hands), whole.with_fingers(followed, fingers, self.joints)

@@ -14,13 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.association.clustering.cluster_people import (
-    find_people,
-    first_lengths,
-    join_poses,
-    link_people,
-    sampled_frames,
-)
+from pipeline.association.clustering import cluster_people
 from pipeline.association.clustering.clustering_parameters import ClusteringParameters
 from pipeline.association.clustering.clustering_parameters import derive_parameters as derive_clustering
 from pipeline.association.clustering.instant.candidates import BodyEvidence, FieldEvidence, ViewEvidence
@@ -120,13 +114,13 @@ class Association:
 
         ``chunks`` are ranges of output frames in order of time, with their detections; read one at a time.
         """
-        sampled = sampled_frames(self.timebase, self._clustering)
+        sampled = cluster_people.sampled_frames(self.timebase, self._clustering)
         evidence = (
             (self._evidence(frames, detections), [frame for frame in frames if frame in sampled])
             for frames, detections in chunks
         )
         skeleton = clustering_skeleton(self.joints)
-        return first_lengths(self.cameras, evidence, self.timebase, skeleton, self._clustering, on_frame)
+        return cluster_people.first_lengths(self.cameras, evidence, self.timebase, skeleton, self._clustering, on_frame)
 
     def locate_people(
         self,
@@ -137,12 +131,12 @@ class Association:
     ) -> Poses3D:
         """Find all people in a range of output frames; the result does not depend on the cut into ranges."""
         evidence, skeleton = self._evidence(frames, detections), clustering_skeleton(self.joints)
-        return find_people(self.cameras, evidence, frames, skeleton, lengths, self._clustering, on_frame)
+        return cluster_people.find_people(self.cameras, evidence, frames, skeleton, lengths, self._clustering, on_frame)
 
     def link(self, chunks: Iterable[Poses3D], on_share: OnShare = ignore) -> People:
         """Link the poses of all ranges to tracks."""
-        poses = join_poses(chunks)
-        people = link_people(self.cameras, poses, self.timebase, self.joints, self._clustering, on_share)
+        poses = cluster_people.join_poses(chunks)
+        people = cluster_people.link_people(self.cameras, poses, self.timebase, self.joints, self._clustering, on_share)
         return People(*people, len(poses.approximate))
 
     def assign_identities(

@@ -13,40 +13,29 @@ from pipeline.core.findings import SessionCheck
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
+from pipeline.run.engine import stage
 from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
 from pipeline.run.engine.edited_people import cut, edited_take, put_together, united
-from pipeline.run.engine.stage import (
-    CHECK,
-    DESCRIPTION,
-    EDIT,
-    HOLD,
-    IDENTIFY,
-    MOTION,
-    REFIT,
-    VIEWER,
-    Context,
-    ResultFile,
-)
 from pipeline.run.engine.stored_people import found_people
 from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, wanted_frames, wanted_on_clocks
 
 
-def assemble(context: Context) -> Reconstruction:
+def assemble(context: stage.Context) -> Reconstruction:
     """Assemble the reconstruction from the outputs of association and fit, edited if it was.
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
     session = wanted_frames(context, context.outline())
-    identified = found_people(context, IDENTIFY)
+    identified = found_people(context, stage.IDENTIFY)
     people, animation = identified.people, found_animation(context)
     take = None
     if context.config.edits:
         take = edited_take(identified.spans, context.config, session.timebase)
         changed, refitted = People((), ()), Animation((), (), animation.floor)
         if context.config.people_edits:
-            changed = found_people(context, EDIT).people
-            refitted = united(list(output_records(context, REFIT, Animation)))
+            changed = found_people(context, stage.EDIT).people
+            refitted = united(list(output_records(context, stage.REFIT, Animation)))
         people, animation = put_together(people, animation, identified.spans, changed, refitted, take)
     refined = refined_calibration(context)
     reconstruction = Reconstruction(
@@ -64,7 +53,7 @@ def assemble(context: Context) -> Reconstruction:
         offsets=joint_offsets(context),
         refinement=None if refined is None else refined.report,
         synchronization=measured_clocks(context),
-        check=output_record(context, CHECK, SessionCheck),
+        check=output_record(context, stage.CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
         layout=None if session.layout is None else asdict(session.layout),
     )
@@ -74,17 +63,17 @@ def assemble(context: Context) -> Reconstruction:
     return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
 
 
-def found_animation(context: Context) -> Animation:
+def found_animation(context: stage.Context) -> Animation:
     """Animation of everybody who was found, before any edit."""
-    return united(list(output_records(context, HOLD, Animation)))
+    return united(list(output_records(context, stage.HOLD, Animation)))
 
 
-def kept_frames(context: Context) -> range | None:
+def kept_frames(context: stage.Context) -> range | None:
     """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
     if not context.config.edits:
         return None
     timebase = wanted_on_clocks(context, context.outline()).timebase
-    return edited_take(found_people(context, IDENTIFY).spans, context.config, timebase).frames
+    return edited_take(found_people(context, stage.IDENTIFY).spans, context.config, timebase).frames
 
 
 def viewer_files(
@@ -94,22 +83,22 @@ def viewer_files(
     report: Mapping[str, Any],
     folder: Path,
     first_frame: int = 0,
-) -> Sequence[ResultFile]:
+) -> Sequence[stage.ResultFile]:
     """Write the files for viewers into a folder.
 
     ``take`` is at the session's frame rate, ``report`` the content of ``metrics.json``, ``first_frame`` the number of
     the first frame before the take was cut.
     """
     motion = ViewerMotion(take, views, session_footage(session), report, first_frame, find_body())
-    with (folder / MOTION).open("wb") as file:
+    with (folder / stage.MOTION).open("wb") as file:
         file.writelines(motion.encode())
-    (folder / DESCRIPTION).write_bytes(motion.describe())
+    (folder / stage.DESCRIPTION).write_bytes(motion.describe())
     return viewer_files_in(folder)
 
 
-def viewer_files_in(folder: Path) -> Sequence[ResultFile]:
+def viewer_files_in(folder: Path) -> Sequence[stage.ResultFile]:
     """Files for viewers that were written into a folder."""
     return [
-        ResultFile(MOTION, VIEWER, None, "application/octet-stream", folder / MOTION),
-        ResultFile(DESCRIPTION, VIEWER, None, "application/json", folder / DESCRIPTION),
+        stage.ResultFile(stage.MOTION, stage.VIEWER, None, "application/octet-stream", folder / stage.MOTION),
+        stage.ResultFile(stage.DESCRIPTION, stage.VIEWER, None, "application/json", folder / stage.DESCRIPTION),
     ]

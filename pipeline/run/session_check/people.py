@@ -9,18 +9,7 @@ import numpy as np
 
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
-from pipeline.core.problems.finding_codes import (
-    CALIBRATION_OF_ANOTHER_RIG,
-    CAMERA_DISAGREES,
-    CAMERA_SEES_NOBODY,
-    CAMERAS_EXCHANGED,
-    COORDINATES_EXCHANGED,
-    NO_COMMON_PEOPLE,
-    NOBODY_DETECTED,
-    PICTURE_MIRRORED,
-    PICTURE_TURNED,
-    SAME_VIDEO,
-)
+from pipeline.core.problems import finding_codes
 from pipeline.export.quality.camera_shifts import find_shifted
 from pipeline.export.quality.world_checks import first_names
 from pipeline.run.session_check.consensus import CameraAgreement, LocatedPeople, locate_people, measure_agreement
@@ -62,7 +51,7 @@ def check_people(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Pe
     Cameras are in the order of the sightings. Findings have numbers as evidence.
     """
     seen = list(_check_anybody(cameras, sightings))
-    if any(finding.code == NOBODY_DETECTED for finding in seen):
+    if any(finding.code == finding_codes.NOBODY_DETECTED for finding in seen):
         return PeopleCheck(tuple(seen))
     if copies := list(_check_copies(cameras, sightings)):
         # The second camera of a copy has the wrong people, whatever its calibration.
@@ -108,12 +97,19 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
             "another detector."
         )
         # A place may be empty at these instants, or all the time: an empty result is right then.
-        yield Finding(NOBODY_DETECTED, message, None, "warning", hint, {"people": counts, "num_instants": num_instants})
+        yield Finding(
+            finding_codes.NOBODY_DETECTED,
+            message,
+            None,
+            "warning",
+            hint,
+            {"people": counts, "num_instants": num_instants},
+        )
         return
     for name in empty:
         message = f"Nobody was detected at {num_instants} instants, while other cameras see people."
         hint = "See whether the camera looks at the people, and whether its picture is upright, bright and sharp."
-        yield Finding(CAMERA_SEES_NOBODY, message, name, "warning", hint, {"num_instants": num_instants})
+        yield Finding(finding_codes.CAMERA_SEES_NOBODY, message, name, "warning", hint, {"num_instants": num_instants})
 
 
 def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> Iterator[Finding]:
@@ -130,7 +126,12 @@ def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> I
             message = f"The people are the same points as in {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
             yield Finding(
-                SAME_VIDEO, message, cameras[right_camera].name, "error", "Give each camera its own.", evidence
+                finding_codes.SAME_VIDEO,
+                message,
+                cameras[right_camera].name,
+                "error",
+                "Give each camera its own.",
+                evidence,
             )
 
 
@@ -149,7 +150,7 @@ def _exchanged(
         other = cameras[best.places[number]].name
         message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
         yield Finding(
-            CAMERAS_EXCHANGED,
+            finding_codes.CAMERAS_EXCHANGED,
             message,
             cameras[number].name,
             severity,
@@ -169,16 +170,16 @@ def _moved(
         if move == "mirrored":
             message = "The picture is mirrored against its calibration: left is right."
             hint = "Turn off the mirroring of the camera, or mirror the video back."
-            yield Finding(PICTURE_MIRRORED, message, cameras[number].name, severity, hint, numbers)
+            yield Finding(finding_codes.PICTURE_MIRRORED, message, cameras[number].name, severity, hint, numbers)
         elif move == "exchanged":
             message = "x and y of the keypoints are exchanged."
             hint = "Write x first: from the left of the picture to the right. y is from its top to its bottom."
-            yield Finding(COORDINATES_EXCHANGED, message, cameras[number].name, severity, hint, numbers)
+            yield Finding(finding_codes.COORDINATES_EXCHANGED, message, cameras[number].name, severity, hint, numbers)
         else:
             message = f"The picture is turned by {move} degrees against its calibration."
             hint = f"Turn the video clockwise by {move} degrees, or calibrate the camera as it is turned."
             turned = {"turn_deg": int(move), **numbers}
-            yield Finding(PICTURE_TURNED, message, cameras[number].name, severity, hint, turned)
+            yield Finding(finding_codes.PICTURE_TURNED, message, cameras[number].name, severity, hint, turned)
 
 
 def _disagreements(evidence: PairDisagreement, given: Hypothesis, best: Hypothesis, number: int) -> Mapping[str, float]:
@@ -210,7 +211,7 @@ def _check_rest(
                 "are wrong."
             )
             severity = "warning"
-        yield Finding(CALIBRATION_OF_ANOTHER_RIG, message, None, severity, _OTHER_RIG, numbers)
+        yield Finding(finding_codes.CALIBRATION_OF_ANOTHER_RIG, message, None, severity, _OTHER_RIG, numbers)
         return
     is_enough = sightings.num_independent(set(located.instant.tolist())) >= MIN_INSTANTS
     elsewhere = [number for number, agreement in enumerate(agreements) if agreement.contradicts]
@@ -232,16 +233,18 @@ def _check_rest(
             "chance": round(agreement.chance, 3),
         }
         severity = "error" if number in elsewhere and is_enough else "warning"
-        yield Finding(CAMERA_DISAGREES, message, names[number], severity, _MOVED_CAMERA, numbers)
+        yield Finding(finding_codes.CAMERA_DISAGREES, message, names[number], severity, _MOVED_CAMERA, numbers)
     for shift in find_shifted(rig, located.without_views(listed), located.instant):
         severity = "error" if shift.share > _MAX_SHARE and is_enough else "warning"
-        yield Finding(CAMERA_DISAGREES, shift.message, names[shift.camera], severity, _MOVED_CAMERA, shift.evidence)
+        yield Finding(
+            finding_codes.CAMERA_DISAGREES, shift.message, names[shift.camera], severity, _MOVED_CAMERA, shift.evidence
+        )
     for number in range(len(rig)):
         if not _has_company(sightings, number):
             message = "The camera sees people, but never at an instant at which another camera does."
             hint = "Check its offset, and that it looks at the same place as another camera."
             # The instants are few: at others the camera may see people together with others.
-            yield Finding(NO_COMMON_PEOPLE, message, names[number], "warning", hint)
+            yield Finding(finding_codes.NO_COMMON_PEOPLE, message, names[number], "warning", hint)
 
 
 def _has_company(sightings: SimultaneousPeople, number: int) -> bool:

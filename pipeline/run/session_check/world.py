@@ -11,21 +11,9 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.finding_codes import (
-    CAMERA_BELOW_FLOOR,
-    FLOOR_NOT_AT_ZERO,
-    MIRRORED_WORLD,
-    STATURE_OUT_OF_RANGE,
-)
+from pipeline.core.problems import finding_codes
+from pipeline.export.quality import world_checks
 from pipeline.export.quality.report import estimate_stature_m
-from pipeline.export.quality.world_checks import (
-    MIRRORED_SHARE,
-    STATURE_RANGE_M,
-    feet_to_head_m,
-    hint_of_unit,
-    lean_fault,
-    leftness,
-)
 from pipeline.geometry.camera import center_in_world
 from pipeline.geometry.triangulation import solve_normal
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M
@@ -112,12 +100,12 @@ def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:
 
 
 def _check_upright(cameras: Sequence[Camera], poses: Track3D, joints: JointSet) -> Iterator[Finding]:
-    upwards = feet_to_head_m(poses, joints)
+    upwards = world_checks.feet_to_head_m(poses, joints)
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) < _MIN_POSES:
         return
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
-    if (fault := lean_fault(lean_deg, cameras)) is not None:
+    if (fault := world_checks.lean_fault(lean_deg, cameras)) is not None:
         severity: Severity = "error" if fault.is_agreed else "warning"
         evidence = {"lean_deg": lean_deg, "num_people": len(upwards)}
         yield Finding(fault.code, fault.message, None, severity, fault.hint, evidence)
@@ -125,22 +113,26 @@ def _check_upright(cameras: Sequence[Camera], poses: Track3D, joints: JointSet) 
 
 def _check_stature(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
     stature_m = estimate_stature_m(poses, joints)
-    lowest_m, highest_m = STATURE_RANGE_M
+    lowest_m, highest_m = world_checks.STATURE_RANGE_M
     if np.isfinite(stature_m) and not lowest_m <= stature_m <= highest_m:
         message = f"People are {stature_m:.3g} m tall: the unit of the calibration may not be the metre."
         evidence = {"stature_m": stature_m, "num_people": poses.num_frames}
         severity: Severity = "warning" if _POSSIBLE_M[0] <= stature_m <= _POSSIBLE_M[1] else "error"
-        yield Finding(STATURE_OUT_OF_RANGE, message, None, severity, hint_of_unit(stature_m), evidence)
+        yield Finding(
+            finding_codes.STATURE_OUT_OF_RANGE, message, None, severity, world_checks.hint_of_unit(stature_m), evidence
+        )
 
 
 def _check_sides(poses: Track3D, joints: JointSet) -> Iterator[Finding]:
-    sides = leftness(poses, joints)
+    sides = world_checks.leftness(poses, joints)
     sides = sides[np.isfinite(sides)]
     share = float(np.mean(sides < 0.0)) if len(sides) >= _MIN_FACES else 0.0
-    if share >= MIRRORED_SHARE:
+    if share >= world_checks.MIRRORED_SHARE:
         message = f"Left and right of {100 * share:.0f} % of the people are exchanged: the world is mirrored."
         hint = "Check whether an axis of the calibration has the wrong sign, or the videos are mirrored."
-        yield Finding(MIRRORED_WORLD, message, None, "error", hint, {"share": share, "num_people": len(sides)})
+        yield Finding(
+            finding_codes.MIRRORED_WORLD, message, None, "error", hint, {"share": share, "num_people": len(sides)}
+        )
 
 
 def _hangs(poses_m: Float[np.ndarray, "poses joints 3"], joints: JointSet) -> Bool[np.ndarray, " poses"]:
@@ -168,10 +160,12 @@ def _check_heights(
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
         hint = f"Move the calibration's origin by {floor_m:.2f} m along Z."
         evidence = {"height_m": floor_m, "num_people": len(ankles_m)}
-        yield Finding(FLOOR_NOT_AT_ZERO, message, None, "warning", hint, evidence)
+        yield Finding(finding_codes.FLOOR_NOT_AT_ZERO, message, None, "warning", hint, evidence)
     for camera in cameras:
         height_m = float(center_in_world(camera)[2])
         if height_m < floor_m - _MAX_FLOOR_M:
             message = f"The camera is {floor_m - height_m:.2f} m below the floor that people stand on."
             hint = "Check the calibration's axes."
-            yield Finding(CAMERA_BELOW_FLOOR, message, camera.name, "warning", hint, {"height_m": height_m})
+            yield Finding(
+                finding_codes.CAMERA_BELOW_FLOOR, message, camera.name, "warning", hint, {"height_m": height_m}
+            )

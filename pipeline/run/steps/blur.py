@@ -8,28 +8,13 @@ from typing import TYPE_CHECKING
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import BLURRED_KIND, blurred_name
-from pipeline.run.engine.stage import (
-    BLUR,
-    DETECT,
-    HEADS,
-    HOLD,
-    IDENTIFY,
-    REFINE,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    ResultFile,
-    SessionFacts,
-    Stage,
-    Task,
-    indexed,
-)
+from pipeline.run.engine import stage
 
 if TYPE_CHECKING:
     from pipeline.core.data.heads import HeadRegions
 
 
-def find_heads(task: Task, context: Context) -> Output:
+def find_heads(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the heads of everybody who was located or detected, in every camera."""
     from pipeline.core.data.detections import Detections, PafFields
     from pipeline.export.privacy.heads import head_path, head_regions, seen_heads
@@ -42,9 +27,11 @@ def find_heads(task: Task, context: Context) -> Output:
 
     session, detections = wanted_frames(context, context.outline()), detection_source(context)
     joints, timebase = detections.joints(session), session.timebase
-    tracks = [*found_people(context, IDENTIFY).people.tracks, *found_animation(context).tracks]
+    tracks = [*found_people(context, stage.IDENTIFY).people.tracks, *found_animation(context).tracks]
     people = [path for track in tracks if (path := head_path(track, joints, timebase)) is not None]
-    seen = seen_heads(output_records(context, DETECT, PafFields if detections.finds_fields else Detections), joints)
+    seen = seen_heads(
+        output_records(context, stage.DETECT, PafFields if detections.finds_fields else Detections), joints
+    )
     on_share, regions = context.on_share(task), []
     for number, camera in enumerate(session.cameras):
         times = session.times[camera.name]
@@ -52,10 +39,10 @@ def find_heads(task: Task, context: Context) -> Output:
         time_s = times.time_s[frames.start : frames.stop]
         regions.append(head_regions(camera, frames, time_s, people, seen[camera.name]))
         on_share((number + 1) / len(session.cameras))
-    return Output(encode(tuple(regions)))
+    return stage.Output(encode(tuple(regions)))
 
 
-def blur_videos(task: Task, context: Context) -> Output:
+def blur_videos(task: stage.Task, context: stage.Context) -> stage.Output:
     """Make the blurred video of a camera."""
     from pipeline.core.errors import PipelineError
     from pipeline.export.privacy.blur import write_blurred
@@ -71,42 +58,42 @@ def blur_videos(task: Task, context: Context) -> Output:
     path = context.scratch / blurred_name(list(session.camera_videos).index(camera))
     with context.video(camera):
         write_blurred(session.camera_videos[camera], session.times[camera].time_s, frames, heads, path, context.on_unit)
-    return indexed([ResultFile(path.name, BLURRED_KIND, None, "video/mp4", path)])
+    return stage.indexed([stage.ResultFile(path.name, BLURRED_KIND, None, "video/mp4", path)])
 
 
-def head_regions_in(context: Context, camera: str) -> "HeadRegions | None":
+def head_regions_in(context: stage.Context, camera: str) -> "HeadRegions | None":
     """Heads to be blurred in the pictures of a camera; ``None`` if none are."""
     from pipeline.core.data.heads import HeadRegions
     from pipeline.run.engine.codec import output_record
 
     if not (context.config.blur_faces and context.facts.has_videos):
         return None
-    regions = output_record(context, HEADS, tuple[HeadRegions, ...])
+    regions = output_record(context, stage.HEADS, tuple[HeadRegions, ...])
     return next(known for known in regions if known.camera == camera)
 
 
-def _blurs_heads(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
     """Return whether heads are blurred in the pictures of a job."""
     return config.is_of_people and config.blur_faces and facts.has_videos
 
 
-HEADS_STAGE = Stage(
-    HEADS,
+HEADS_STAGE = stage.Stage(
+    stage.HEADS,
     "Find heads",
     find_heads,
     cut="whole",
     # It reads the detections too, whose keys are part of the people's keys. Colours are not read, so that detection
     # need not run again for them.
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD),
+    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD),
     choices=("blur_faces",),
     is_planned=_blurs_heads,
 )
-BLUR_STAGE = Stage(
-    BLUR,
+BLUR_STAGE = stage.Stage(
+    stage.BLUR,
     "Blur videos",
     blur_videos,
     cut="cameras",
-    follows=(SYNCHRONIZE, HEADS),
+    follows=(stage.SYNCHRONIZE, stage.HEADS),
     choices=("blurs_videos", "frame_range"),
     is_planned=lambda facts, config: config.blurs_videos and _blurs_heads(facts, config),
     unit="frames",

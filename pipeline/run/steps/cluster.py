@@ -9,24 +9,13 @@ from typing import Any
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.problems.request_codes import FRAME_RANGE
-from pipeline.run.engine.stage import (
-    DETECT,
-    LENGTHS,
-    POSES,
-    REFINE,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    SessionFacts,
-    Stage,
-    Task,
-)
+from pipeline.run.engine import stage
 
 # Rate of the frames in which clustering measures bones.
 _MEASURED_HZ = 5.0
 
 
-def measure_lengths(task: Task, context: Context) -> Output:
+def measure_lengths(task: stage.Task, context: stage.Context) -> stage.Output:
     """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
     from pipeline.run.engine.codec import encode
     from pipeline.run.engine.detection_source import detection_source
@@ -43,10 +32,10 @@ def measure_lengths(task: Task, context: Context) -> Output:
             yield numbered_from_first(context, frames, session), detected
 
     lengths = association_in(context, session).measure_bones(ranges(), context.on_unit)
-    return Output(encode(MeasuredBones(lengths, detections.damaged_videos(session, pictures))))
+    return stage.Output(encode(MeasuredBones(lengths, detections.damaged_videos(session, pictures))))
 
 
-def find_poses(task: Task, context: Context) -> Output:
+def find_poses(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find all people in a range of output frames."""
     from pipeline.run.engine.codec import encode, output_record
     from pipeline.run.engine.detection_source import detection_source
@@ -55,32 +44,34 @@ def find_poses(task: Task, context: Context) -> Output:
 
     session = wanted_frames(context, context.session())
     detected = detection_source(context).in_range(task, session, task.index, task.frames)
-    lengths = output_record(context, LENGTHS, MeasuredBones).lengths
+    lengths = output_record(context, stage.LENGTHS, MeasuredBones).lengths
     frames = numbered_from_first(context, task.frames, session)
-    return Output(encode(association_in(context, session).locate_people(frames, detected, lengths, context.on_unit)))
+    return stage.Output(
+        encode(association_in(context, session).locate_people(frames, detected, lengths, context.on_unit))
+    )
 
 
-def _is_clustering(_: SessionFacts, config: ReconstructionConfig) -> bool:
+def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
     """Whether a job finds people by clustering."""
     return config.is_of_people and config.method == "clustering"
 
 
-LENGTHS_STAGE = Stage(
-    LENGTHS,
+LENGTHS_STAGE = stage.Stage(
+    stage.LENGTHS,
     "Measure bones",
     measure_lengths,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE),
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE),
     choices=(FRAME_RANGE, "clustering"),
     is_planned=_is_clustering,
     looked_at_hz=_MEASURED_HZ,
 )
-POSES_STAGE = Stage(
-    POSES,
+POSES_STAGE = stage.Stage(
+    stage.POSES,
     "Find people",
     find_poses,
     cut="ranges",
-    follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS),
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS),
     choices=(FRAME_RANGE, "clustering"),
     is_planned=_is_clustering,
 )

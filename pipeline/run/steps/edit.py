@@ -6,40 +6,28 @@ The output of *Edit people* is stored people, and the output of a task of *Fit e
 from dataclasses import replace
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.stage import (
-    EDIT,
-    HOLD,
-    IDENTIFY,
-    REFINE,
-    REFIT,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    SessionFacts,
-    Stage,
-    Task,
-)
+from pipeline.run.engine import stage
 from pipeline.run.steps.fit import CHOICES
 
 # Number in the pieces: edits give a person's frames another number.
 _ANYBODY = 0
 
 
-def edit(task: Task, context: Context) -> Output:
+def edit(task: stage.Task, context: stage.Context) -> stage.Output:
     """Put the people together that the edits change."""
     from pipeline.run.engine.edited_people import changed_people, edited_take
     from pipeline.run.engine.stored_people import found_people, write_people
     from pipeline.run.engine.wanted_frames import wanted_frames
 
-    identified = found_people(context, IDENTIFY)
+    identified = found_people(context, stage.IDENTIFY)
     take = edited_take(identified.spans, context.config, wanted_frames(context, context.outline()).timebase)
     path = context.scratch / "people.npz"
     write_people(path, changed_people(identified.people, identified.spans, take))
     context.on_share(task)(1.0)
-    return Output(path.read_bytes())
+    return stage.Output(path.read_bytes())
 
 
-def refit(task: Task, context: Context) -> Output:
+def refit(task: stage.Task, context: stage.Context) -> stage.Output:
     """Animate a part of the people changed by edits, unless an earlier task has animated the same frames."""
     from pipeline.core.data.animation import Animation, Floor
     from pipeline.core.progress import split
@@ -53,8 +41,8 @@ def refit(task: Task, context: Context) -> Output:
 
     session, config, on_share = wanted_frames(context, context.outline()), context.config, context.on_share(task)
     joints, offsets = detection_source(context).joints(session), joint_offsets(context)
-    changed = found_people(context, EDIT).people
-    floor = RecordArchive(*context.outputs(HOLD, slice(1))).find(Floor, "floor")
+    changed = found_people(context, stage.EDIT).people
+    floor = RecordArchive(*context.outputs(stage.HOLD, slice(1))).find(Floor, "floor")
     pieces = Pieces(task, context)
     numbers = range(len(changed.tracks))[REFIT_STAGE.people(task)]
     fitted = []
@@ -73,32 +61,32 @@ def refit(task: Task, context: Context) -> Output:
         on_person(1.0)
     on_share(1.0)
     tracks, motions = (person.tracks[0] for person in fitted), (person.motions[0] for person in fitted)
-    return Output(encode(Animation(tuple(tracks), tuple(motions), floor)), pieces=pieces.files)
+    return stage.Output(encode(Animation(tuple(tracks), tuple(motions), floor)), pieces=pieces.files)
 
 
-def _is_edited(_: SessionFacts, config: ReconstructionConfig) -> bool:
+def _is_edited(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
     """Whether a job has edits that say who is where; names change nobody's frames."""
     return config.is_of_people and bool(config.people_edits)
 
 
-EDIT_STAGE = Stage(
-    EDIT,
+EDIT_STAGE = stage.Stage(
+    stage.EDIT,
     "Edit people",
     edit,
     cut="whole",
-    follows=(SYNCHRONIZE, IDENTIFY),
+    follows=(stage.SYNCHRONIZE, stage.IDENTIFY),
     choices=("edits",),
     is_planned=_is_edited,
     is_of_edits=True,
 )
-REFIT_STAGE = Stage(
-    REFIT,
+REFIT_STAGE = stage.Stage(
+    stage.REFIT,
     "Fit edited people",
     refit,
     cut="people",
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY, HOLD, EDIT),
+    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD, stage.EDIT),
     choices=(*CHOICES, "feet"),
     is_planned=_is_edited,
     is_of_edits=True,
-    pieces_of=REFIT,
+    pieces_of=stage.REFIT,
 )

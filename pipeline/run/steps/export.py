@@ -12,19 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.core.options.file_formats import FILE_FORMATS, file_ending
 from pipeline.core.problems.finding_codes import OPENSIM_FAILED
-from pipeline.run.engine.stage import (
-    EXPORT,
-    IDENTIFY,
-    OPENSIM,
-    TAKE,
-    WRITE,
-    Context,
-    Output,
-    ResultFile,
-    Stage,
-    Task,
-    indexed,
-)
+from pipeline.run.engine import stage
 
 if TYPE_CHECKING:
     from pipeline.core.data.reconstruction import Reconstruction
@@ -34,7 +22,7 @@ if TYPE_CHECKING:
 _MAX_NAMED = 10
 
 
-def write_people(task: Task, context: Context) -> Output:
+def write_people(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the files of a part of the people."""
     from pipeline.export.results import keep_people
     from pipeline.run.engine.pieces import FilesInPieces, Pieces
@@ -44,10 +32,10 @@ def write_people(task: Task, context: Context) -> Output:
     choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
     keep_people(assemble(context), WRITE_STAGE.people(task), context.scratch, *choices, context.on_share(task), files)
-    return Output(b"", pieces=pieces.files)
+    return stage.Output(b"", pieces=pieces.files)
 
 
-def export(task: Task, context: Context) -> Output:
+def export(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the result files, and the files for viewers if they are wanted."""
     from pipeline.export.quality.report import all_checks, quality_report
     from pipeline.export.quality.views import person_views
@@ -71,19 +59,19 @@ def export(task: Task, context: Context) -> Output:
         frames = kept_frames(context)
         first_frame = 0 if frames is None else frames.start
 
-        def for_viewers() -> Sequence[ResultFile]:
+        def for_viewers() -> Sequence[stage.ResultFile]:
             footage = context.outline()
             return viewer_files(reconstruction, views(reconstruction), footage, written.metrics, scratch, first_frame)
 
         files += take.viewer_files(reconstruction, for_viewers) if context.files.keeps_pieces else for_viewers()
     warnings = tuple(all_checks(written.metrics))
-    output = indexed(files, metrics=written.metrics)
-    return replace(output, warnings=warnings, people=found_people(context, IDENTIFY).spans, pieces=pieces.files)
+    output = stage.indexed(files, metrics=written.metrics)
+    return replace(output, warnings=warnings, people=found_people(context, stage.IDENTIFY).spans, pieces=pieces.files)
 
 
-def _with_opensim(report: "ReportOf", context: Context, take: "Reconstruction") -> dict[str, Any]:
+def _with_opensim(report: "ReportOf", context: stage.Context, take: "Reconstruction") -> dict[str, Any]:
     """Content of ``metrics.json`` with what OpenSim found of each person, and warnings of what it could not do."""
-    found = [person for output in context.outputs(OPENSIM) for person in json.loads(output)["people"]]
+    found = [person for output in context.outputs(stage.OPENSIM) for person in json.loads(output)["people"]]
     people = sorted(found, key=lambda person: int(person["id"]))
     failed = [f"Person {person['id']}: {person['problem']}" for person in people if person["problem"]]
     content = report(take)
@@ -95,7 +83,7 @@ def _with_opensim(report: "ReportOf", context: Context, take: "Reconstruction") 
     return content | {"opensim": people, "capture_checks": checks}
 
 
-def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
+def _result_file(path: Path, names: Mapping[str, str]) -> stage.ResultFile:
     """Result file by its path; ``names`` are people's names, by their numbers in names of files.
 
     A file of a format that is no person's is of the whole take.
@@ -104,34 +92,34 @@ def _result_file(path: Path, names: Mapping[str, str]) -> ResultFile:
     for name, file_format in FILE_FORMATS.items():
         if ending == file_ending(name):
             person = stem if stem in names else None
-            return ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
+            return stage.ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
     if stem in names:
         # Tables of events and of strides.
         kind, _, _ = ending.partition(".")
-        return ResultFile(path.name, kind, stem, FILE_FORMATS["csv"].media_type, path, names[stem])
-    return ResultFile(path.name, path.stem, None, "application/json", path)
+        return stage.ResultFile(path.name, kind, stem, FILE_FORMATS["csv"].media_type, path, names[stem])
+    return stage.ResultFile(path.name, path.stem, None, "application/json", path)
 
 
-WRITE_STAGE = Stage(
-    WRITE,
+WRITE_STAGE = stage.Stage(
+    stage.WRITE,
     "Write files of edited people",
     write_people,
     cut="people",
-    follows=TAKE,
+    follows=stage.TAKE,
     choices=("exports", "bvh", "output_rate_hz", "timeline", "body"),
     is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
     is_of_edits=True,
-    pieces_of=EXPORT,
+    pieces_of=stage.EXPORT,
 )
-EXPORT_STAGE = Stage(
-    EXPORT,
+EXPORT_STAGE = stage.Stage(
+    stage.EXPORT,
     "Write files",
     export,
     cut="whole",
-    follows=(*TAKE, WRITE, OPENSIM),
+    follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),
     choices=("exports", "bvh", "output_rate_hz", "timeline", "body", "names"),
     is_planned=lambda facts, config: config.making is None,
     is_reusable=False,
     makes_files=True,
-    pieces_of=EXPORT,
+    pieces_of=stage.EXPORT,
 )

@@ -1,21 +1,10 @@
 """Tell people apart: who is who, from the tracks of the whole session. The output is stored people."""
 
-from pipeline.run.engine.stage import (
-    ASSOCIATE,
-    DETECT,
-    IDENTIFY,
-    REDETECT,
-    REFINE,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    Stage,
-    Task,
-)
+from pipeline.run.engine import stage
 from pipeline.run.steps.redetect import redetects_bodies
 
 
-def identify(task: Task, context: Context) -> Output:
+def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.association.hands.attach import has_hands
     from pipeline.core.data.detections import Detections
@@ -28,12 +17,12 @@ def identify(task: Task, context: Context) -> Output:
     session = wanted_frames(context, context.outline())
     association, detections = association_in(context, session), detection_source(context)
     joints = detections.joints(session)
-    tracked = found_people(context, ASSOCIATE)
+    tracked = found_people(context, stage.ASSOCIATE)
     colour = gathered_bodies(context)[0].colour if detections.measures_colours else None
     people = association.assign_identities(tracked.people, colour)
     del colour
     if redetects_bodies(context.facts, context.config):
-        people = association.accept_redetected(people, output_records(context, REDETECT, Detections))
+        people = association.accept_redetected(people, output_records(context, stage.REDETECT, Detections))
     people = association.assign_limbs(people)
     people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):
@@ -42,14 +31,14 @@ def identify(task: Task, context: Context) -> Output:
     write_people(path, people, tracked.damaged)
     del people
     context.on_share(task)(1.0)
-    return Output(path.read_bytes())
+    return stage.Output(path.read_bytes())
 
 
-STAGE = Stage(
-    IDENTIFY,
+STAGE = stage.Stage(
+    stage.IDENTIFY,
     "Tell people apart",
     identify,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE, ASSOCIATE, REDETECT),
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE, stage.REDETECT),
     choices=("people",),
 )

@@ -7,22 +7,10 @@ The output of *Find leaning bodies* is a ``Detections`` a camera, and the output
 from functools import partial
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.stage import (
-    ASSOCIATE,
-    EXPECT,
-    LOOK,
-    REDETECT,
-    REFINE,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    SessionFacts,
-    Stage,
-    Task,
-)
+from pipeline.run.engine import stage
 
 
-def expect_bodies(task: Task, context: Context) -> Output:
+def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
     from pipeline.association.redetection.expect import expect_leaning
     from pipeline.run.engine.codec import encode
@@ -33,8 +21,8 @@ def expect_bodies(task: Task, context: Context) -> Output:
 
     association = association_in(context, wanted_frames(context, context.outline()))
     # Places of people do not depend on the colours of their clothes, by which `identify` tells them apart, too.
-    people = association.assign_identities(found_people(context, ASSOCIATE).people)
-    return Output(
+    people = association.assign_identities(found_people(context, stage.ASSOCIATE).people)
+    return stage.Output(
         encode(
             expect_leaning(
                 zip(people.tracks, people.observations, strict=True),
@@ -48,7 +36,7 @@ def expect_bodies(task: Task, context: Context) -> Output:
     )
 
 
-def redetect(task: Task, context: Context) -> Output:
+def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
     """Read the joints of expected bodies in crops; nothing is loaded or decoded where nobody is expected."""
     from pipeline.association.redetection.crops import detect_expected
     from pipeline.core.data.detections import Detections
@@ -63,7 +51,7 @@ def redetect(task: Task, context: Context) -> Output:
     if networks.again is None:
         raise ValueError("These networks look for nobody again: the stage is not planned.")
     detections = detection_source(context)
-    (expected,) = context.outputs(EXPECT)
+    (expected,) = context.outputs(stage.EXPECT)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     bodies = decode(tuple[Detections, ...], expected)[number].within(frames_in(session.times[camera], *span))
@@ -79,29 +67,29 @@ def redetect(task: Task, context: Context) -> Output:
             on_share,
         )
     on_share(1.0)
-    return Output(encode(found))
+    return stage.Output(encode(found))
 
 
-def redetects_bodies(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
     """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
     return facts.has_videos and config.is_of_people and config.networks.again is not None
 
 
-EXPECT_STAGE = Stage(
-    EXPECT,
+EXPECT_STAGE = stage.Stage(
+    stage.EXPECT,
     "Find leaning bodies",
     expect_bodies,
     cut="whole",
-    follows=(LOOK, SYNCHRONIZE, REFINE, ASSOCIATE),
+    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
     choices=("people",),
     is_planned=redetects_bodies,
 )
-REDETECT_STAGE = Stage(
-    REDETECT,
+REDETECT_STAGE = stage.Stage(
+    stage.REDETECT,
     "Detect leaning bodies again",
     redetect,
     cut="camera ranges",
-    follows=(LOOK, SYNCHRONIZE, EXPECT),
+    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),
     choices=("profile", "joints", "detector", "output"),
     is_planned=redetects_bodies,
     frames_a_unit=10,

@@ -1,20 +1,9 @@
 """Track people: bodies or poses of all frames to tracks, in one pass in time order. The output is stored people."""
 
-from pipeline.run.engine.stage import (
-    ASSOCIATE,
-    DETECT,
-    LENGTHS,
-    POSES,
-    REFINE,
-    SYNCHRONIZE,
-    Context,
-    Output,
-    Stage,
-    Task,
-)
+from pipeline.run.engine import stage
 
 
-def track(task: Task, context: Context) -> Output:
+def track(task: stage.Task, context: stage.Context) -> stage.Output:
     """Turn bodies or poses of all frames into tracks."""
     from pipeline.association.hands.attach import without_fingers
     from pipeline.core.data.people import Poses3D
@@ -27,8 +16,8 @@ def track(task: Task, context: Context) -> Output:
     on_share = context.on_share(task)
     if context.config.method == "clustering":
         association = association_in(context, wanted_frames(context, context.outline()))
-        people = association.link(output_records(context, POSES, Poses3D), on_share)
-        damaged = output_record(context, LENGTHS, MeasuredBones).damaged
+        people = association.link(output_records(context, stage.POSES, Poses3D), on_share)
+        damaged = output_record(context, stage.LENGTHS, MeasuredBones).damaged
     else:
         bodies, damaged = gathered_bodies(context)
         session = wanted_frames(context, context.outline())
@@ -38,14 +27,14 @@ def track(task: Task, context: Context) -> Output:
     path = context.scratch / "people.npz"
     write_people(path, people, damaged)
     del people
-    return Output(path.read_bytes())
+    return stage.Output(path.read_bytes())
 
 
-STAGE = Stage(
-    ASSOCIATE,
+STAGE = stage.Stage(
+    stage.ASSOCIATE,
     "Track people",
     track,
     cut="whole",
-    follows=(DETECT, SYNCHRONIZE, REFINE, LENGTHS, POSES),
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS, stage.POSES),
     choices=("method", "frame_range", "appearance", "tracking", "clustering"),
 )

@@ -4,24 +4,11 @@ from functools import partial
 
 from pipeline.core.options.file_formats import file_ending
 from pipeline.core.options.job_choices import OVERLAY_KIND, REPORT_KIND, RERUN_KIND
-from pipeline.run.engine.stage import (
-    DETECT,
-    HEADS,
-    OVERLAY,
-    RECORD,
-    REPORT,
-    TAKE,
-    Context,
-    Output,
-    ResultFile,
-    Stage,
-    Task,
-    indexed,
-)
+from pipeline.run.engine import stage
 from pipeline.run.steps.blur import head_regions_in
 
 
-def draw_overlay(task: Task, context: Context) -> Output:
+def draw_overlay(task: stage.Task, context: stage.Context) -> stage.Output:
     """Make the overlay video of a camera; none if it took no frame of the take."""
     from pipeline.export.overlay import draw_video, overlay_names
     from pipeline.run.engine.take import assemble
@@ -33,11 +20,11 @@ def draw_overlay(task: Task, context: Context) -> Output:
         names = [shown.name for shown in take.cameras]
         path = context.scratch / overlay_names(names)[names.index(camera)]
         if not draw_video(session, take, camera, path, context.on_unit, head_regions_in(context, camera)):
-            return indexed(())
-    return indexed([ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
+            return stage.indexed(())
+    return stage.indexed([stage.ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
 
 
-def write_report(task: Task, context: Context) -> Output:
+def write_report(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the report: contents from the reconstruction and its session, pictures from the videos."""
     from pipeline.export.report.contents import gather_contents, list_versions
     from pipeline.export.report.page import encode_page
@@ -60,10 +47,10 @@ def write_report(task: Task, context: Context) -> Output:
     )
     path = context.scratch / "report.html"
     path.write_bytes(encode_page(contents))
-    return indexed([ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
+    return stage.indexed([stage.ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
 
 
-def write_rerun(task: Task, context: Context) -> Output:
+def write_rerun(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the Rerun file: the take, with the pictures and the detections of its session."""
     from pipeline.export.rerun.rerun_file import RecordedFootage
     from pipeline.export.rerun.rerun_file import write_rerun as write
@@ -80,15 +67,15 @@ def write_rerun(task: Task, context: Context) -> Output:
         RecordedFootage(session, detections, context.video, partial(head_regions_in, context)),
         context.on_share(task),
     )
-    return indexed([ResultFile(path.name, RERUN_KIND, None, "application/octet-stream", path)])
+    return stage.indexed([stage.ResultFile(path.name, RERUN_KIND, None, "application/octet-stream", path)])
 
 
-OVERLAY_STAGE = Stage(
-    OVERLAY,
+OVERLAY_STAGE = stage.Stage(
+    stage.OVERLAY,
     "Draw overlay videos",
     draw_overlay,
     cut="cameras",
-    follows=(*TAKE, HEADS),
+    follows=(*stage.TAKE, stage.HEADS),
     choices=("overlay", "blur_faces", "frame_range", "names"),
     is_planned=lambda facts, config: config.is_of_people and config.overlay and facts.has_videos,
     unit="frames",
@@ -96,23 +83,23 @@ OVERLAY_STAGE = Stage(
     reads_videos=True,
     makes_files=True,
 )
-REPORT_STAGE = Stage(
-    REPORT,
+REPORT_STAGE = stage.Stage(
+    stage.REPORT,
     "Write the report",
     write_report,
     cut="whole",
-    follows=(*TAKE, HEADS),
+    follows=(*stage.TAKE, stage.HEADS),
     choices=("report", "blur_faces", "names"),
     is_planned=lambda facts, config: config.is_of_people and config.report,
     is_reusable=False,
     makes_files=True,
 )
-RERUN_STAGE = Stage(
-    RECORD,
+RERUN_STAGE = stage.Stage(
+    stage.RECORD,
     "Write the Rerun recording",
     write_rerun,
     cut="whole",
-    follows=(DETECT, *TAKE, HEADS),
+    follows=(stage.DETECT, *stage.TAKE, stage.HEADS),
     choices=("exports", "blur_faces", "names"),
     is_planned=lambda facts, config: config.is_of_people and "rerun" in config.exports,
     is_reusable=False,

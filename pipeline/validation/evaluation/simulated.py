@@ -26,20 +26,13 @@ from pipeline.core.runtime.child_processes import ProcessPool
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.run.engine.codec import decode, save
 from pipeline.run.engine.stage import FrameCut
+from pipeline.validation.evaluation import mpjpe
 from pipeline.validation.evaluation.mot import MotFrame, score_mot
-from pipeline.validation.evaluation.mpjpe import (
-    BODY_JOINTS,
-    GATE_M,
-    accuracy,
-    match_frames,
-    mean_distance_m,
-    select_joints,
-)
 from pipeline.validation.simulation.scenes import Simulation
 from pipeline.validation.simulation.views.fields import GRID, render
 from pipeline.video.timeline import span_s
 
-_WRISTS = [BODY_JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
+_WRISTS = [mpjpe.BODY_JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
 # Distance of a wrist from a joint of another person who is touched, and from the true wrist if it counts as found.
 _TOUCH_M, _HAND_M = 0.25, 0.15
 
@@ -64,11 +57,11 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
         Mean error by kind of joint, left and right together, for the twelve joints, nose and neck.
     """
     frames = np.arange(simulation.timebase.num_frames)
-    truth_m = simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)]
-    predicted_m = select_joints(tracks, joints, BODY_JOINTS, frames)
+    truth_m = simulation.truth_m[:, :, simulation.joints.indices(mpjpe.BODY_JOINTS)]
+    predicted_m = mpjpe.select_joints(tracks, joints, mpjpe.BODY_JOINTS, frames)
     there = np.isfinite(predicted_m).all(-1).any(-1)
-    scores = accuracy(predicted_m, truth_m)
-    error_m = _errors_m(predicted_m, truth_m, match_frames(predicted_m, truth_m))
+    scores = mpjpe.accuracy(predicted_m, truth_m)
+    error_m = _errors_m(predicted_m, truth_m, mpjpe.match_frames(predicted_m, truth_m))
     mot = score_mot([_mot_frame(truth_m[:, k], predicted_m[:, k]) for k in frames])
     return {
         "mpjpe_mm": scores.mpjpe_mm,
@@ -81,7 +74,7 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
         "recall": scores.recall,
         "ghost_rate": scores.ghost_rate,
         "hands_kept": _hands_kept(error_m, truth_m),
-        "mpjpe_by_joint_mm": _by_joint_mm(tracks, simulation, joints, match_frames(predicted_m, truth_m)),
+        "mpjpe_by_joint_mm": _by_joint_mm(tracks, simulation, joints, mpjpe.match_frames(predicted_m, truth_m)),
     }
 
 
@@ -100,10 +93,10 @@ def _by_joint_mm(
     tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet, matched: Int[np.ndarray, "people frames"]
 ) -> dict[str, float | None]:
     """Mean error of each kind of joint (Chen et al. 2020, table 2); the true neck is the midpoint of the shoulders."""
-    names = ("nose", "neck", *BODY_JOINTS)
-    body_m = simulation.truth_m[:, :, simulation.joints.indices(("nose", *BODY_JOINTS))]
+    names = ("nose", "neck", *mpjpe.BODY_JOINTS)
+    body_m = simulation.truth_m[:, :, simulation.joints.indices(("nose", *mpjpe.BODY_JOINTS))]
     truth_m = np.insert(body_m, 1, body_m[:, :, 1:3].mean(2), axis=2)
-    predicted_m = select_joints(tracks, joints, names, np.arange(simulation.timebase.num_frames))
+    predicted_m = mpjpe.select_joints(tracks, joints, names, np.arange(simulation.timebase.num_frames))
     error_m = _errors_m(predicted_m, truth_m, matched)
     kinds = [name.rpartition("_")[2] for name in names]
     return {
@@ -134,8 +127,8 @@ def _mot_frame(truth_m: np.ndarray, predicted_m: np.ndarray) -> MotFrame:
     """Make the record of a frame; the similarity of a pair at the gate is 0.5, the threshold of ``trackeval``."""
     people = np.flatnonzero(np.isfinite(truth_m).all(-1).any(-1))
     tracks = np.flatnonzero(np.isfinite(predicted_m).all(-1).any(-1))
-    distance_m = mean_distance_m(predicted_m[tracks], truth_m[people])
-    return MotFrame(people, tracks, np.maximum(0.0, 1.0 - distance_m / (2 * GATE_M)))
+    distance_m = mpjpe.mean_distance_m(predicted_m[tracks], truth_m[people])
+    return MotFrame(people, tracks, np.maximum(0.0, 1.0 - distance_m / (2 * mpjpe.GATE_M)))
 
 
 _CHUNK_FRAMES = 25

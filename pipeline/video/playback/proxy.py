@@ -19,16 +19,7 @@ from av.video.stream import VideoStream
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.session_codes import VIDEO_DAMAGED, VIDEO_UNREADABLE
-from pipeline.core.runtime.confinement import (
-    EXIT_OUT_OF_MEMORY,
-    EXIT_REFUSED,
-    BeyondLimitsError,
-    ChildLimits,
-    FileRefusedError,
-    confined_arguments,
-    run_confined,
-    tell_ready,
-)
+from pipeline.core.runtime import confinement
 from pipeline.video.container import DECODE_ERRORS, decode_from, display_pts
 from pipeline.video.playback.h264 import KEYFRAME_S, TICKS_A_SECOND, add_stream, even_size_px, open_video
 
@@ -110,12 +101,12 @@ def make_proxy_in_child(
         ticks=ticks,
         keyframe_frames=max(1, round(KEYFRAME_S * video.frame_rate_hz)),
     )
-    limits = ChildLimits(
+    limits = confinement.ChildLimits(
         cpu_s=_MAX_CPU_S + _MAX_CPU_S_A_FRAME * video.num_frames,
         file_bytes=_MAX_BYTES + _MAX_BYTES_A_FRAME * video.num_frames,
     )
     try:
-        run_confined(
+        confinement.run_confined(
             "pipeline.video.playback.proxy",
             [],
             limits,
@@ -124,10 +115,10 @@ def make_proxy_in_child(
             given=json.dumps(request._asdict()).encode(),
             on_output=lambda frames: [on_frame() for _ in frames],
         )
-    except FileRefusedError:
+    except confinement.FileRefusedError:
         message = "No frame of the video can be decoded for a copy that browsers play."
         raise _bad_video(video, VIDEO_DAMAGED, message, "Copy the file again.") from None
-    except BeyondLimitsError:
+    except confinement.BeyondLimitsError:
         message = "The copy that browsers play could not be made within the limits on time, memory and size."
         raise _bad_video(video, VIDEO_UNREADABLE, message, "Convert the video to H.264 in MP4.") from None
 
@@ -209,17 +200,17 @@ class _Converter:
 
 def main() -> int:
     """Make the proxy of the request and return the exit code."""
-    confined_arguments()
+    confinement.confined_arguments()
     request = ProxyRequest(**json.load(sys.stdin))
-    tell_ready()
+    confinement.tell_ready()
     try:
-        return 0 if write_proxy(request) else EXIT_REFUSED
+        return 0 if write_proxy(request) else confinement.EXIT_REFUSED
     except MemoryError:
-        return EXIT_OUT_OF_MEMORY
+        return confinement.EXIT_OUT_OF_MEMORY
     except BrokenPipeError:  # the reader is gone
         return 1
     except DECODE_ERRORS:
-        return EXIT_REFUSED
+        return confinement.EXIT_REFUSED
 
 
 if __name__ == "__main__":

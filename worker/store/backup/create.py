@@ -11,21 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
+from worker.store.backup import contents
 from worker.store.backup.archive import ArchiveWriter, BackupError, BackupUsageError, writing_to
-from worker.store.backup.contents import (
-    DATABASE,
-    FILE_PROBLEMS,
-    FORMAT,
-    MANIFEST,
-    PROBLEMS,
-    BackupManifest,
-    BackupReport,
-    FileProblem,
-    RowCounts,
-    StoredFile,
-    count_rows,
-    named_files,
-)
 from worker.store.backup.linked import HeldFile, HeldFiles, held_files
 from worker.store.backup.snapshot import (
     damage_blames_source,
@@ -51,8 +38,8 @@ class _Snapshot:
 
     path: Path
     revision: str
-    files: dict[str, StoredFile]
-    rows: RowCounts
+    files: dict[str, contents.StoredFile]
+    rows: contents.RowCounts
     held: dict[str, HeldFile]
 
     @property
@@ -62,7 +49,7 @@ class _Snapshot:
 
 def create_backup(
     data_dir: Path, database_url: str, artifacts_url: str, archive: Path, on_progress: OnProgress
-) -> BackupReport:
+) -> contents.BackupReport:
     """Write the database and the files of a service to a new archive, as they are at one moment.
 
     Parameters
@@ -109,7 +96,7 @@ def create_backup(
             raise BackupUsageError(f"{archive} was made by somebody else meanwhile. Choose another name.")
         part.rename(archive)
         sync(archive.parent)
-    return BackupReport(manifest, num_bytes, problems)
+    return contents.BackupReport(manifest, num_bytes, problems)
 
 
 def _require_database(database_url: str) -> None:
@@ -161,7 +148,9 @@ def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with
     return _Snapshot(target, revision, files, rows, held)
 
 
-def _examine(database: Path, revision: str, with_artifacts: bool) -> tuple[dict[str, StoredFile], RowCounts]:
+def _examine(
+    database: Path, revision: str, with_artifacts: bool
+) -> tuple[dict[str, contents.StoredFile], contents.RowCounts]:
     """Files that the rows of a snapshot name, and numbers of rows."""
     if revision == schema_revisions()[-1]:
         return _examine_current(database, with_artifacts)
@@ -175,11 +164,11 @@ def _examine(database: Path, revision: str, with_artifacts: bool) -> tuple[dict[
         remove_database(copy)
 
 
-def _examine_current(database: Path, with_artifacts: bool) -> tuple[dict[str, StoredFile], RowCounts]:
+def _examine_current(database: Path, with_artifacts: bool) -> tuple[dict[str, contents.StoredFile], contents.RowCounts]:
     prepare(database)
     try:
         with reading(database) as connection:
-            return named_files(connection, with_artifacts), count_rows(connection)
+            return contents.named_files(connection, with_artifacts), contents.count_rows(connection)
     except ValueError as error:
         raise BackupError(f"The service's database names a file that can't be: {error}.") from error
 
@@ -196,9 +185,9 @@ def _require_room(archive: Path, data_dir: Path, num_bytes: int) -> None:
         )
 
 
-def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> BackupManifest:
-    return BackupManifest(
-        format=FORMAT,
+def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> contents.BackupManifest:
+    return contents.BackupManifest(
+        format=contents.FORMAT,
         created_at=created_at,
         multicap_version=importlib.metadata.version("multicap"),
         schema_revision=snapshot.revision,
@@ -210,8 +199,8 @@ def _manifest(snapshot: _Snapshot, created_at: datetime, artifacts_url: str) -> 
 
 
 def _write(
-    file: BinaryIO, manifest: BackupManifest, snapshot: _Snapshot, on_progress: OnProgress
-) -> tuple[FileProblem, ...]:
+    file: BinaryIO, manifest: contents.BackupManifest, snapshot: _Snapshot, on_progress: OnProgress
+) -> tuple[contents.FileProblem, ...]:
     done, total = 0, snapshot.num_bytes
 
     def on_bytes(num_bytes: int) -> None:
@@ -220,31 +209,31 @@ def _write(
         on_progress(done, total)
 
     writer = ArchiveWriter(file, int(manifest.created_at.timestamp()), on_bytes)
-    writer.add_bytes(MANIFEST, manifest.model_dump_json(indent=1).encode())
+    writer.add_bytes(contents.MANIFEST, manifest.model_dump_json(indent=1).encode())
     with snapshot.path.open("rb") as database:
-        if not writer.add(DATABASE, snapshot.path.stat().st_size, database).is_whole:
+        if not writer.add(contents.DATABASE, snapshot.path.stat().st_size, database).is_whole:
             raise BackupError(f"{snapshot.path} can't be read.")
     problems = tuple(
         problem for stored in snapshot.files.values() if (problem := _add(writer, stored, snapshot.held)) is not None
     )
-    writer.add_bytes(PROBLEMS, FILE_PROBLEMS.dump_json(problems, indent=1))
+    writer.add_bytes(contents.PROBLEMS, contents.FILE_PROBLEMS.dump_json(problems, indent=1))
     writer.finish()
     return problems
 
 
-def _add(writer: ArchiveWriter, stored: StoredFile, held: dict[str, HeldFile]) -> FileProblem | None:
+def _add(writer: ArchiveWriter, stored: contents.StoredFile, held: dict[str, HeldFile]) -> contents.FileProblem | None:
     """Copy a file, and return its problem if it has one."""
     found = held.get(stored.path)
     if found is None:
-        return FileProblem(path=stored.path, problem="missing", needed=stored.needed)
+        return contents.FileProblem(path=stored.path, problem="missing", needed=stored.needed)
     try:
         source = found.path.open("rb")
     except OSError:
-        return FileProblem(path=stored.path, problem="unreadable", needed=stored.needed)
+        return contents.FileProblem(path=stored.path, problem="unreadable", needed=stored.needed)
     with source:
         copied = writer.add(stored.path, found.num_bytes, source)
     if not copied.is_whole:
-        return FileProblem(path=stored.path, problem="unreadable", needed=stored.needed)
+        return contents.FileProblem(path=stored.path, problem="unreadable", needed=stored.needed)
     if stored.sha256 not in {None, copied.sha256}:
-        return FileProblem(path=stored.path, problem="damaged", needed=stored.needed)
+        return contents.FileProblem(path=stored.path, problem="damaged", needed=stored.needed)
     return None

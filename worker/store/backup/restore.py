@@ -12,28 +12,8 @@ from typing import BinaryIO
 
 from filelock import FileLock, Timeout
 
+from worker.store.backup import contents, snapshot
 from worker.store.backup.archive import ArchiveReader, BackupError, BackupUsageError, Member, writing_to
-from worker.store.backup.contents import (
-    DATABASE,
-    FILE_PROBLEMS,
-    MANIFEST,
-    PROBLEMS,
-    BackupManifest,
-    BackupReport,
-    FileProblem,
-    StoredFile,
-    named_files,
-    read_manifest,
-)
-from worker.store.backup.snapshot import (
-    load,
-    new_private_file,
-    opened,
-    prepare,
-    reading,
-    remove_database,
-    require_empty,
-)
 from worker.store.database.connection import sqlite_path
 from worker.store.errors import DamagedDatabase, UnknownSchema
 from worker.store.files.disk import sync
@@ -58,46 +38,46 @@ class _BackupReader:
         self.archive_bytes = os.fstat(file.fileno()).st_size
         self._done, self._on_progress = 0, on_progress
         self._reader = ArchiveReader(file, self._on_bytes)
-        self._expected: dict[str, StoredFile] = {}
+        self._expected: dict[str, contents.StoredFile] = {}
         self._seen: set[str] = set()
         self._differing: set[str] = set()
         self._faults: list[str] = []
-        self._problems: tuple[FileProblem, ...] | None = None
-        self._manifest: BackupManifest | None = None
+        self._problems: tuple[contents.FileProblem, ...] | None = None
+        self._manifest: contents.BackupManifest | None = None
 
-    def read(self, accept: Callable[[BackupManifest], None]) -> BackupReport:
+    def read(self, accept: Callable[[contents.BackupManifest], None]) -> contents.BackupReport:
         """Read all members; ``accept`` may refuse the manifest. The report lists problems as ``faults``."""
         for number, member in enumerate(self._reader.members()):
             if number == 0:
-                self._manifest = read_manifest(_document(member, MANIFEST))
+                self._manifest = contents.read_manifest(_document(member, contents.MANIFEST))
                 accept(self._manifest)
             elif number == 1:
                 self._read_database(member)
             elif self._problems is not None:
                 raise BackupError(f"The archive holds {member.name!r} behind its end: no backup of Multicap does.")
-            elif member.name == PROBLEMS:
+            elif member.name == contents.PROBLEMS:
                 self._read_problems(member)
             else:
                 self._read_file(member)
         if self._manifest is None or self._problems is None:
             raise BackupError("The archive is no backup of Multicap: a part of it is missing.")
         self._compare(self._problems)
-        return BackupReport(self._manifest, self.archive_bytes, self._problems, tuple(self._faults))
+        return contents.BackupReport(self._manifest, self.archive_bytes, self._problems, tuple(self._faults))
 
     def _on_bytes(self, num_bytes: int) -> None:
         self._done += num_bytes
         self._on_progress(self._done, self.archive_bytes)
 
     def _read_database(self, member: Member) -> None:
-        if member.name != DATABASE:
+        if member.name != contents.DATABASE:
             raise BackupError(f"The archive holds {member.name!r} where its database should be.")
         _extract(member, self._database)
         assert self._manifest is not None  # noqa: S101 - the first member
         try:
             with writing_to(self._database):
-                prepare(self._database)
-            with reading(self._database) as connection:
-                self._expected = named_files(connection, with_artifacts=not self._manifest.artifacts_url)
+                snapshot.prepare(self._database)
+            with snapshot.reading(self._database) as connection:
+                self._expected = contents.named_files(connection, with_artifacts=not self._manifest.artifacts_url)
         except BackupError as error:
             self._refuse(*error.faults)
         except DamagedDatabase as error:
@@ -109,9 +89,9 @@ class _BackupReader:
 
     def _read_problems(self, member: Member) -> None:
         try:
-            self._problems = FILE_PROBLEMS.validate_json(_document(member, PROBLEMS))
+            self._problems = contents.FILE_PROBLEMS.validate_json(_document(member, contents.PROBLEMS))
         except ValueError as error:
-            raise BackupError(f"The archive's {PROBLEMS} can't be read: it is damaged.") from error
+            raise BackupError(f"The archive's {contents.PROBLEMS} can't be read: it is damaged.") from error
 
     def _read_file(self, member: Member) -> None:
         _require_path(member.name)
@@ -134,7 +114,7 @@ class _BackupReader:
             raise BackupError(*faults)
         self._faults.extend(faults[: _MAX_FAULTS - len(self._faults)])
 
-    def _compare(self, problems: tuple[FileProblem, ...]) -> None:
+    def _compare(self, problems: tuple[contents.FileProblem, ...]) -> None:
         """Add faults of files that were not known when the backup was made."""
         known = {problem.path for problem in problems}
         missing, damaged = self._expected.keys() - self._seen - known, self._differing - known
@@ -148,20 +128,20 @@ class _BackupReader:
         self._faults = faults if more <= 0 else [*faults[:_MAX_FAULTS], f"There are {more} more faults."]
 
 
-def verify_backup(archive: Path, on_progress: OnProgress) -> BackupReport:
+def verify_backup(archive: Path, on_progress: OnProgress) -> contents.BackupReport:
     """Read and check a backup as ``restore_backup`` does; the report lists problems as ``faults``.
 
     Raises ``BackupError`` if the archive can't be read to its end.
     """
     with _opened(archive) as file, tempfile.TemporaryDirectory(prefix="multicap-verify-") as folder:
-        database = Path(folder) / DATABASE
+        database = Path(folder) / contents.DATABASE
         with writing_to(database):
             return _BackupReader(file, None, database, on_progress).read(lambda _: None)
 
 
 def restore_backup(
     archive: Path, data_dir: Path, database_url: str, artifacts_url: str, on_progress: OnProgress
-) -> BackupReport:
+) -> contents.BackupReport:
     """Restore a backup into a new or empty data folder. Everything is checked before the folder gets its name.
 
     Parameters
@@ -186,11 +166,11 @@ def restore_backup(
     """
     data_dir = data_dir.absolute()
 
-    def accept(manifest: BackupManifest) -> None:
+    def accept(manifest: contents.BackupManifest) -> None:
         _require_same_store(manifest, artifacts_url)
 
     with _opened(archive) as file, writing_to(data_dir), _unfinished(data_dir) as folder:
-        database = folder / DATABASE
+        database = folder / contents.DATABASE
         _require_database(database_url, data_dir)
         _require_room(file, data_dir)
         report = _BackupReader(file, folder, database, on_progress).read(accept)
@@ -238,7 +218,7 @@ def _extract(member: Member, path: Path, on_block: Callable[[bytes], None] = lam
             file.write(block)
 
 
-def _require_same_store(manifest: BackupManifest, artifacts_url: str) -> None:
+def _require_same_store(manifest: contents.BackupManifest, artifacts_url: str) -> None:
     if manifest.artifacts_url and not artifacts_url:
         raise BackupUsageError(
             f"The backup's artifacts are at {manifest.artifacts_url}. Set MULTICAP_ARTIFACTS_URL to where they are."
@@ -252,9 +232,9 @@ def _require_same_store(manifest: BackupManifest, artifacts_url: str) -> None:
 def _require_database(database_url: str, data_dir: Path) -> None:
     path = sqlite_path(database_url)
     if path is None:
-        with opened(database_url) as server:
-            require_empty(server)
-    elif path.absolute() != data_dir / DATABASE and os.path.lexists(path):
+        with snapshot.opened(database_url) as server:
+            snapshot.require_empty(server)
+    elif path.absolute() != data_dir / contents.DATABASE and os.path.lexists(path):
         raise BackupUsageError(f"MULTICAP_DATABASE_URL names {path}, which is there already. Choose another file.")
 
 
@@ -338,13 +318,13 @@ def _place_database(database: Path, database_url: str, data_dir: Path) -> None:
     """Move the database to where the service reads it."""
     path = sqlite_path(database_url)
     if path is None:
-        load(database, database_url)
-        remove_database(database)
-    elif path.absolute() != data_dir / DATABASE:
+        snapshot.load(database, database_url)
+        snapshot.remove_database(database)
+    elif path.absolute() != data_dir / contents.DATABASE:
         with writing_to(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             partial = path.with_name(f"{path.name}.partial")
-            new_private_file(partial)
+            snapshot.new_private_file(partial)
             try:
                 shutil.copyfile(database, partial)
                 sync(partial)
@@ -352,13 +332,13 @@ def _place_database(database: Path, database_url: str, data_dir: Path) -> None:
             finally:
                 partial.unlink(missing_ok=True)
             sync(path.parent)
-        remove_database(database)
+        snapshot.remove_database(database)
 
 
 def _finish(folder: Path, data_dir: Path) -> None:
     """Give the complete folder its name; in an existing folder, move the database last."""
     if folder.parent == data_dir:
-        for name in (*_FOLDERS, DATABASE):
+        for name in (*_FOLDERS, contents.DATABASE):
             if (folder / name).exists():
                 (folder / name).rename(data_dir / name)
         folder.rmdir()

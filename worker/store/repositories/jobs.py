@@ -9,17 +9,10 @@ from uuid_utils import uuid7
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, edit_document
+from worker.store.database import stored_files
 from worker.store.database.access import Access
 from worker.store.database.connection import now
 from worker.store.database.rows import read_edits, read_job_character, read_jobs, read_making, select_jobs
-from worker.store.database.stored_files import (
-    forget_answers,
-    has_visuals,
-    keep,
-    remove_later,
-    remove_unless_kept,
-    remove_unlisted,
-)
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.store.errors import Conflict, NotFound
@@ -49,7 +42,7 @@ class Jobs:
         """
         job_id = str(uuid7())
         with self._access.writing() as connection:
-            remove_unless_kept(connection, job_prefix(job_id))
+            stored_files.remove_unless_kept(connection, job_prefix(job_id))
         return job_id
 
     def add(
@@ -94,7 +87,7 @@ class Jobs:
         with access.writing() as connection:
             if character is not None:
                 access.require_room(connection, stored_bytes=character.file.num_bytes)
-                if not keep(connection, job_prefix(job_id)):
+                if not stored_files.keep(connection, job_prefix(job_id)):
                     raise Conflict("The copy of the character took too long; send the request again.")
             if job_kind(making) not in SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
@@ -236,7 +229,7 @@ class Jobs:
                 "edits": [edit_document(edit) for edit in edits],
                 "revision": job.revision + 1,
                 "precedence": Precedence.EDITS,
-                "visuals_old_at": now() if has_visuals(connection, job_id) else None,
+                "visuals_old_at": now() if stored_files.has_visuals(connection, job_id) else None,
             }
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
@@ -247,10 +240,10 @@ class Jobs:
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_EDITED, job_id)
             keep_attempt(connection, job)
             # Files of the last attempt, unless they are listed.
-            remove_later(connection, interim_prefix(job_id, job.attempt))
-            remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
+            stored_files.remove_later(connection, interim_prefix(job_id, job.attempt))
+            stored_files.remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
             delete_visuals_job(connection, job_id)
-            remove_unlisted(connection, job_id, visuals_prefix(job_id, job.revision))
+            stored_files.remove_unlisted(connection, job_id, visuals_prefix(job_id, job.revision))
             plan_changes(connection, job_id, stages)
             return self._read(connection, job_id)
 
@@ -264,8 +257,8 @@ class Jobs:
             if job.state not in FINISHED:
                 raise Conflict("The job is unfinished; cancel it first.")
             delete_visuals_job(connection, job_id)
-            remove_later(connection, job_prefix(job_id))
-            forget_answers(connection, job.tenant, job_id)
+            stored_files.remove_later(connection, job_prefix(job_id))
+            stored_files.forget_answers(connection, job.tenant, job_id)
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)
             forget_unmade(connection, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))

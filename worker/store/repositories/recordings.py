@@ -19,16 +19,7 @@ from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers
 from worker.store.database.tables import clips, phones, recordings, takes, uploads
 from worker.store.errors import Conflict, NotFound, PhoneRemoved
-from worker.store.model.phone_records import (
-    ClipFile,
-    JoinedPhone,
-    RecordingLimits,
-    RecordingPhone,
-    RecordingSession,
-    RecordingTake,
-    TakeClip,
-    TakeState,
-)
+from worker.store.model import phone_records
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.keys import digest
 from worker.store.repositories.links import LINK_PREFIX, LINK_SECRET_BYTES
@@ -49,7 +40,7 @@ class Recordings:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, name: str, lifetime_s: float) -> tuple[RecordingSession, str]:
+    def add(self, name: str, lifetime_s: float) -> tuple[phone_records.RecordingSession, str]:
         """Open a recording; returns it with the secret of its link, which can't be read again.
 
         Raises ``Conflict`` if the tenant has ``MAX_RECORDINGS`` already.
@@ -74,12 +65,12 @@ class Recordings:
             record_event(connection, access.actor, access.owner, AuditAction.RECORDING_CREATED, recording_id)
             return self._read(connection, recording_id), secret
 
-    def get(self, recording_id: str) -> RecordingSession:
+    def get(self, recording_id: str) -> phone_records.RecordingSession:
         """Recording with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
             return self._read(connection, recording_id)
 
-    def page(self, limit: int = 50, after: str | None = None) -> list[RecordingSession]:
+    def page(self, limit: int = 50, after: str | None = None) -> list[phone_records.RecordingSession]:
         """Recordings, the newest first; ``after`` is the last id of the page before."""
         query = select(recordings).where(self._access.may_reach(recordings), recordings.c.expires_at > now())
         if after is not None:
@@ -103,7 +94,7 @@ class Recordings:
             _delete(connection, ended)
             return ended
 
-    def renew_link(self, recording_id: str) -> tuple[RecordingSession, str]:
+    def renew_link(self, recording_id: str) -> tuple[phone_records.RecordingSession, str]:
         """Make another link and end the one before; returns the recording and the secret, as ``add`` does."""
         with self._access.writing() as connection:
             row = self._lock(connection, recording_id)
@@ -123,8 +114,13 @@ class Recordings:
     # Changes by the host.
 
     def start_take(
-        self, recording_id: str, name: str | None, settings: Mapping[str, Any], start_s: float, limits: RecordingLimits
-    ) -> RecordingSession:
+        self,
+        recording_id: str,
+        name: str | None,
+        settings: Mapping[str, Any],
+        start_s: float,
+        limits: phone_records.RecordingLimits,
+    ) -> phone_records.RecordingSession:
         """Begin a take that starts at a time by the service's clock.
 
         Raises ``Conflict`` if another take is being recorded, or there are as many as may be.
@@ -132,7 +128,7 @@ class Recordings:
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
             earlier = self._read(connection, recording_id).takes
-            if any(take.state(start_s) is TakeState.RECORDING for take in earlier):
+            if any(take.state(start_s) is phone_records.TakeState.RECORDING for take in earlier):
                 raise Conflict("A take is being recorded; stop it first.")
             if len(earlier) >= limits.takes:
                 raise Conflict(f"A recording has {limits.takes} takes at most; open another one.")
@@ -152,26 +148,28 @@ class Recordings:
             )
             return self._changed(connection, recording_id)
 
-    def stop_take(self, recording_id: str, stop_s: float) -> RecordingSession:
+    def stop_take(self, recording_id: str, stop_s: float) -> phone_records.RecordingSession:
         """Stop the take that is being recorded at a time; ``Conflict`` if there is none."""
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
             running = [
-                take for take in self._read(connection, recording_id).takes if take.state(stop_s) is TakeState.RECORDING
+                take
+                for take in self._read(connection, recording_id).takes
+                if take.state(stop_s) is phone_records.TakeState.RECORDING
             ]
             if not running:
                 raise Conflict("No take is being recorded.")
             values = {"stop_s": max(stop_s, running[0].start_s), "is_stopped": True}
             return self._change_take(connection, recording_id, running[0].number, values)
 
-    def want_upload(self, recording_id: str, take: int) -> RecordingSession:
+    def want_upload(self, recording_id: str, take: int) -> phone_records.RecordingSession:
         """Ask the phones for their clips of a take; ``Conflict`` if it was discarded."""
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
             self._require_take(connection, recording_id, take)
             return self._change_take(connection, recording_id, take, {"is_upload_wanted": True})
 
-    def discard_take(self, recording_id: str, take: int) -> RecordingSession:
+    def discard_take(self, recording_id: str, take: int) -> phone_records.RecordingSession:
         """Throw a take away with its uploads; a session that was made from it stays."""
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
@@ -188,7 +186,7 @@ class Recordings:
         session_id: str | None = None,
         job_id: str | None = None,
         calibration_id: str | None = None,
-    ) -> RecordingSession:
+    ) -> phone_records.RecordingSession:
         """Record the session or the calibration that was made from a take, in the transaction that takes its uploads.
 
         A session may follow a calibration. Raises ``Conflict`` if the take was discarded, or made the same before.
@@ -204,7 +202,7 @@ class Recordings:
             values = {"is_stopped": True, **{name: value for name, value in made.items() if value is not None}}
             return self._change_take(connection, recording_id, take, values)
 
-    def rename_phone(self, recording_id: str, phone: int, name: str) -> RecordingSession:
+    def rename_phone(self, recording_id: str, phone: int, name: str) -> phone_records.RecordingSession:
         """Give a phone another name; ``Conflict`` if another phone has it."""
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
@@ -215,7 +213,7 @@ class Recordings:
                 raise Conflict("Another phone has this name.")
             return self._change_phone(connection, recording_id, phone, {"name": name})
 
-    def remove_phone(self, recording_id: str, phone: int) -> RecordingSession:
+    def remove_phone(self, recording_id: str, phone: int) -> phone_records.RecordingSession:
         """Remove a phone for good; its clips stay."""
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
@@ -226,8 +224,8 @@ class Recordings:
     # Changes by phones.
 
     def join(
-        self, recording_id: str, phone_id: str, name: str | None, device: str, limits: RecordingLimits
-    ) -> JoinedPhone:
+        self, recording_id: str, phone_id: str, name: str | None, device: str, limits: phone_records.RecordingLimits
+    ) -> phone_records.JoinedPhone:
         """Join a recording as a phone, or come back.
 
         Parameters
@@ -278,15 +276,21 @@ class Recordings:
             raise NotFound("The recording has no such phone.")
         return number
 
-    def clip_started(self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]) -> RecordingSession:
+    def clip_started(
+        self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]
+    ) -> phone_records.RecordingSession:
         """Record what a phone says when it has begun to record a take."""
         return self._change_clip(recording_id, take, phone, {"started": dict(facts)})
 
-    def clip_stopped(self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]) -> RecordingSession:
+    def clip_stopped(
+        self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]
+    ) -> phone_records.RecordingSession:
         """Record what a phone says when it has ended a take."""
         return self._change_clip(recording_id, take, phone, {"stopped": dict(facts)})
 
-    def add_file(self, recording_id: str, take: int, phone: int, file: ClipFile) -> RecordingSession:
+    def add_file(
+        self, recording_id: str, take: int, phone: int, file: phone_records.ClipFile
+    ) -> phone_records.RecordingSession:
         """Record a part of a clip whose upload is complete, in place of an earlier upload of the part.
 
         Raises ``NotFound`` if the upload is not the phone's, ``Conflict`` if the clip has ``MAX_PARTS`` already.
@@ -317,7 +321,7 @@ class Recordings:
             raise NotFound(_NO_RECORDING)
         return row
 
-    def _read(self, connection: Connection, recording_id: str) -> RecordingSession:
+    def _read(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
         mine = self._access.may_reach(recordings)
         query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
         found = _read_recordings(connection, connection.execute(query))
@@ -325,14 +329,14 @@ class Recordings:
             raise NotFound(_NO_RECORDING)
         return found[0]
 
-    def _changed(self, connection: Connection, recording_id: str) -> RecordingSession:
+    def _changed(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
         chosen = update(recordings).where(recordings.c.id == recording_id)
         connection.execute(chosen.values(revision=recordings.c.revision + 1))
         return self._read(connection, recording_id)
 
     def _require_take(
         self, connection: Connection, recording_id: str, number: int, *, unused: bool = False
-    ) -> RecordingTake:
+    ) -> phone_records.RecordingTake:
         take = self._read(connection, recording_id).take(number)
         if take is None:
             raise NotFound("The recording has no such take.")
@@ -344,19 +348,21 @@ class Recordings:
 
     def _change_take(
         self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
-    ) -> RecordingSession:
+    ) -> phone_records.RecordingSession:
         chosen = update(takes).where(takes.c.recording_id == recording_id, takes.c.number == number)
         connection.execute(chosen.values(**values))
         return self._changed(connection, recording_id)
 
     def _change_phone(
         self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
-    ) -> RecordingSession:
+    ) -> phone_records.RecordingSession:
         chosen = update(phones).where(phones.c.recording_id == recording_id, phones.c.number == number)
         connection.execute(chosen.values(**values))
         return self._changed(connection, recording_id)
 
-    def _change_clip(self, recording_id: str, take: int, phone: int, values: Mapping[str, Any]) -> RecordingSession:
+    def _change_clip(
+        self, recording_id: str, take: int, phone: int, values: Mapping[str, Any]
+    ) -> phone_records.RecordingSession:
         with self._access.writing() as connection:
             self._lock(connection, recording_id)
             self._require_take(connection, recording_id, take)
@@ -364,7 +370,7 @@ class Recordings:
 
     def _write_clip(
         self, connection: Connection, recording_id: str, take: int, phone: int, values: Mapping[str, Any]
-    ) -> RecordingSession:
+    ) -> phone_records.RecordingSession:
         is_clip = (clips.c.recording_id == recording_id, clips.c.take == take, clips.c.phone == phone)
         if connection.execute(update(clips).where(*is_clip).values(**values)).rowcount == 0:
             names = {"recording_id": recording_id, "take": take, "phone": phone}
@@ -372,8 +378,10 @@ class Recordings:
         return self._changed(connection, recording_id)
 
 
-def _joined(connection: Connection, recording: RecordingSession, number: int) -> JoinedPhone:
-    return JoinedPhone(recording, number, connection.execute(select(now())).scalar_one())
+def _joined(
+    connection: Connection, recording: phone_records.RecordingSession, number: int
+) -> phone_records.JoinedPhone:
+    return phone_records.JoinedPhone(recording, number, connection.execute(select(now())).scalar_one())
 
 
 def _free_name(name: str, taken: Collection[str]) -> str:
@@ -389,22 +397,28 @@ def _delete(connection: Connection, recording_ids: Collection[str]) -> None:
     connection.execute(delete(recordings).where(recordings.c.id.in_(recording_ids)))
 
 
-def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[RecordingSession]:
+def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[phone_records.RecordingSession]:
     """Recordings with all that belongs to them, in the order of their rows."""
     found = list(rows)
     ids = [row.id for row in found]
     phones_by_id, takes_by_id = _rows_by_recording(connection, phones, ids), _rows_by_recording(connection, takes, ids)
-    clips_by_take: defaultdict[tuple[str, int], list[TakeClip]] = defaultdict(list)
+    clips_by_take: defaultdict[tuple[str, int], list[phone_records.TakeClip]] = defaultdict(list)
     for row in connection.execute(select(clips).where(clips.c.recording_id.in_(ids)).order_by(clips.c.phone)):
-        clip = read(TakeClip, row, files=tuple(ClipFile(**file) for file in row.files))
+        clip = read(phone_records.TakeClip, row, files=tuple(phone_records.ClipFile(**file) for file in row.files))
         clips_by_take[row.recording_id, row.take].append(clip)
     recordings_read = []
     for row in found:
-        own_phones = (read(RecordingPhone, phone, is_removed=bool(phone.removed_at)) for phone in phones_by_id[row.id])
-        own_takes = (
-            read(RecordingTake, take, clips=tuple(clips_by_take[row.id, take.number])) for take in takes_by_id[row.id]
+        own_phones = (
+            read(phone_records.RecordingPhone, phone, is_removed=bool(phone.removed_at))
+            for phone in phones_by_id[row.id]
         )
-        recordings_read.append(read(RecordingSession, row, phones=tuple(own_phones), takes=tuple(own_takes)))
+        own_takes = (
+            read(phone_records.RecordingTake, take, clips=tuple(clips_by_take[row.id, take.number]))
+            for take in takes_by_id[row.id]
+        )
+        recordings_read.append(
+            read(phone_records.RecordingSession, row, phones=tuple(own_phones), takes=tuple(own_takes))
+        )
     return recordings_read
 
 

@@ -20,14 +20,7 @@ from pipeline.detection.chunk import concatenate
 from pipeline.detection.profiles.profile_detector import detection_joints
 from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
-from pipeline.validation.evaluation.datasets.mvor import (
-    MvorBenchmark,
-    at_instants,
-    keypoint_session,
-    load_days,
-    load_mvor,
-    read_keypoints,
-)
+from pipeline.validation.evaluation.datasets import mvor
 from pipeline.validation.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
 
 _RATE_HZ = 1.0
@@ -49,10 +42,10 @@ def command(
     """The MVOR benchmark: operating room, three cameras, instants apart; errors of eight joints, recall, AP and PCK."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), force=True)
-        benchmark = load_mvor(data)
+        benchmark = mvor.load_mvor(data)
         if detections is not None:
-            bodies, body_scores = read_keypoints(detections, benchmark)
-            take = reconstruct(keypoint_session(benchmark, bodies), config, bars.update)
+            bodies, body_scores = mvor.read_keypoints(detections, benchmark)
+            take = reconstruct(mvor.keypoint_session(benchmark, bodies), config, bars.update)
             poses = poses_at(take.tracks, take.joints, SCORED_JOINTS, np.arange(len(benchmark.instants)))
         else:
             poses, bodies = _from_pictures(data, benchmark, config, bars.update)
@@ -66,18 +59,18 @@ def command(
 
 
 def _from_pictures(
-    data: Path, benchmark: MvorBenchmark, config: ReconstructionConfig, on_progress: OnProgress
+    data: Path, benchmark: mvor.MvorBenchmark, config: ReconstructionConfig, on_progress: OnProgress
 ) -> tuple[list[InstantPoses], Mapping[str, Detections]]:
     """Poses at all instants, and detections with the numbers of the instants as frames. A day is a session."""
     poses: list[InstantPoses] = []
     bodies: list[Detections] = []
     joints = detection_joints(replace(config, method="tracking"))
-    for day in load_days(data, benchmark):
+    for day in mvor.load_days(data, benchmark):
         session = open_session(day.folders, benchmark.annotations, images_rate_hz=_RATE_HZ)
         take = reconstruct(session, config, on_progress)
         poses += poses_at(take.tracks, take.joints, SCORED_JOINTS, day.frames)
         detections = detect_people(session, config, on_progress)
-        bodies += [at_instants(of_camera, joints, day) for of_camera in detections.values()]
+        bodies += [mvor.at_instants(of_camera, joints, day) for of_camera in detections.values()]
     return poses, concatenate(bodies, [camera.name for camera in benchmark.cameras], len(COCO_17.names))
 
 

@@ -12,14 +12,7 @@ from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
 from api.cli.options import KeypointsOption, checked, with_choices
 from api.cli.sources import SourceOptions
 from pipeline.run.engine.local import reconstruct
-from pipeline.validation.evaluation.datasets.panoptic import (
-    CAMERAS,
-    EVERY,
-    FRAME_RATE_HZ,
-    frame_times,
-    load_panoptic,
-    score_panoptic,
-)
+from pipeline.validation.evaluation.datasets import panoptic
 
 
 @with_choices("frame_range", "profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
@@ -28,10 +21,10 @@ def command(
     data: Annotated[Path, typer.Option(help="The folder of a sequence as the data set's toolbox makes it.")],
     cameras: Annotated[
         str, typer.Option(metavar="LIST", help="HD cameras, such as 00_03,00_06. Default: the five of VoxelPose.")
-    ] = ",".join(CAMERAS),
+    ] = ",".join(panoptic.CAMERAS),
     every: Annotated[
         int, typer.Option(min=1, max=10_000, help="Compare with every n-th file of poses. Default: as VoxelPose.")
-    ] = EVERY,
+    ] = panoptic.EVERY,
     keypoints: KeypointsOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
@@ -40,12 +33,14 @@ def command(
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), force=True)
         names = tuple(name.strip() for name in cameras.split(",") if name.strip())
-        sequence = load_panoptic(data, names, every, has_footage=keypoints is None)
-        rate_hz = FRAME_RATE_HZ if keypoints or sequence.has_images else None
+        sequence = panoptic.load_panoptic(data, names, every, has_footage=keypoints is None)
+        rate_hz = panoptic.FRAME_RATE_HZ if keypoints or sequence.has_images else None
         source = SourceOptions(list(sequence.footage), keypoints=keypoints, frame_rate=rate_hz)
         session = source.open(sequence.calibration)
         take = reconstruct(session, config, bars.update)
-        scores = score_panoptic(take.tracks, take.joints, take.timebase, sequence, frame_times(session, sequence))
+        scores = panoptic.score_panoptic(
+            take.tracks, take.joints, take.timebase, sequence, panoptic.frame_times(session, sequence)
+        )
     if as_json:
         emit(scores)
         return

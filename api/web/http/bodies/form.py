@@ -19,23 +19,8 @@ from api.web.errors import ApiError, ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
 from pipeline.capture.parts import group_parts
+from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.request_codes import (
-    CONTENT_TOO_LARGE,
-    DUPLICATE_FILE_NAME,
-    DUPLICATE_PART,
-    FILE_NAME_INVALID,
-    FILE_TOO_LARGE,
-    MISSING_PART,
-    PART_TOO_LARGE,
-    PIECE_TOO_LARGE,
-    SESSION_TOO_LARGE,
-    TOO_MANY_IMAGES,
-    TOO_MANY_KEYPOINTS,
-    TOO_MANY_PARTS,
-    TOO_MANY_VIDEOS,
-    UNKNOWN_PART,
-)
 
 _MAX_NAME_BYTES = 200
 _MAX_SHOWN = 100
@@ -44,12 +29,16 @@ _MAX_OTHER_PARTS = 32
 # Limit on the videos of a camera: recordings come in parts, of which each camera has as many.
 _MAX_PARTS_OF_CAMERA = 16
 _BLOCK_BYTES = 2**20
-_TOO_MANY = {VIDEOS: TOO_MANY_VIDEOS, IMAGES: TOO_MANY_IMAGES, KEYPOINTS: TOO_MANY_KEYPOINTS}
+_TOO_MANY = {
+    VIDEOS: request_codes.TOO_MANY_VIDEOS,
+    IMAGES: request_codes.TOO_MANY_IMAGES,
+    KEYPOINTS: request_codes.TOO_MANY_KEYPOINTS,
+}
 _TOO_LARGE = {
-    "file": FILE_TOO_LARGE,
-    "part": PART_TOO_LARGE,
-    "piece": PIECE_TOO_LARGE,
-    "session": SESSION_TOO_LARGE,
+    "file": request_codes.FILE_TOO_LARGE,
+    "part": request_codes.PART_TOO_LARGE,
+    "piece": request_codes.PIECE_TOO_LARGE,
+    "session": request_codes.SESSION_TOO_LARGE,
 }
 
 
@@ -164,7 +153,7 @@ class Parts:
         """Begin a part."""
         self._num_other_parts += part != VIDEOS or self._counts[part] >= self._limits.max_files(part)
         if self._num_other_parts > self._limits.max_cameras + _MAX_OTHER_PARTS:
-            raise ApiError(TOO_MANY_PARTS, "The form has too many parts.")
+            raise ApiError(request_codes.TOO_MANY_PARTS, "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
         # A refused part is read to its end: the response states why it is refused, not that it is large.
         self._max_bytes = self._limits.max_session_bytes
@@ -178,12 +167,14 @@ class Parts:
             self._max_bytes = self._limits.max_json_bytes
             self._write = self._documents.setdefault(part, bytearray()).extend
         elif part in self._documents:
-            self._add_error(DUPLICATE_PART, "The form has this part more than once.", f"/{part}")
+            self._add_error(request_codes.DUPLICATE_PART, "The form has this part more than once.", f"/{part}")
         else:
             known = ", ".join([*self._files, *self._kind.documents])
             message, name = f"The form has a part that is not one of: {known}.", part[:_MAX_SHOWN]
             hint = self._places.hint(name, "")
-            self._errors.append(ErrorItem(code=UNKNOWN_PART, message=message, pointer=pointer_to(name), hint=hint))
+            self._errors.append(
+                ErrorItem(code=request_codes.UNKNOWN_PART, message=message, pointer=pointer_to(name), hint=hint)
+            )
 
     def write(self, data: bytes) -> None:
         """Receive the next bytes of the part."""
@@ -252,10 +243,10 @@ class Parts:
         recordings = group_parts(PurePosixPath(name).stem for name in self._videos)
         if len(recordings) - num_stated_parts > (most := self._limits.max_cameras):
             message = f"A {self._kind.noun} has {most} cameras at most; these are {len(recordings)} recordings."
-            self._add_error(TOO_MANY_VIDEOS, message, f"/{VIDEOS}/{most}")
+            self._add_error(request_codes.TOO_MANY_VIDEOS, message, f"/{VIDEOS}/{most}")
         sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
         for code, message, part in self._kind.faults(Counter(sent)):
-            if not (self._refused and code == MISSING_PART and part in VIEWS):
+            if not (self._refused and code == request_codes.MISSING_PART and part in VIEWS):
                 self._add_error(code, message, f"/{part}")
         return Form(
             files={part: tuple(files) for part, files in self._files.items()},
@@ -277,11 +268,13 @@ class Parts:
             if index == max_files:
                 self._add_error(_TOO_MANY[part], f"A {self._kind.noun} has {max_files} {part} at most.", pointer)
         elif part not in VIEWS and index > 0:
-            self._add_error(DUPLICATE_PART, f"A {self._kind.noun} has one file of {part}.", pointer)
+            self._add_error(request_codes.DUPLICATE_PART, f"A {self._kind.noun} has one file of {part}.", pointer)
         elif message := name_error(name):
-            self._add_error(FILE_NAME_INVALID, message, pointer)
+            self._add_error(request_codes.FILE_NAME_INVALID, message, pointer)
         elif _folded(name) in self._names:
-            self._add_error(DUPLICATE_FILE_NAME, f"Two files of the {self._kind.noun} have this name.", pointer, name)
+            self._add_error(
+                request_codes.DUPLICATE_FILE_NAME, f"Two files of the {self._kind.noun} have this name.", pointer, name
+            )
         else:
             self._names.add(_folded(name))
             self._videos += [name] if part == VIDEOS else []
@@ -343,4 +336,4 @@ def too_large(
         pointer=f"/{part}" if part else None,
         file=file if file and not name_error(file) else None,
     )
-    return ApiError(CONTENT_TOO_LARGE, f"The {what} is larger than the service accepts.", errors=(item,))
+    return ApiError(request_codes.CONTENT_TOO_LARGE, f"The {what} is larger than the service accepts.", errors=(item,))

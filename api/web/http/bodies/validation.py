@@ -21,41 +21,30 @@ from starlette.responses import Response
 from api.web.errors import MAX_LISTED, ApiError, ErrorItem, more_problems, pointer_to, problem_response, unprocessable
 from api.web.http.bodies.field_places import FieldPlaces, place_path
 from pipeline.core.options.requirements import Schema, Steps, path_text, requirement, resolve, schema_branches
+from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.request_codes import (
-    INVALID_VALUE,
-    MALFORMED_JSON,
-    MISSING_FIELD,
-    OUT_OF_RANGE,
-    UNKNOWN_FIELD,
-    UNSUPPORTED_MEDIA_TYPE,
-    VALUE_NOT_ALLOWED,
-    WRONG_FORMAT,
-    WRONG_LENGTH,
-    WRONG_TYPE,
-)
 
 _CODES: Mapping[str, Code] = {
-    "extra_forbidden": UNKNOWN_FIELD,
-    "unexpected_keyword_argument": UNKNOWN_FIELD,
-    "missing": MISSING_FIELD,
-    "json_invalid": MALFORMED_JSON,
-    "literal_error": VALUE_NOT_ALLOWED,
-    "enum": VALUE_NOT_ALLOWED,
-    "greater_than": OUT_OF_RANGE,
-    "greater_than_equal": OUT_OF_RANGE,
-    "less_than": OUT_OF_RANGE,
-    "less_than_equal": OUT_OF_RANGE,
-    "finite_number": OUT_OF_RANGE,
-    "int_parsing_size": OUT_OF_RANGE,
-    "string_too_short": WRONG_LENGTH,
-    "string_too_long": WRONG_LENGTH,
-    "too_short": WRONG_LENGTH,
-    "too_long": WRONG_LENGTH,
-    "string_pattern_mismatch": WRONG_FORMAT,
-    "uuid_parsing": WRONG_FORMAT,
-    "int_from_float": WRONG_TYPE,
-    "model_attributes_type": WRONG_TYPE,
+    "extra_forbidden": request_codes.UNKNOWN_FIELD,
+    "unexpected_keyword_argument": request_codes.UNKNOWN_FIELD,
+    "missing": request_codes.MISSING_FIELD,
+    "json_invalid": request_codes.MALFORMED_JSON,
+    "literal_error": request_codes.VALUE_NOT_ALLOWED,
+    "enum": request_codes.VALUE_NOT_ALLOWED,
+    "greater_than": request_codes.OUT_OF_RANGE,
+    "greater_than_equal": request_codes.OUT_OF_RANGE,
+    "less_than": request_codes.OUT_OF_RANGE,
+    "less_than_equal": request_codes.OUT_OF_RANGE,
+    "finite_number": request_codes.OUT_OF_RANGE,
+    "int_parsing_size": request_codes.OUT_OF_RANGE,
+    "string_too_short": request_codes.WRONG_LENGTH,
+    "string_too_long": request_codes.WRONG_LENGTH,
+    "too_short": request_codes.WRONG_LENGTH,
+    "too_long": request_codes.WRONG_LENGTH,
+    "string_pattern_mismatch": request_codes.WRONG_FORMAT,
+    "uuid_parsing": request_codes.WRONG_FORMAT,
+    "int_from_float": request_codes.WRONG_TYPE,
+    "model_attributes_type": request_codes.WRONG_TYPE,
 }
 _LIBRARY_TYPES = frozenset(get_args(ErrorType))
 
@@ -95,10 +84,10 @@ def _handle(request: Request, error: Exception) -> Response:
 def _from_validation(request: Request, error: RequestValidationError) -> ApiError:
     details = error.errors()
     if any(detail["type"] == "json_invalid" for detail in details):
-        return ApiError(MALFORMED_JSON, "The body is not JSON.")
+        return ApiError(request_codes.MALFORMED_JSON, "The body is not JSON.")
     if isinstance(error.body, bytes):  # a body of another type, which the framework does not parse
         message = "This address accepts application/json."
-        return ApiError(UNSUPPORTED_MEDIA_TYPE, message, hint="Send Content-Type: application/json.")
+        return ApiError(request_codes.UNSUPPORTED_MEDIA_TYPE, message, hint="Send Content-Type: application/json.")
     contract = request.app.openapi()
     operation = contract["paths"][request.scope["route"].path][request.scope["method"].lower()]
     in_body = [detail | {"loc": detail["loc"][1:]} for detail in details if detail["loc"][0] == "body"]
@@ -141,10 +130,13 @@ def _items(
     items = []
     for steps, field_errors in islice(by_field.items(), MAX_LISTED):
         codes = {_code(error) for error in field_errors}
-        if codes == {VALUE_NOT_ALLOWED, WRONG_FORMAT}:  # neither a named value nor a name of the user's own
-            code = VALUE_NOT_ALLOWED
+        if codes == {
+            request_codes.VALUE_NOT_ALLOWED,
+            request_codes.WRONG_FORMAT,
+        }:  # neither a named value nor a name of the user's own
+            code = request_codes.VALUE_NOT_ALLOWED
         else:
-            code = codes.pop() if len(codes) == 1 else INVALID_VALUE
+            code = codes.pop() if len(codes) == 1 else request_codes.INVALID_VALUE
         items.append(_item(field_errors[0], code, steps, fields, places, part))
     return [*items, more_problems(more)] if (more := num_fields - len(items)) else items
 
@@ -158,7 +150,7 @@ class _Fields:
 
     def locate(self, error: ErrorDetails) -> Steps:
         """Steps to the field of an error."""
-        if _code(error) == UNKNOWN_FIELD:
+        if _code(error) == request_codes.UNKNOWN_FIELD:
             *holder, name = error["loc"]
             return (*self.follow(tuple(holder))[0], name)
         return self.follow(_where(error))[0]
@@ -176,18 +168,18 @@ def _item(error: ErrorDetails, code: Code, steps: Steps, fields: _Fields, places
     """Entry for a wrong field, by one of its errors."""
     start = (part,) if part else ()
     pointer, hint = pointer_to(*start, *steps), None
-    if _code(error) == UNKNOWN_FIELD:
+    if _code(error) == request_codes.UNKNOWN_FIELD:
         unknown = str(steps[-1])[:_MAX_SHOWN]
         known = ", ".join(_properties(fields.follow(error["loc"][:-1])[1], fields.root))
         message = f"There is no field {_name((*steps[:-1], unknown), '')} here. The fields are {known}."
         hint = places.hint(unknown, place_path((*start, *steps[:-1])))
     elif error["type"] not in _LIBRARY_TYPES:  # raised by our own validators with a code and a sentence
         message = error["msg"]
-    elif _code(error) == MALFORMED_JSON:
+    elif _code(error) == request_codes.MALFORMED_JSON:
         message = f"{_name(steps, part)} is not JSON."
     else:
         allowed = requirement(fields.follow(_where(error))[1], fields.root)
-        missing = " is missing. It" if _code(error) == MISSING_FIELD else ""
+        missing = " is missing. It" if _code(error) == request_codes.MISSING_FIELD else ""
         message = f"{_name(steps, part)}{missing} must be {allowed}."
     return ErrorItem(code=code, message=message, pointer=pointer, hint=hint)
 
@@ -208,7 +200,7 @@ def _code(error: ErrorDetails) -> Code:
     if kind not in _LIBRARY_TYPES:
         return Code(kind)
     is_type = kind.endswith(("_type", "_parsing"))
-    return _CODES.get(kind, WRONG_TYPE if is_type else INVALID_VALUE)
+    return _CODES.get(kind, request_codes.WRONG_TYPE if is_type else request_codes.INVALID_VALUE)
 
 
 def _inner(schema: Schema, step: str | int, root: Schema) -> Schema | None:

@@ -10,17 +10,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from pipeline.association.clustering.clustering_parameters import ClusteringParameters
+from pipeline.association.clustering.instant import work_limits
 from pipeline.association.clustering.instant.constraints import fits, length_error, nearly_fits
 from pipeline.association.clustering.instant.evidence import NOWHERE, JointPoints, LimbEvidence
 from pipeline.association.clustering.instant.hypotheses import Candidates, Hypotheses, meet, reprojection_px
 from pipeline.association.clustering.instant.joints import refine
-from pipeline.association.clustering.instant.work_limits import (
-    MAX_CANDIDATES,
-    MAX_DENSE,
-    MAX_JOINTS,
-    MAX_NEIGHBOURS,
-    WorkLimits,
-)
 from pipeline.association.clustering.skeleton import LimbLengths, Skeleton
 from pipeline.geometry.triangulation import plane_rows
 
@@ -69,7 +63,7 @@ def find_joints(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    limits: WorkLimits,
+    limits: work_limits.WorkLimits,
     known: Joints | None = None,
 ) -> Joints:
     """Find the 3D joints of all people, level by level of the skeleton (sections 3.2 and 3.3).
@@ -90,7 +84,7 @@ def find_joints(
         here = candidates.where(of_level)
         hypotheses = meet(image_from_world, here, parameters.tau1_px, limits)
         drafts: list[_Draft] = []
-        is_small = len(joints.points.joint) * len(hypotheses.pair) <= MAX_DENSE
+        is_small = len(joints.points.joint) * len(hypotheses.pair) <= work_limits.MAX_DENSE
         for kinds in [level] if is_small else [[kind] for kind in level]:
             of_kinds = hypotheses.where(np.isin(here.joint[hypotheses.pair[:, 0]], kinds))
             is_parent = np.isin(joints.points.joint, [skeleton.parents[kind] for kind in kinds])
@@ -114,14 +108,14 @@ def find_joints(
     return joints
 
 
-def _most_certain(candidates: Candidates, limits: WorkLimits) -> Int[np.ndarray, " _"]:
+def _most_certain(candidates: Candidates, limits: work_limits.WorkLimits) -> Int[np.ndarray, " _"]:
     """Rows of the candidates with the highest scores, at most ``MAX_CANDIDATES`` of a joint in a view."""
     place = candidates.view * (candidates.joint.max(initial=0) + 1) + candidates.joint
-    if limits.allows(int(np.bincount(place).max(initial=0)), MAX_CANDIDATES):
+    if limits.allows(int(np.bincount(place).max(initial=0)), work_limits.MAX_CANDIDATES):
         return np.arange(len(place))
     ranked = np.lexsort((-candidates.score, place))
     first = np.searchsorted(place[ranked], place[ranked])
-    return np.sort(ranked[np.arange(len(ranked)) - first < MAX_CANDIDATES])
+    return np.sort(ranked[np.arange(len(ranked)) - first < work_limits.MAX_CANDIDATES])
 
 
 def _agreement(
@@ -166,7 +160,7 @@ def _draft(
     skeleton: Skeleton,
     lengths: LimbLengths,
     parameters: ClusteringParameters,
-    limits: WorkLimits,
+    limits: work_limits.WorkLimits,
 ) -> list[_Draft]:
     """Draft joints: cluster hypotheses, split clusters by parents, and match candidates across views in each."""
     nobody = np.full(len(image_from_world), NOWHERE)
@@ -196,7 +190,10 @@ def _draft(
 
 
 def cluster_hypotheses(
-    xyz_m: Float[np.ndarray, "hypotheses 3"], joint: Int[np.ndarray, " hypotheses"], eps_m: float, limits: WorkLimits
+    xyz_m: Float[np.ndarray, "hypotheses 3"],
+    joint: Int[np.ndarray, " hypotheses"],
+    eps_m: float,
+    limits: work_limits.WorkLimits,
 ) -> Iterator[Int[np.ndarray, " _"]]:
     """Cluster hypotheses by DBSCAN with at least one sample: clusters are the connected components of neighbours.
 
@@ -212,9 +209,9 @@ def cluster_hypotheses(
     # A fourth dimension separates joints of different kinds.
     places = np.column_stack([xyz_m, 10 * eps_m * joint])
     cell_of = np.arange(len(places))
-    if len(places) ** 2 > 2 * MAX_NEIGHBOURS:
+    if len(places) ** 2 > 2 * work_limits.MAX_NEIGHBOURS:
         tree = cKDTree(places)
-        if not limits.allows(int(tree.count_neighbors(tree, eps_m)) // 2, MAX_NEIGHBOURS):
+        if not limits.allows(int(tree.count_neighbors(tree, eps_m)) // 2, work_limits.MAX_NEIGHBOURS):
             cells, cell_of = np.unique(np.floor(places / (eps_m / 2)), axis=0, return_inverse=True)
             places = (cells + 0.5) * (eps_m / 2)
     # The tree computes distances exactly and in one thread. Most sets are so small that checks of the input would take
@@ -280,7 +277,7 @@ def _extract(
     members: Int[np.ndarray, " _"],
     parent_body: Int[np.ndarray, " cameras"],
     parameters: ClusteringParameters,
-    limits: WorkLimits,
+    limits: work_limits.WorkLimits,
 ) -> Iterator[tuple[list[int], Float[np.ndarray, " 3"]]]:
     """Extract joints from a group of hypotheses: matched candidates of different views, and an initial position.
 
@@ -331,7 +328,7 @@ def _locate(
     drafts: list[_Draft],
     parents: JointPoints,
     eps_m: float,
-    limits: WorkLimits,
+    limits: work_limits.WorkLimits,
 ) -> Joints:
     """Assign each candidate to one draft, drafts with the most views first, and locate drafts that keep two views.
 
@@ -348,7 +345,7 @@ def _locate(
     for draft in drafts:
         left = [k for k in draft.candidates if k not in owners or _may_share(draft, owners[k])]
         kind = int(candidates.joint[draft.candidates[0]])
-        if len(left) >= 2 and limits.allows(num_kept[kind] + 1, MAX_JOINTS):
+        if len(left) >= 2 and limits.allows(num_kept[kind] + 1, work_limits.MAX_JOINTS):
             num_kept[kind] += 1
             kept.append(draft._replace(candidates=left))
             for k in left:

@@ -16,16 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.keypoint_reader import reader
-from pipeline.capture.keypoint_files.people import (
-    KeypointsError,
-    People,
-    check_frames,
-    check_number,
-    first_entry,
-    frame_number,
-    nobody,
-)
 from pipeline.capture.keypoint_files.points import KeypointReading, layout_of_names
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import read_numbers
@@ -35,7 +27,7 @@ _POINTS, _SCORES, _NAMES = "keypoints", "keypoint_scores", "keypoint_id2name"
 
 def is_instances(content: Any) -> bool:
     """The content lists frames with instances, or the instances of a frame."""
-    return not first_entry(content).keys().isdisjoint(("instances", _SCORES))
+    return not people.first_entry(content).keys().isdisjoint(("instances", _SCORES))
 
 
 def split_frames(content: Any) -> Mapping[int, Any] | None:
@@ -45,43 +37,43 @@ def split_frames(content: Any) -> Mapping[int, Any] | None:
         names = _point_names(content.get("meta_info"))
         layout = None if names is None else layout_of_names(names, _NAMES)
         content = content["instance_info"]
-    elif "instances" not in first_entry(content):
+    elif "instances" not in people.first_entry(content):
         return None
-    check_frames(len(content))
+    people.check_frames(len(content))
     frames: dict[int, Any] = {}
     for frame in content:
-        number = frame_number(frame["frame_id"], "frame_id")
+        number = people.frame_number(frame["frame_id"], "frame_id")
         if number in frames:
-            raise KeypointsError(f"Frame {number} is listed twice.", "frame_id")
+            raise people.KeypointsError(f"Frame {number} is listed twice.", "frame_id")
         frames[number] = _Frame(frame["instances"], layout)
     return frames
 
 
 @reader("MMPose", is_content=is_instances, fields=("instance_info",), split_frames=split_frames)
-def read_frame(content: Any, reading: KeypointReading) -> People:
+def read_frame(content: Any, reading: KeypointReading) -> people.People:
     """Read the people of a frame with at least one detected joint."""
     instances, layout = content if isinstance(content, _Frame) else _Frame(content, None)
     if not isinstance(instances, list):
         raise TypeError
-    check_number(instances)
+    people.check_number(instances)
     if not instances:
-        return nobody()
+        return people.nobody()
     num_points = len(instances[0][_POINTS])
     for instance in instances:
         if len(instance[_POINTS]) != num_points:
-            raise KeypointsError("People have different numbers of points.", _POINTS)
+            raise people.KeypointsError("People have different numbers of points.", _POINTS)
         if len(instance[_SCORES]) != num_points:
             message = f"A person has {num_points} points and {len(instance[_SCORES])} scores."
-            raise KeypointsError(message, _SCORES)
+            raise people.KeypointsError(message, _SCORES)
     layout = reading.layout(num_points, _POINTS) if layout is None else layout
     if len(layout.points) != num_points:
-        raise KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
+        raise people.KeypointsError(f"A person has {num_points} points; the file names {len(layout.points)}.", _POINTS)
     points_px = read_numbers([instance[_POINTS] for instance in instances])
     if points_px.shape != (len(instances), num_points, 2):
-        raise KeypointsError("A point must have x and y.", _POINTS)
+        raise people.KeypointsError("A point must have x and y.", _POINTS)
     scores = read_numbers([instance[_SCORES] for instance in instances])
     if scores.shape != (len(instances), num_points):
-        raise KeypointsError("A score must be a number.", _SCORES)
+        raise people.KeypointsError("A score must be a number.", _SCORES)
     return reading.people(np.concatenate([points_px, scores[..., None]], axis=-1), layout)
 
 
@@ -98,5 +90,5 @@ def _point_names(meta: Any) -> Sequence[str] | None:
         return None
     names = meta[_NAMES]
     if any(str(k) not in names for k in range(len(names))):
-        raise KeypointsError("The points' names must be numbered from 0.", _NAMES)
+        raise people.KeypointsError("The points' names must be numbered from 0.", _NAMES)
     return [str(names[str(k)]) for k in range(len(names))]

@@ -15,15 +15,7 @@ from pipeline.motion.skeleton.fitting.articulation import Articulation
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.uncertainty import uncertainty_m
-from pipeline.motion.skeleton.hands.anatomy import (
-    NUM_HINGES,
-    WRIST_JOINT,
-    articulate_hand,
-    bend_angles_rad,
-    hand_fingers,
-    local_rotations,
-    natural_rad,
-)
+from pipeline.motion.skeleton.hands import anatomy
 from pipeline.motion.skeleton.model import joint_pose
 from pipeline.motion.skeleton.rotations import align, continuous_quat_xyzw, filled
 from pipeline.motion.skeleton.time_series import Blend, windows
@@ -86,17 +78,17 @@ def start_pose(
     share = _share_at_rest(is_seen, frame_rate_hz)
     if not is_seen.any():
         rest = Rotation.identity(len(is_seen))
-        return HandPose(rest, np.tile(natural_rad(), (len(is_seen), 1)))
-    fingers = [finger for name, finger in hand_fingers(side).items() if name != "thumb"]
+        return HandPose(rest, np.tile(anatomy.natural_rad(), (len(is_seen), 1)))
+    fingers = [finger for name, finger in anatomy.hand_fingers(side).items() if name != "thumb"]
     palm_m = np.array([bone_length_m[finger.joints[0]] * finger.directions[0] for finger in fingers])
     from_wrist_m = points_m[:, _KNUCKLES] - points_m[:, :1]
     world_from_hand = align(np.broadcast_to(palm_m, from_wrist_m.shape), from_wrist_m)
     turned = filled(world_from_forearm.inv() * world_from_hand, is_seen)
     in_hand_m = np.einsum("fba,flb->fla", world_from_hand.as_matrix(), points_m - points_m[:, :1])
-    angle_rad = bend_angles_rad(side, in_hand_m)
-    natural = natural_rad()
+    angle_rad = anatomy.bend_angles_rad(side, in_hand_m)
+    natural = anatomy.natural_rad()
     frames = np.arange(len(is_seen))
-    for hinge in range(NUM_HINGES):
+    for hinge in range(anatomy.NUM_HINGES):
         known = np.flatnonzero(is_seen & np.isfinite(angle_rad[:, hinge]))
         angle_rad[:, hinge] = (
             np.interp(frames, known, angle_rad[known, hinge]) if len(known) else np.full(len(frames), natural[hinge])
@@ -191,8 +183,8 @@ def fit_hand(
     positions.
     """
     num_frames = len(body.root_m)
-    skeleton = articulate_hand(side, bone_length_m)
-    quat, angle_rad = np.empty((num_frames, 4)), np.empty((num_frames, NUM_HINGES))
+    skeleton = anatomy.articulate_hand(side, bone_length_m)
+    quat, angle_rad = np.empty((num_frames, 4)), np.empty((num_frames, anatomy.NUM_HINGES))
     all_sigma_m = np.full((num_frames, len(skeleton.landmark)), np.nan)
     joined_quat, joined_rad, joined_m = Blend(quat), Blend(angle_rad), Blend(all_sigma_m)
     usual_m = np.full(len(skeleton.landmark), _USUAL_M_S2 / body.frame_rate_hz**2 if cameras else np.inf)
@@ -208,11 +200,11 @@ def fit_hand(
             if cameras:
                 sigma_m = uncertainty_m(hand, skeleton, evidence, body.frame_rate_hz)
                 found_m = np.where(views.is_seen[rows, None], sigma_m, np.nan)
-        turned = continuous_quat_xyzw(Rotation.from_matrix(hand.local[:, WRIST_JOINT]))
+        turned = continuous_quat_xyzw(Rotation.from_matrix(hand.local[:, anatomy.WRIST_JOINT]))
         if rows.start and turned[0] @ quat[rows.start] < 0:
             turned = -turned
         joined_quat.add(rows, turned)
-        joined_rad.add(rows, hand.angle_rad[:, -NUM_HINGES:])
+        joined_rad.add(rows, hand.angle_rad[:, -anatomy.NUM_HINGES :])
         joined_m.add(rows, found_m)
     pose = HandPose(Rotation.from_quat(quat), angle_rad)
     return FittedHand(pose, all_sigma_m[:, 1:] if cameras and views.is_seen.any() else None)
@@ -232,7 +224,7 @@ def fingers_m(
     """World positions of the joints of all fingers (metres), in the order of ``finger_joints``."""
     wrist_m, forearm = wrist_pose(side, body, rows)
     shown = HandPose(pose.forearm_from_hand[rows], pose.angle_rad[rows])
-    skeleton = articulate_hand(side, bone_length_m)
+    skeleton = anatomy.articulate_hand(side, bone_length_m)
     return landmark_positions(_bodies(side, skeleton, wrist_m, forearm, shown), skeleton)[:, 1:]
 
 
@@ -241,9 +233,9 @@ def _bodies(
 ) -> JointPoses:
     """Joints of a hand on the body's wrist; hinges are clipped to their limits."""
     angle_rad = np.zeros((len(wrist_m), skeleton.num_freedoms))
-    hinges = slice(-NUM_HINGES, None)
+    hinges = slice(-anatomy.NUM_HINGES, None)
     angle_rad[:, hinges] = np.clip(pose.angle_rad, skeleton.lowest_rad[hinges], skeleton.highest_rad[hinges])
-    local = local_rotations(side, forearm.as_matrix(), pose.forearm_from_hand.as_matrix(), angle_rad[:, hinges])
+    local = anatomy.local_rotations(side, forearm.as_matrix(), pose.forearm_from_hand.as_matrix(), angle_rad[:, hinges])
     return JointPoses(np.array(wrist_m), local, angle_rad)
 
 

@@ -31,13 +31,8 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import UnusableError
+from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
-from pipeline.core.problems.session_codes import (
-    NO_VIDEO_STREAM,
-    UNSUPPORTED_CODEC,
-    VIDEO_CHANGES_SIZE,
-    VIDEO_UNREADABLE,
-)
 from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
 from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind
@@ -125,7 +120,7 @@ class _Stream:
         except UnusableError as error:
             _say_end(error)
         except MemoryError:
-            _say_end(UnusableError(VIDEO_UNREADABLE, "The stream needs more memory than is allowed."))
+            _say_end(UnusableError(session_codes.VIDEO_UNREADABLE, "The stream needs more memory than is allowed."))
         except DECODE_ERRORS as error:
             _say_end(_usual_problem(error))
         else:
@@ -135,12 +130,14 @@ class _Stream:
         """Make each frame the newest one when it was decoded, and of a file when its time has come."""
         for time_s, frame in self._timed_frames(container, stream):
             if (frame.width, frame.height) != self._size_px:
-                raise UnusableError(VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again.")
+                raise UnusableError(
+                    session_codes.VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again."
+                )
             time.sleep(max(0.0, time_s - time.monotonic()))
             self._newest = _Taken(self._number, time_s, frame)
             _say("decoded", number=self._number, time_s=time_s)
         if self._newest is None:
-            raise UnusableError(VIDEO_UNREADABLE, "No picture of the stream can be decoded.")
+            raise UnusableError(session_codes.VIDEO_UNREADABLE, "No picture of the stream can be decoded.")
 
     def _open(self, frame: VideoFrame, stream: VideoStream) -> None:
         """Tell the size of the pictures; of a file wait for its start."""
@@ -193,11 +190,13 @@ def _find_video(container: InputContainer) -> VideoStream:
     """Stream of a container that is decoded; raises ``UnusableError`` if there is none."""
     stream = first_video(container)
     if stream is None:
-        raise UnusableError(NO_VIDEO_STREAM, "The stream has no video that can be decoded.", "Check what is sent.")
+        raise UnusableError(
+            session_codes.NO_VIDEO_STREAM, "The stream has no video that can be decoded.", "Check what is sent."
+        )
     codec = stream.codec_context.codec.canonical_name
     if codec not in CODECS | {"rawvideo"}:
         hint = f"Use one of {', '.join(sorted(CODECS))}."
-        raise UnusableError(UNSUPPORTED_CODEC, f"The codec {codec} is not supported.", hint)
+        raise UnusableError(session_codes.UNSUPPORTED_CODEC, f"The codec {codec} is not supported.", hint)
     return stream
 
 
@@ -247,7 +246,9 @@ def _usual_problem(error: Exception) -> UnusableError:
         hint = "Check the address; redirects are not followed." if is_led_elsewhere else "Check the address."
         return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", hint)
     hint = "Send H.264 or HEVC by RTSP, or MJPEG or MPEG-TS by HTTP; play files of MP4, MOV, MKV, AVI or MPEG."
-    return UnusableError(VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.", hint)
+    return UnusableError(
+        session_codes.VIDEO_UNREADABLE, "The stream can't be read: it is damaged or of an unknown format.", hint
+    )
 
 
 def _say(kind: str, **values: object) -> None:

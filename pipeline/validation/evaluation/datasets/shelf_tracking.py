@@ -28,13 +28,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.baselines import Triangulation, associate_pairwise, locate_incrementally
-from pipeline.validation.evaluation.datasets.shelf import (
-    FRAME_RATE_HZ,
-    NUM_SCORED_ACTORS,
-    ShelfBenchmark,
-    score_shelf,
-    thin,
-)
+from pipeline.validation.evaluation.datasets import shelf
 from pipeline.validation.evaluation.mot import MotFrame, box_overlap, score_mot
 from pipeline.validation.evaluation.pcp import LIMB_JOINTS, benchmark_joints
 
@@ -45,7 +39,7 @@ _GHOST_S = 1.0
 _MIN_OVERLAP = 0.5
 
 
-def score_tracking(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
+def score_tracking(tracks: Sequence[Track3D], benchmark: shelf.ShelfBenchmark) -> dict[str, Any]:
     """Score tracks by the metrics of the module.
 
     Returns ``mota``, ``idf1`` (fractions of 1), ``false_positives`` and ``missed`` (numbers) by camera name, and the
@@ -68,7 +62,7 @@ def score_tracking(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict
     }
 
 
-def _on_frames(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> Float[np.ndarray, "tracks frames 14 3"]:
+def _on_frames(tracks: Sequence[Track3D], benchmark: shelf.ShelfBenchmark) -> Float[np.ndarray, "tracks frames 14 3"]:
     """Benchmark joints of all tracks in all frames, NaN outside of a track."""
     taken = np.full((len(tracks), benchmark.timebase.num_frames, len(COCO_17.names), 3), np.nan)
     for row, track in enumerate(tracks):
@@ -106,7 +100,7 @@ def _mot_frames(
     camera: Camera,
     predicted_m: Float[np.ndarray, "tracks frames 14 3"],
     distance_m: Float[np.ndarray, "actors tracks frames"],
-    benchmark: ShelfBenchmark,
+    benchmark: shelf.ShelfBenchmark,
 ) -> list[MotFrame]:
     truth_px, predicted_px = _boxes(camera, benchmark.truth_m), _boxes(camera, predicted_m)
     seen = _is_seen(camera, benchmark.truth_m)
@@ -123,7 +117,7 @@ def _mot_frames(
 
 
 def association_accuracy(
-    identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: ShelfBenchmark, by_frame: bool = False
+    identities: Mapping[str, Int[np.ndarray, " _"]], benchmark: shelf.ShelfBenchmark, by_frame: bool = False
 ) -> dict[str, float | None]:
     """Association accuracy by camera name, and over ``all`` cameras.
 
@@ -175,7 +169,7 @@ def _went_to_actor(
     return pairs[actor, columns]
 
 
-def score_single_view(benchmark: ShelfBenchmark) -> dict[str, dict[str, Any]]:
+def score_single_view(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, Any]]:
     """MOTA, IDF1 and switches of a single-view tracker by camera (Chen et al. 2020, table 4); see ``track_boxes``.
 
     An unmatched detection counts as a false positive only if it is near an annotated actor.
@@ -207,7 +201,7 @@ def _actors(
     camera: Camera,
     frame: Int[np.ndarray, " n"],
     keypoints_px: Float[np.ndarray, "n 17 2"],
-    benchmark: ShelfBenchmark,
+    benchmark: shelf.ShelfBenchmark,
 ) -> Int[np.ndarray, " n"]:
     """Number of the actor of each detection, -1 for none."""
     num_limb_joints = len(LIMB_JOINTS)
@@ -257,7 +251,7 @@ _WEIGHTS_2D = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
 _EVERY = (1, 2, 3, 4, 5, 6, 8, 10)
 
 
-def ablate(benchmark: ShelfBenchmark) -> dict[str, Any]:
+def ablate(benchmark: shelf.ShelfBenchmark) -> dict[str, Any]:
     """Run the whole ablation.
 
     Returns
@@ -283,8 +277,8 @@ def ablate(benchmark: ShelfBenchmark) -> dict[str, Any]:
     }
 
 
-def _association(benchmark: ShelfBenchmark) -> dict[str, dict[str, float | None]]:
-    parameters = derive_parameters(benchmark.cameras, FRAME_RATE_HZ)
+def _association(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, float | None]]:
+    parameters = derive_parameters(benchmark.cameras, shelf.FRAME_RATE_HZ)
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
     return {
         "pairs_of_views": association_accuracy(associate_pairwise(*views, parameters), benchmark, by_frame=True),
@@ -292,11 +286,11 @@ def _association(benchmark: ShelfBenchmark) -> dict[str, dict[str, float | None]
     }
 
 
-def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
+def _weights(benchmark: shelf.ShelfBenchmark) -> list[dict[str, Any]]:
     rows = []
     for weight_2d in _WEIGHTS_2D:
         parameters = replace(
-            derive_parameters(benchmark.cameras, FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
+            derive_parameters(benchmark.cameras, shelf.FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
         )
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = assign_detections(*views, parameters)
@@ -306,13 +300,13 @@ def _weights(benchmark: ShelfBenchmark) -> list[dict[str, Any]]:
                 "weight_2d": weight_2d,
                 "weight_3d": 1.0 - weight_2d,
                 "association_accuracy": association_accuracy(identities, benchmark)["all"],
-                "pcp": score_shelf(tracks, benchmark)["pcp"]["average"],
+                "pcp": shelf.score_shelf(tracks, benchmark)["pcp"]["average"],
             }
         )
     return rows
 
 
-def _triangulations(benchmark: ShelfBenchmark) -> dict[str, dict[str, float]]:
+def _triangulations(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, float]]:
     """PCP by kind of triangulation; ``robust`` is the triangulation of whole tracks."""
     parameters = derive_parameters(benchmark.cameras, benchmark.timebase.frame_rate_hz)
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
@@ -320,20 +314,20 @@ def _triangulations(benchmark: ShelfBenchmark) -> dict[str, dict[str, float]]:
     by_kind = {}
     for kind in Triangulation:
         tracks, _ = locate_incrementally(*views, identities, benchmark.timebase, parameters, kind)
-        by_kind[kind.value] = _parts(score_shelf(tracks, benchmark))
+        by_kind[kind.value] = _parts(shelf.score_shelf(tracks, benchmark))
     robust = locate_people(*views, identities, benchmark.timebase, parameters).tracks
-    return {**by_kind, "robust": _parts(score_shelf(robust, benchmark))}
+    return {**by_kind, "robust": _parts(shelf.score_shelf(robust, benchmark))}
 
 
 def _parts(scores: dict[str, Any]) -> dict[str, float]:
     parts = {
-        name: float(np.mean(scores["pcp"]["parts"][name][:NUM_SCORED_ACTORS]))
+        name: float(np.mean(scores["pcp"]["parts"][name][: shelf.NUM_SCORED_ACTORS]))
         for name in ("torso", "upper_arms", "lower_arms")
     }
     return {**parts, "average": scores["pcp"]["average"]}
 
 
-def _thinned(benchmark: ShelfBenchmark, every: int) -> dict[str, Any]:
-    thinned, _ = thin(benchmark, every)
+def _thinned(benchmark: shelf.ShelfBenchmark, every: int) -> dict[str, Any]:
+    thinned, _ = shelf.thin(benchmark, every)
     averages = {kind: parts["average"] for kind, parts in _triangulations(thinned).items()}
     return {"every": every, **averages}

@@ -10,15 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.joints import BODY_FEET, COCO_17, FINGER_JOINTS, SIDES, JointSet
 from pipeline.motion.angles.definitions import SEGMENTS, WORLD
-from pipeline.validation.simulation.acrobatics.anatomy import (
-    ANGLE_LIMITS_DEG,
-    ANGLE_NAMES,
-    CLEARANCE_M,
-    POINTS,
-    AcrobatBody,
-    body_parts,
-    points_m,
-)
+from pipeline.validation.simulation.acrobatics import anatomy
 from pipeline.validation.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
 from pipeline.validation.simulation.motion.body import random_proportions
 from pipeline.validation.simulation.motion.feet import random_foot_shape
@@ -44,7 +36,7 @@ _SOLVED_HZ = 40.0
 _SWAY_S, _SWAY_RAD = 0.5, 0.02
 # Height and speed up to which a mark of a foot stands on the floor.
 _ON_FLOOR_M, _STILL_M_S = 0.015, 0.10
-_LIMITS_RAD = np.radians([*ANGLE_LIMITS_DEG.values()]).T
+_LIMITS_RAD = np.radians([*anatomy.ANGLE_LIMITS_DEG.values()]).T
 _PAIRS = [COCO_17.indices((f"left_{joint}", f"right_{joint}")) for joint in ("shoulder", "elbow", "wrist")]
 
 
@@ -52,7 +44,7 @@ _PAIRS = [COCO_17.indices((f"left_{joint}", f"right_{joint}")) for joint in ("sh
 class Acrobat:
     """Body and motion of an acrobat from time 0 on."""
 
-    body: AcrobatBody
+    body: anatomy.AcrobatBody
     motion: CubicSpline  # Centre of the hips (metres), then angles of ``anatomy.ANGLE_NAMES`` (radians), over time
     hands: Hands  # Fingers, which rest, on the grid of ``GRID_HZ``
 
@@ -70,7 +62,7 @@ def perform_acrobatics(
     Planted points stay in place within a few millimetres, and no point sinks into the floor by more than 2 cm.
     """
     proportions = random_proportions(rng)
-    body = AcrobatBody(proportions, random_foot_shape(proportions, rng))
+    body = anatomy.AcrobatBody(proportions, random_foot_shape(proportions, rng))
     time_s = np.arange(np.ceil(duration_s * _SOLVED_HZ) + 2) / _SOLVED_HZ
     reference = reference_motion(vary(keys, rng), body, center_m, facing_rad, time_s)
     sway = gaussian_filter1d(rng.normal(size=reference.angles_rad.shape), _SWAY_S * _SOLVED_HZ, axis=0, mode="nearest")
@@ -85,7 +77,7 @@ def acrobat_joints_at(
 ) -> Float[np.ndarray, "times joints 3"]:
     """World positions in metres of joints of ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``."""
     state = acrobat.motion(np.clip(time_s, 0.0, acrobat.motion.x[-1]))
-    body_m = points_m(acrobat.body, state[:, :3], state[:, 3:])
+    body_m = anatomy.points_m(acrobat.body, state[:, :3], state[:, 3:])
     num_marks = len(COCO_17.names) if joints == COCO_17 else len(BODY_FEET.names)
     joints_m = body_m[:, :num_marks]
     if not FINGER_JOINTS.isdisjoint(joints.names):
@@ -100,7 +92,7 @@ def acrobat_segments_at(
 ) -> dict[str, Float[np.ndarray, "times 3 3"]]:
     """Exact orientations ``world_from_segment`` of the segments of ``motion.angles``, without hands, by name."""
     state = acrobat.motion(np.clip(time_s, 0.0, acrobat.motion.x[-1]))
-    return {name: part @ WORLD for name, part in body_parts(state[:, 3:]).items() if name in SEGMENTS}
+    return {name: part @ WORLD for name, part in anatomy.body_parts(state[:, 3:]).items() if name in SEGMENTS}
 
 
 def feet_on_floor(
@@ -114,11 +106,11 @@ def feet_on_floor(
     marks = np.array([[BODY_FEET.index(f"{side}_{part}") for part in ("heel", "big_toe", "ankle")] for side in SIDES])
     parts_m = body_feet_m[:, marks]
     speed_m_s = np.linalg.norm(np.gradient(parts_m, axis=0), axis=-1) * frame_rate_hz
-    return np.asarray((parts_m[..., 2] < CLEARANCE_M[marks] + _ON_FLOOR_M) & (speed_m_s < _STILL_M_S))
+    return np.asarray((parts_m[..., 2] < anatomy.CLEARANCE_M[marks] + _ON_FLOOR_M) & (speed_m_s < _STILL_M_S))
 
 
 def _plant(
-    reference: ReferenceMotion, body: AcrobatBody, time_s: Float[np.ndarray, " times"]
+    reference: ReferenceMotion, body: anatomy.AcrobatBody, time_s: Float[np.ndarray, " times"]
 ) -> Float[np.ndarray, "times values"]:
     """Hips and angles near a reference motion that keep planted points in place and all points above the floor.
 
@@ -126,13 +118,13 @@ def _plant(
     smoothed over time, and the next pass starts from them.
     """
     first = np.concatenate([reference.root_m, np.clip(reference.angles_rad, *_LIMITS_RAD)], axis=1)
-    points = sorted({POINTS.index(run.point) for run in reference.planted})
+    points = sorted({anatomy.POINTS.index(run.point) for run in reference.planted})
     state = first
     for number in range(_NUM_PASSES):
         start = first
         if number:
             start = first + gaussian_filter1d(state - first, _SPREAD_S * _SOLVED_HZ, axis=0, mode="nearest")
-        target_m = _targets_m(reference, points_m(body, start[:, :3], start[:, 3:]), points, time_s)
+        target_m = _targets_m(reference, anatomy.points_m(body, start[:, :3], start[:, 3:]), points, time_s)
         state = _solve_near(start, target_m, points, body)
     # Flesh and tendons soften the moment in which a point touches the floor.
     return gaussian_filter1d(state, _SOFT_S * _SOLVED_HZ, axis=0, mode="nearest")
@@ -142,18 +134,18 @@ def _solve_near(
     start: Float[np.ndarray, "times values"],
     target_m: Float[np.ndarray, "times planted 3"],
     points: list[int],
-    body: AcrobatBody,
+    body: anatomy.AcrobatBody,
 ) -> Float[np.ndarray, "times values"]:
     """Hips and angles closest to the start, with planted points at their targets (Gauss-Newton method)."""
-    usual = np.array([*[_ROOT_M] * 3, *[_ANGLE_RAD] * len(ANGLE_NAMES)])
+    usual = np.array([*[_ROOT_M] * 3, *[_ANGLE_RAD] * len(anatomy.ANGLE_NAMES)])
     lowest, highest = (
         np.append(np.full(3, free), limit) for free, limit in zip((-np.inf, np.inf), _LIMITS_RAD, strict=True)
     )
     state = start.copy()
     for held_m in _HELD_M:
-        residual = _residual(points_m(body, state[:, :3], state[:, 3:]), target_m, points)
+        residual = _residual(anatomy.points_m(body, state[:, :3], state[:, 3:]), target_m, points)
         moved = (state[:, None] + _DIFFERENCE * np.eye(state.shape[1])).reshape(-1, state.shape[1])
-        moved_m = points_m(body, moved[:, :3], moved[:, 3:]).reshape(*state.shape, -1, 3)
+        moved_m = anatomy.points_m(body, moved[:, :3], moved[:, 3:]).reshape(*state.shape, -1, 3)
         beside = np.stack([_residual(moved_m[:, k], target_m, points) for k in range(state.shape[1])], axis=-1)
         jacobian = (beside - residual[..., None]) / _DIFFERENCE
         transposed = jacobian.transpose(0, 2, 1)
@@ -165,7 +157,7 @@ def _solve_near(
         step = np.linalg.solve(normal, force[..., None])[..., 0]
         tried = np.clip(state + _SHARES[:, None, None] * step, lowest, highest)
         away = ((tried - start) ** 2 / usual**2).sum(-1)
-        lost = [(_residual(points_m(body, k[:, :3], k[:, 3:]), target_m, points) ** 2).sum(-1) for k in tried]
+        lost = [(_residual(anatomy.points_m(body, k[:, :3], k[:, 3:]), target_m, points) ** 2).sum(-1) for k in tried]
         state = tried[(np.array(lost) / held_m**2 + away).argmin(0), np.arange(len(state))]
     return state
 
@@ -175,7 +167,7 @@ def _residual(
 ) -> Float[np.ndarray, "times residuals"]:
     """Distances of planted points from their places along each axis, and depths below the floor, in metres."""
     away_m = np.nan_to_num(here_m[:, points] - target_m).reshape(len(here_m), -1)
-    return np.concatenate([away_m, np.maximum(CLEARANCE_M - here_m[..., 2], 0.0)], axis=1)
+    return np.concatenate([away_m, np.maximum(anatomy.CLEARANCE_M - here_m[..., 2], 0.0)], axis=1)
 
 
 def _targets_m(
@@ -190,7 +182,7 @@ def _targets_m(
     """
     target_m = np.full((len(time_s), len(points), 3), np.nan)
     for number, point in enumerate(points):
-        runs = [run for run in reference.planted if run.point == POINTS[point]]
+        runs = [run for run in reference.planted if run.point == anatomy.POINTS[point]]
         shares = [
             smoothstep((time_s - run.start_s) / _EASE_S + 1) * smoothstep((run.stop_s - time_s) / _EASE_S + 1)
             for run in runs
@@ -200,5 +192,5 @@ def _targets_m(
         )
         led = np.max(shares, axis=0) > 0
         target_m[led, number] = (here_m[:, point] + moved_m)[led]
-        target_m[:, number, 2] = np.maximum(target_m[:, number, 2], CLEARANCE_M[point])
+        target_m[:, number, 2] = np.maximum(target_m[:, number, 2], anatomy.CLEARANCE_M[point])
     return target_m

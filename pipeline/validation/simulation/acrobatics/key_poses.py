@@ -13,14 +13,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from pipeline.core.joints import other_side
-from pipeline.validation.simulation.acrobatics.anatomy import (
-    ANGLE_LIMITS_DEG,
-    ANGLE_NAMES,
-    CLEARANCE_M,
-    POINTS,
-    AcrobatBody,
-    points_m,
-)
+from pipeline.validation.simulation.acrobatics import anatomy
 
 # Random variation of angles in degrees, of angles of the pelvis, and of the time between two key poses.
 _VARY_DEG, _VARY_PELVIS_DEG, _VARY_TIME = 5.0, 2.0, 0.15
@@ -69,13 +62,13 @@ def vary(keys: Sequence[KeyPose], rng: np.random.Generator) -> tuple[KeyPose, ..
     """
     is_mirrored = rng.random() < 0.5
     tempo = float(rng.uniform(1 - _VARY_TIME, 1 + _VARY_TIME))
-    own = dict(zip(ANGLE_NAMES, rng.normal(0.0, 1.0, len(ANGLE_NAMES)), strict=True))
+    own = dict(zip(anatomy.ANGLE_NAMES, rng.normal(0.0, 1.0, len(anatomy.ANGLE_NAMES)), strict=True))
     varied = []
     for key in keys:
         angles_deg = {}
         for name, angle_deg in _by_side(key.angles_deg).items():
             sigma_deg = _VARY_PELVIS_DEG if name in _PELVIS else _VARY_DEG
-            lowest, highest = ANGLE_LIMITS_DEG[name]
+            lowest, highest = anatomy.ANGLE_LIMITS_DEG[name]
             room_deg = min(angle_deg - lowest, highest - angle_deg) / 2
             drawn = np.clip((own[name] + rng.normal()) / np.sqrt(2), -2, 2)
             angles_deg[name] = angle_deg + float(drawn) * min(sigma_deg, max(room_deg, 0.0))
@@ -90,7 +83,7 @@ def _by_side(angles_deg: Mapping[str, float]) -> Mapping[str, float]:
         name: angles_deg.get(name, angles_deg.get(name.partition("_")[2], 0.0))
         if name.startswith(("left_", "right_"))
         else angles_deg.get(name, 0.0)
-        for name in ANGLE_NAMES
+        for name in anatomy.ANGLE_NAMES
     }
 
 
@@ -102,7 +95,7 @@ def _mirrored(key: KeyPose) -> KeyPose:
 
 def reference_motion(
     keys: Sequence[KeyPose],
-    body: AcrobatBody,
+    body: anatomy.AcrobatBody,
     center_m: tuple[float, float],
     facing_rad: float,
     time_s: Float[np.ndarray, " times"],
@@ -119,8 +112,8 @@ def reference_motion(
         Ascending times of the motion.
     """
     angles_rad = np.radians([[*_by_side(key.angles_deg).values()] for key in keys])
-    angles_rad[:, ANGLE_NAMES.index("yaw")] += facing_rad
-    centred_m = points_m(body, np.zeros((len(keys), 3)), angles_rad)
+    angles_rad[:, anatomy.ANGLE_NAMES.index("yaw")] += facing_rad
+    centred_m = anatomy.points_m(body, np.zeros((len(keys), 3)), angles_rad)
     root_m = np.zeros((len(keys), 3))
     ahead = np.array([np.cos(facing_rad), np.sin(facing_rad)])
     aside = np.array([-ahead[1], ahead[0]])
@@ -131,17 +124,17 @@ def reference_motion(
         if number:
             root_m[number, :2] = root_m[number - 1, :2] + key.travel_m[0] * ahead + key.travel_m[1] * aside
         if shared:
-            offsets_m = [open_runs[name].place_m - centred_m[number, POINTS.index(name)] for name in shared]
+            offsets_m = [open_runs[name].place_m - centred_m[number, anatomy.POINTS.index(name)] for name in shared]
             root_m[number, :2] = np.mean(offsets_m, axis=0)[:2]
         if key.bar_m is None:
-            root_m[number, 2] = key.lift_m - (centred_m[number, :, 2] - CLEARANCE_M).min()
+            root_m[number, 2] = key.lift_m - (centred_m[number, :, 2] - anatomy.CLEARANCE_M).min()
         else:
-            held_m = centred_m[number, [POINTS.index(name) for name in key.planted], 2]
+            held_m = centred_m[number, [anatomy.POINTS.index(name) for name in key.planted], 2]
             root_m[number, 2] = key.bar_m - held_m.mean()
         still = {}
         for name in key.planted:
-            place_m = root_m[number] + centred_m[number, POINTS.index(name)]
-            place_m[2] = CLEARANCE_M[POINTS.index(name)] if key.bar_m is None else key.bar_m
+            place_m = root_m[number] + centred_m[number, anatomy.POINTS.index(name)]
+            place_m[2] = anatomy.CLEARANCE_M[anatomy.POINTS.index(name)] if key.bar_m is None else key.bar_m
             begun = open_runs.pop(name, Planted(name, place_m, key.time_s, key.time_s))
             still[name] = replace(begun, stop_s=key.time_s)
         runs += open_runs.values()

@@ -11,38 +11,20 @@ from uuid_utils import uuid7
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.finding_codes import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from worker.store.database import transitions
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read, read_edits, read_job_character, read_making, read_spec
 from worker.store.database.stored_files import list_results
 from worker.store.database.tables import artifacts, chunks, jobs
 from worker.store.database.totals import Total, count
-from worker.store.database.transitions import (
-    advance,
-    fail_job,
-    lock_job,
-    move_chunk,
-    move_job,
-    set_waiting,
-    settle_canceling,
-)
 from worker.store.model.job_records import JobProblem, Result
 from worker.store.model.session_records import MadeCalibration
 from worker.store.model.states import AT_WORK, ChunkState, JobState
 from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
 from worker.store.repositories.attempts import note_failure
 from worker.store.repositories.calibrations import complete
-from worker.store.repositories.work.next_chunk import (
-    MachineFull,
-    ability_conditions,
-    has_others,
-    has_share,
-    lost_try_columns,
-    may_retry,
-    next_job,
-    require_machine,
-    take_turn,
-)
+from worker.store.repositories.work import next_chunk
 
 # Maximum number of tries of a chunk: lost leases, retryable failures and damaged outputs all count.
 MAX_ATTEMPTS = 5
@@ -69,11 +51,11 @@ class Leases:
         is taken: otherwise small chunks could delay a large one without end. See ``next_chunk``.
         """
         with self._transactions.reading() as connection:
-            conditions = ability_conditions(connection, ability)
-        with contextlib.suppress(MachineFull):
+            conditions = next_chunk.ability_conditions(connection, ability)
+        with contextlib.suppress(next_chunk.MachineFull):
             while True:
                 with self._transactions.reading() as connection:
-                    work = next_job(connection, conditions)
+                    work = next_chunk.next_job(connection, conditions)
                 if work is None:
                     return None
                 job_id, takes = work
@@ -84,22 +66,22 @@ class Leases:
     def waits_for_others(self, ability: Ability) -> bool:
         """Return whether a chunk is ready, after a worker found none, and some ready worker has another ability."""
         with self._transactions.reading() as connection:
-            return has_others(connection, ability) and next_job(connection) is not None
+            return next_chunk.has_others(connection, ability) and next_chunk.next_job(connection) is not None
 
     def _claim_chunk(
         self, job_id: str, worker: str, lease_s: float, takes: ColumnElement[bool], machine_bytes: int | None
     ) -> Claim | None:
         """Take the next ready chunk of a job, unless another worker took the last one or the tenant's share."""
         with self._transactions.writing() as connection:
-            job = lock_job(connection, job_id)
-            if job is None or job.state not in AT_WORK or not has_share(connection, job.tenant):
+            job = transitions.lock_job(connection, job_id)
+            if job is None or job.state not in AT_WORK or not next_chunk.has_share(connection, job.tenant):
                 return None
             ready = select(chunks).where(chunks.c.job_id == job_id, chunks.c.state == ChunkState.READY, takes)
             ready = ready.order_by(chunks.c.stage_index, chunks.c.chunk_index).limit(1)
             chunk = connection.execute(ready).one_or_none()
-            if chunk is None or (chunk.lost_tries and not may_retry(connection, job.tenant)):
+            if chunk is None or (chunk.lost_tries and not next_chunk.may_retry(connection, job.tenant)):
                 return None
-            require_machine(connection, chunk, worker, machine_bytes)
+            next_chunk.require_machine(connection, chunk, worker, machine_bytes)
             token = str(uuid7())
             taken = {
                 "state": ChunkState.RUNNING,
@@ -111,8 +93,8 @@ class Leases:
                 "moved_at": now(),
             }
             connection.execute(update(chunks).where(chunks.c.id == chunk.id).values(taken))
-            move_job(connection, job_id, JobState.RUNNING, started_at=now())
-            take_turn(connection, job.tenant)
+            transitions.move_job(connection, job_id, JobState.RUNNING, started_at=now())
+            next_chunk.take_turn(connection, job.tenant)
         return _claim(job, chunk, token)
 
     def heartbeat(self, chunk_id: int, lease_token: str, done_units: int, lease_s: float) -> bool:
@@ -165,13 +147,13 @@ class Leases:
             if calibration is not None:
                 complete(connection, job.id, calibration)
             done = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
-            move_chunk(connection, chunk_id, ChunkState.DONE, **done)
+            transitions.move_chunk(connection, chunk_id, ChunkState.DONE, **done)
             _count_done(connection, chunk, reused)
-            set_waiting(connection, job, None)
+            transitions.set_waiting(connection, job, None)
             if job.state == JobState.CANCELING:
-                settle_canceling(connection, job.id)
+                transitions.settle_canceling(connection, job.id)
                 return False
-            return advance(connection, job.id, chunk.stage_index)
+            return transitions.advance(connection, job.id, chunk.stage_index)
 
     def fail(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
         """Record a failed try, which the chunk repeats or which ends the job; return whether the chunk became ready."""
@@ -199,10 +181,10 @@ class Leases:
             if job.state == JobState.CANCELING:
                 _cancel(connection, job, chunk)
                 return False
-            move_chunk(connection, chunk.id, ChunkState.READY)
+            transitions.move_chunk(connection, chunk.id, ChunkState.READY)
             if outage is not None:
                 count(connection, Total.CHUNKS_GIVEN_BACK, chunk.stage)
-                set_waiting(connection, job, outage)
+                transitions.set_waiting(connection, job, outage)
             return True
 
     def compute_again(self, chunk_id: int, lease_token: str, stage: str, damaged: Collection[int]) -> bool:
@@ -219,7 +201,7 @@ class Leases:
             if job.state == JobState.CANCELING:
                 _cancel(connection, job, waiting)
                 return False
-            move_chunk(connection, waiting.id, ChunkState.WAITING)
+            transitions.move_chunk(connection, waiting.id, ChunkState.WAITING)
             # Other chunks may have reported the same: a chunk that is not done is being computed already.
             done = select(chunks).where(
                 chunks.c.job_id == job.id, chunks.c.stage == stage, chunks.c.state == ChunkState.DONE
@@ -257,7 +239,7 @@ class Leases:
                     count(connection, Total.LEASES_LOST, held[1].stage)
                     _try_again(connection, *held, _worker_lost(held[1].stage))
         with self._transactions.reading() as connection:
-            return next_job(connection) is not None
+            return next_chunk.next_job(connection) is not None
 
 
 def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
@@ -296,8 +278,10 @@ def _lock_held(
         return None
     reconstruction = connection.scalar(select(jobs.c.reconstruction_id).where(jobs.c.id == seen.job_id))
     if reconstruction is not None:
-        lock_job(connection, reconstruction)  # whose visuals the job makes: an edit locks it, and deletes this job
-    job = lock_job(connection, seen.job_id)
+        transitions.lock_job(
+            connection, reconstruction
+        )  # whose visuals the job makes: an edit locks it, and deletes this job
+    job = transitions.lock_job(connection, seen.job_id)
     # Again: the chunk may have been taken back before the job was locked. From here on a heartbeat waits.
     chunk = connection.execute(held.with_for_update()).one_or_none()
     return None if job is None or chunk is None else (job, chunk)
@@ -312,19 +296,19 @@ def _try_again(connection: Connection, job: Row[Any], chunk: Row[Any], problem: 
     max_tries = _MAX_LONG_TRIES if problem.code == TIME_LIMIT else MAX_ATTEMPTS
     if problem.retryable and chunk.attempt < max_tries:
         if problem.code in {WORKER_LOST, TIME_LIMIT}:
-            values |= lost_try_columns(chunk.lost_tries)
-        move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
+            values |= next_chunk.lost_try_columns(chunk.lost_tries)
+        transitions.move_chunk(connection, chunk.id, ChunkState.READY, attempt=chunk.attempt + 1, **values)
         count(connection, Total.CHUNKS_RETRIED, chunk.stage)
         return True
     if problem.retryable:
         problem = replace(problem, detail=f"{problem.detail} It was the last of {max_tries} tries.")
-    fail_job(connection, job.id, chunk.id, problem)
+    transitions.fail_job(connection, job.id, chunk.id, problem)
     return False
 
 
 def _cancel(connection: Connection, job: Row[Any], chunk: Row[Any]) -> None:
-    move_chunk(connection, chunk.id, ChunkState.CANCELED)
-    settle_canceling(connection, job.id)
+    transitions.move_chunk(connection, chunk.id, ChunkState.CANCELED)
+    transitions.settle_canceling(connection, job.id)
 
 
 def _count_done(connection: Connection, chunk: Row[Any], reused: bool) -> None:

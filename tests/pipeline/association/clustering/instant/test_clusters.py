@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pipeline.association.clustering.clustering_parameters import derive_parameters
-from pipeline.association.clustering.instant import clusters as module
+from pipeline.association.clustering.instant import work_limits
 from pipeline.association.clustering.instant.candidates import BodyEvidence
 from pipeline.association.clustering.instant.clusters import cluster_hypotheses
 from pipeline.association.clustering.instant.hypotheses import meet
@@ -82,7 +82,7 @@ def test_joints_of_different_kinds_are_never_together() -> None:
 
 
 def test_too_many_neighbours_are_clustered_by_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_NEIGHBOURS", 100)
+    monkeypatch.setattr(work_limits, "MAX_NEIGHBOURS", 100)
     rng = np.random.default_rng(1)
     xyz_m = np.concatenate([rng.uniform(0, 0.04, (40, 3)), 2 + rng.uniform(0, 0.04, (40, 3))])
     joint = np.arange(80) % 2
