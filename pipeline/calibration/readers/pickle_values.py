@@ -7,8 +7,9 @@ The unpickler written in Python is used, since the one in C allocates as much me
 
 import io
 import pickle
+import struct
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,8 +38,11 @@ def read_values(content: bytes) -> Any:
 
 
 class _Unpickler(pickle._Unpickler):
+    append: Callable[[Any], None]
+    read: Callable[[int], bytes]
     stack: list[Any]
     metastack: list[Any]
+    dispatch: ClassVar[dict[int, Callable[..., None]]] = dict(pickle._Unpickler.dispatch)
 
     def load(self) -> Any:
         """Read the one value of the file."""
@@ -46,6 +50,13 @@ class _Unpickler(pickle._Unpickler):
         if self.stack or self.metastack:
             raise UnreadableError
         return value
+
+    def load_bytearray8(self) -> None:
+        """Read a long array of bytes; Python's own function first allocates as much memory as the file names."""
+        (length,) = struct.unpack("<Q", self.read(8))
+        self.append(bytearray(self.read(length)))
+
+    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
     def find_class(self, module: str, name: str) -> "_Function":
         """Stand-in for a function or a class. A file may change it, so that each is made for one use."""

@@ -1,6 +1,7 @@
 """Values and arrays are read from pickles, and nothing else."""
 
 import pickle
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -120,3 +121,14 @@ def test_hostile_values_are_refused(value: Any, protocol: int) -> None:
 def test_damaged_pickles_are_refused(content: bytes) -> None:
     with pytest.raises(UnreadableError):
         read_values(content)
+
+
+def test_named_length_takes_no_memory() -> None:
+    content = b"".join((pickle.PROTO, b"\x05", pickle.BYTEARRAY8, (2**28).to_bytes(8, "little"), b"abc", pickle.STOP))
+    tracemalloc.start()
+    try:
+        with pytest.raises(UnreadableError):
+            read_values(content)
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
