@@ -14,8 +14,8 @@ from starlette.types import Scope
 
 from api.web.dependencies import ServicesDep
 from api.web.http.middleware import SAFE_HEADERS
-from api.web.live.asyncapi import describe_live
-from api.web.recordings.asyncapi import describe_recordings
+from api.web.live.schemas import describe_live
+from api.web.recordings.messages import describe_recordings
 from worker.store.errors import NotFound
 
 router = APIRouter(include_in_schema=False)

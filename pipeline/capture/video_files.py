@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.capture.passed_over import is_passed_over, passed_over
+from pipeline.capture.names import is_passed_over, passed_over
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import FILE_IGNORED

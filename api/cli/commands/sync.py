@@ -13,9 +13,8 @@ from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
-from pipeline.capture.synchronization.document import sound_document, sync_document
 from pipeline.capture.synchronization.motions import excerpt
-from pipeline.capture.synchronization.report import error_pictures
+from pipeline.capture.synchronization.report import error_pictures, sound_document, sync_document
 from pipeline.capture.synchronization.session_clocks import listen
 from pipeline.capture.synchronization.sound_offsets import SoundOffsets, synchronize_with_sound
 from pipeline.core.data.cameras import Synchronization

@@ -15,9 +15,9 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditiona
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.jobs import queueing
 from api.web.jobs.schemas import AttemptList, AttemptOut, JobEnded, JobOut, JobPage
-from api.web.sessions.form import CAPTURE_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job
 from api.web.sessions.receiving import Creation, Texts, add_creation
+from api.web.sessions.schemas import CAPTURE_FORM
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing

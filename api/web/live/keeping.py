@@ -17,9 +17,9 @@ from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
 from api.web.live.problems import failed
 from api.web.live.schemas import POINTS, LiveStart
-from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Sent
+from api.web.sessions.schemas import SESSION_FORM
 from pipeline.run.live.packets import KeypointsHead, framed
 from worker.store.files.disk import append_whole, is_disk_full
 from worker.store.tenant_records import TenantRecords

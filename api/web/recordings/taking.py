@@ -17,10 +17,16 @@ from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEOS, FormKind
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.recordings.schemas import TakeCalibrationSpec, TakeSessionOut, TakeSessionSpec
-from api.web.sessions.form import CAPTURE_FORM, SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, session_and_job, stored
 from api.web.sessions.receiving import Sent
-from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
+from api.web.sessions.schemas import (
+    CAPTURE_FORM,
+    SESSION_FORM,
+    CameraManifest,
+    Manifest,
+    UploadedCapture,
+    UploadedSession,
+)
 from pipeline.core.problems.request_codes import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import ClipFile, RecordingSession, RecordingTake, TakeState

@@ -10,10 +10,9 @@ from api.web.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
-from api.web.sessions.form import SESSION_FORM
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Creation, Texts, add_creation
-from api.web.sessions.schemas import SessionChanges, SessionOut, SessionPage
+from api.web.sessions.schemas import SESSION_FORM, SessionChanges, SessionOut, SessionPage
 from worker.store.files.unneeded import remove_files
 from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState

@@ -1,7 +1,7 @@
-"""Bodies of capture sessions: requests of clients, and the session with the report of its check."""
+"""Bodies and forms of capture sessions: requests of clients, and the session with the report of its check."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import quote
 from uuid import UUID
@@ -11,10 +11,11 @@ from pydantic_core import PydanticCustomError
 
 from api.web.contract.examples import ID, SHA256, WARNING
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, printable_name
-from api.web.http.bodies.form_kinds import UploadedFootage
+from api.web.http.bodies import form_kinds
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
-from pipeline.core.problems.request_codes import JSON_VALUE
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.request_codes import JSON_VALUE, MISSING_PART, PART_NOT_ALLOWED
 from pipeline.run.space import foreseen_space
 from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState
@@ -430,3 +431,46 @@ class SessionPage(ResponseModel):
 
     sessions: tuple[SessionOut, ...]
     next_cursor: NextCursor
+
+
+def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
+    if not any(counts[part] for part in form_kinds.VIEWS):
+        yield MISSING_PART, "There are no videos and no keypoints: a session needs either.", form_kinds.VIDEOS
+    if not counts[form_kinds.CALIBRATION] and not counts[form_kinds.CALIBRATION_ID]:
+        yield MISSING_PART, "There is no calibration: a session needs one.", form_kinds.CALIBRATION
+    if counts[form_kinds.CALIBRATION] and counts[form_kinds.CALIBRATION_ID]:
+        message = "There is a calibration and a calibration_id: a session needs one of both."
+        yield PART_NOT_ALLOWED, message, form_kinds.CALIBRATION_ID
+    if counts[form_kinds.VIDEOS]:
+        for part in (form_kinds.KEYPOINTS, form_kinds.TIMESTAMPS):
+            if counts[part]:
+                yield PART_NOT_ALLOWED, "A session of videos has no such files.", part
+
+
+_PARTS: Mapping[str, str] = {
+    form_kinds.VIDEOS: "Videos, one for each camera.",
+    form_kinds.KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the "
+    "camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras, which `pair_by_order` of the "
+    "manifest pairs with the cameras.",
+    form_kinds.CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
+    form_kinds.TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+}
+
+SESSION_FORM = form_kinds.FormKind(
+    name="SessionForm",
+    noun="session",
+    parts=_PARTS,
+    documents={form_kinds.CALIBRATION_ID: None, form_kinds.MANIFEST: Manifest},
+    uploaded=UploadedSession,
+    faults=_session_faults,
+)
+CAPTURE_FORM = form_kinds.FormKind(
+    name="CaptureForm",
+    noun="session",
+    parts=_PARTS,
+    documents={form_kinds.CALIBRATION_ID: None, form_kinds.MANIFEST: Manifest, form_kinds.SPEC: JobSpec},
+    uploaded=UploadedCapture,
+    faults=_session_faults,
+    has_job=True,
+)
+"""A session that is reconstructed at once."""

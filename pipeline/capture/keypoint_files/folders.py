@@ -14,8 +14,8 @@ from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.capture.keypoint_files.readers import freemocap, yolo
+from pipeline.capture.names import is_passed_over, passed_over
 from pipeline.capture.pairing import MIN_CAMERAS
-from pipeline.capture.passed_over import is_passed_over, passed_over
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem, listed_names
 from pipeline.core.findings import Finding

@@ -1,13 +1,14 @@
 """Detector of a reconstruction: the networks of a profile, at the image sizes of a camera."""
 
-from collections.abc import Mapping
+import functools
+import threading
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 from pipeline.core.errors import ModelError
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointOffsets, JointSet
 from pipeline.core.options.config import MotionChoices, Networks
-from pipeline.core.runtime.once import once_a_process
 from pipeline.detection.bodies import BodyDetector
 from pipeline.detection.detector import Detector, open_detector
 from pipeline.detection.entries import find_entry
@@ -31,6 +32,25 @@ __all__ = [
     "open_landmarks",
     "sized",
 ]
+
+_Key = TypeVar("_Key", bound=Hashable)
+_Value = TypeVar("_Value")
+
+
+def once_a_process(function: Callable[[_Key], _Value]) -> Callable[[_Key], _Value]:
+    """Cache the values of a function of one argument; threads that ask for a value at the same time get the same one.
+
+    ``functools.cache`` would call the function in each of them: a network would be loaded twice.
+    """
+    lock, cached = threading.Lock(), functools.cache(function)
+
+    @functools.wraps(function)
+    def locked(key: _Key) -> _Value:
+        with lock:
+            return cached(key)
+
+    return locked
+
 
 _JOINT_SETS: Mapping[str, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
 

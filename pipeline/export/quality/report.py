@@ -36,7 +36,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.association.identity.likenesses import find_likenesses
-from pipeline.capture.synchronization.document import sync_document
+from pipeline.capture.synchronization.report import sync_document
 from pipeline.core.data.animation import Floor, FootContact
 from pipeline.core.data.cameras import Camera, CameraMove, Refinement
 from pipeline.core.data.people import Doubt, Source, Track3D

@@ -5,10 +5,8 @@ import json
 import pytest
 from pydantic import BaseModel
 
-from api.web.live.asyncapi import describe_live
-from api.web.live.schemas import RECEIVED, SENT
-from api.web.recordings.asyncapi import describe_recordings
-from api.web.recordings.messages import HOST_RECEIVED, HOST_SENT, PHONE_RECEIVED, PHONE_SENT
+from api.web.live.schemas import RECEIVED, SENT, describe_live
+from api.web.recordings.messages import HOST_RECEIVED, HOST_SENT, PHONE_RECEIVED, PHONE_SENT, describe_recordings
 
 MODELS = {
     model.__name__: model for model in (*RECEIVED, *SENT, *PHONE_RECEIVED, *PHONE_SENT, *HOST_RECEIVED, *HOST_SENT)

@@ -9,8 +9,8 @@ import pytest
 from jsonschema_rs import validator_for
 
 from api.web.contract.openapi import COMMITTED, document
-from api.web.live.asyncapi import describe_live
-from api.web.recordings.asyncapi import describe_recordings
+from api.web.live.schemas import describe_live
+from api.web.recordings.messages import describe_recordings
 from pipeline.core.options.file_formats import FILE_FORMATS
 from tests.api.conftest import Live
 

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from api.web.live.asyncapi import describe_live
-from api.web.live.schemas import POINTS, Layout, LiveStart
+from api.web.live.schemas import POINTS, Layout, LiveStart, describe_live
 from pipeline.core.layouts import LAYOUTS
 from pipeline.run.live.packets import InstantHead, KeypointsHead
 from pipeline.run.live.settings import LiveSettings

@@ -21,7 +21,7 @@ from api.web.errors import ApiError
 from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, FormLimits, name_error
 from api.web.http.bodies.multipart import receive_form
-from api.web.sessions.form import SESSION_FORM
+from api.web.sessions.schemas import SESSION_FORM
 from api.web.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
 from worker.store.files.disk import DiskSpace

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from pipeline.core.runtime.once import once_a_process
+from pipeline.detection.profiles.profile_detector import once_a_process
 
 
 def test_threads_that_ask_at_same_time_get_one_value() -> None:
