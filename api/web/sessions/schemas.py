@@ -178,7 +178,7 @@ class Manifest(BaseModel):
     )
 
 
-class UploadedSession(UploadedFootage):
+class UploadedSession(form_kinds.UploadedFootage):
     """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
     keypoints: tuple[UUID, ...] = Field(
