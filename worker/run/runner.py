@@ -11,7 +11,7 @@ from opentelemetry import trace
 from opentelemetry.trace import StatusCode
 
 from pipeline.core.runtime.pauses import Pauses
-from pipeline.run.engine.plan import STAGE_BY_NAME, followers
+from pipeline.run.engine.plan import STAGE_BY_NAME, interim_readers
 from pipeline.run.engine.stage import Output, ResultFile
 from worker.run import tracing
 from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, time_limit_s
@@ -302,9 +302,10 @@ class Runner:
             return False
         if read_interim(self._artifacts, claim, claim.output_key) is not None:
             return False
-        read_by = (self._store.outputs.list_stage(claim.job_id, stage) for stage in followers(claim.stage))
-        return not all(
-            self._is_whole(claim.session_id, output.key, output.sha256) for outputs in read_by for output in outputs
+        return any(
+            not STAGE_BY_NAME[stage].is_reusable or not self._is_whole(claim.session_id, output.key, output.sha256)
+            for stage in interim_readers(claim.stage)
+            for output in self._store.outputs.list_stage(claim.job_id, stage)
         )
 
     def _stored(self, claim: Claim, sha256: str) -> bytes | None:

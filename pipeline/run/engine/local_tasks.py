@@ -27,7 +27,7 @@ from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import not_written
 from pipeline.run.engine.output_folder import OutputFolder
 from pipeline.run.engine.overlapped import overlapped
-from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, followers
+from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, interim_readers
 from pipeline.run.engine.stage import (
     Context,
     Origin,
@@ -153,6 +153,8 @@ class _TaskContext(Context):
         return [_read(self.job.outputs, task) for task in islice(self.job.stage_tasks(stage), tasks.start, tasks.stop)]
 
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
+        if self.task is not None and stage not in STAGE_BY_NAME[self.task.stage].interim_of:
+            raise ValueError(f"The stage {self.task.stage} does not declare interim outputs of {stage}.")
         return [_read(self.job.interim, task) for task in islice(self.job.stage_tasks(stage), tasks.start, tasks.stop)]
 
     def stored_output(self) -> bytes | None:
@@ -179,9 +181,9 @@ def run_stage(job: LocalJob, stage: PlannedStage, on_progress: OnProgress) -> li
 
 def _needs_interim(job: LocalJob, stage: PlannedStage) -> bool:
     """Whether a later stage will read the stage's interim outputs: not if its own output is there already."""
-    following = (task for name in followers(stage.name) for task in job.stage_tasks(name))
+    following = (task for name in interim_readers(stage.name) for task in job.stage_tasks(name))
     return STAGE_BY_NAME[stage.name].leaves_interim(job.config) and any(
-        job.outputs.read(task.key) is None for task in following
+        not STAGE_BY_NAME[task.stage].is_reusable or job.outputs.read(task.key) is None for task in following
     )
 
 

@@ -67,9 +67,9 @@ _OF_EDITS = {"edits", "names"}
 _WITHOUT_EFFECT = {"chunk_frames", "processes"}
 
 
-def followers(stage: str) -> tuple[str, ...]:
-    """Names of the stages that read outputs of a stage."""
-    return tuple(other.name for other in STAGES if stage in other.follows)
+def interim_readers(stage: str) -> tuple[str, ...]:
+    """Names of the stages that read interim outputs of a stage."""
+    return tuple(other.name for other in STAGES if stage in other.interim_of)
 
 
 @dataclass(frozen=True, slots=True)

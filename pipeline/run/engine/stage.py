@@ -296,10 +296,11 @@ class Stage:
     # Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would
     looked_at_hz: float | None = None
     is_reusable: bool = True  # Whether its outputs serve other jobs of the session too
-    # Whether its tasks leave interim outputs beside their outputs: for the stages of the same job that follow it,
-    # removed when the job ends. An interim output belongs to no key. A task whose output is reused runs all the same if
-    # its interim output is missing and an output of a stage that follows is missing too.
+    # Whether its tasks leave interim outputs beside their outputs: for stages of the same job, removed when the job
+    # ends. An interim output belongs to no key. A task whose output is reused runs all the same if its interim output
+    # is missing and a stage that reads it has yet to run.
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
+    interim_of: tuple[str, ...] = ()  # Stages whose interim outputs it reads, as far as they leave some
     reads_videos: bool = False  # It fails without the session's videos
     # Networks run in it: its output depends on their execution provider, and two tasks overlap (``overlapped``).
     runs_networks: bool = False

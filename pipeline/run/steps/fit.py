@@ -95,4 +95,5 @@ HOLD_STAGE = Stage(
     cut="people",
     follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),
     choices=(*CHOICES, "feet"),
+    interim_of=(FIT,),
 )

@@ -41,4 +41,5 @@ STAGE = stage.Stage(
     cut="whole",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE, stage.REDETECT),
     choices=("people",),
+    interim_of=(stage.DETECT,),
 )

@@ -37,4 +37,5 @@ STAGE = stage.Stage(
     cut="whole",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS, stage.POSES),
     choices=("method", "frame_range", "appearance", "tracking", "clustering"),
+    interim_of=(stage.DETECT,),
 )

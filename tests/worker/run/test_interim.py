@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.engine.stage import DETECT, FIT, IDENTIFY, Output
+from pipeline.run.engine.stage import DETECT, EXPORT, FIT, IDENTIFY, Output
 from tests.cases import slow_but
 from tests.worker.conftest import RESULT, RunnerBench, detect, fit, identify
 from worker.run.chunk import StoppedError, Work
@@ -97,6 +97,18 @@ def test_another_association_makes_them_again_from_detections(
     assert (stages.detected, stages.measured, stages.passed) == ([], [0, 1, 2, 3], [before])
     remove_files(bench.store.removals, bench.artifacts)
     assert left(bench) == []
+
+
+def test_stage_that_always_runs_gets_them_again(
+    bench: RunnerBench, stages: Stages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("worker.run.runner.interim_readers", lambda stage: (EXPORT,) if stage == DETECT else ())
+    run(bench)
+    remove_files(bench.store.removals, bench.artifacts)
+    stages.forget()
+    job = run(bench)
+    assert job.state is JobState.SUCCEEDED
+    assert (stages.detected, stages.measured, stages.passed) == ([], [0, 1, 2, 3], [])
 
 
 @pytest.mark.slow

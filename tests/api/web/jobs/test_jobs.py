@@ -8,6 +8,7 @@ import pytest
 
 from pipeline.core.errors import Problem, SessionRefused
 from pipeline.core.findings import Finding
+from pipeline.core.options.config import CHOICES
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, INPUT_ERROR, MIRRORED_WORLD, NOBODY_FOUND
 from pipeline.core.problems.request_codes import INTERNAL_ERROR
@@ -52,35 +53,9 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
 
 def test_job_without_body_is_as_by_default(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
-    assert answer.json()["spec"] == {
-        "method": "tracking",
-        "profile": "balanced",
-        "joints": "auto",
-        "detector": "auto",
-        "follow_s": 0.0,
-        "smoothing": "fit",
-        "feet": "auto",
-        "appearance": "on",
-        "joint_centers": "auto",
-        "refine_calibration": "off",
-        "sync": "declared",
-        "exports": ["bvh"],
-        "bvh": "default",
-        "timeline": "take",
-        "body": "capsules",
-        "cutoff_hz": 6.0,
-        "frame_range": None,
-        "output_rate_hz": None,
-        "people": "auto",
-        "report": False,
-        "overlay": False,
-        "blur_faces": False,
-        "force": False,
-        "character": None,
-        "priority": "normal",
-        "keep_videos": True,
-        "callback_url": None,
-    }
+    defaults = json.loads(json.dumps({name: choice.default for name, choice in CHOICES.items()}))
+    others = {"character": None, "priority": "normal", "keep_videos": True, "callback_url": None}
+    assert answer.json()["spec"] == defaults | others
 
 
 def test_cutoff_that_frame_rate_can_not_have_is_refused_at_once(live: Live) -> None:

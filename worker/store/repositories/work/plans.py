@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, insert, literal, select, true, update
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.plan import STAGE_BY_NAME, followers
+from pipeline.run.engine.plan import STAGE_BY_NAME, interim_readers
 from worker.store.database.access import Transactions
 from worker.store.database.tables import artifacts, chunks, jobs, sessions
 from worker.store.database.transitions import lock_job
@@ -72,7 +72,7 @@ def require_videos(
         return
     is_missing = {stage.name: _is_missing(connection, session_id, stage) for stage in stages}
     for stage in (STAGE_BY_NAME[name] for name in is_missing):
-        interim_for = followers(stage.name) if stage.leaves_interim(config) else ()
+        interim_for = interim_readers(stage.name) if stage.leaves_interim(config) else ()
         if stage.reads_videos and any(is_missing.get(name, False) for name in (stage.name, *interim_for)):
             raise VideosDeleted
 
