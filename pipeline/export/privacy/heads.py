@@ -314,10 +314,11 @@ def _projected(camera: Camera, people: Sequence[HeadPath], time_s: float) -> Flo
 def _sized(
     camera: Camera, ellipse_px: Float[np.ndarray, "n 4"], projected: Sequence[Float[np.ndarray, "here 4"]]
 ) -> Float[np.ndarray, "n 4"]:
-    """Ellipses of which those without a size are as large as the heads of people in this camera mostly are."""
+    """Ellipses; one without a size, as of a single joint, gets the size that heads in this camera mostly have."""
     least_px = _MIN_OF_PICTURE * max(camera.size_px)
     usual_px = float(np.median(np.concatenate(projected)[:, 2:])) if projected else 0.0
-    return np.where(np.isnan(ellipse_px), max(least_px, usual_px), ellipse_px)
+    half_px = np.where(ellipse_px[:, 2:] >= 1.0, ellipse_px[:, 2:], max(least_px, usual_px))
+    return np.concatenate([ellipse_px[:, :2], half_px], axis=1)
 
 
 def _is_covered(points_px: Float[np.ndarray, "n 2"], ellipse_px: Float[np.ndarray, "here 4"]) -> np.ndarray:

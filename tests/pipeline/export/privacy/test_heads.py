@@ -218,6 +218,14 @@ def test_peaks_of_heatmaps_are_as_large_as_heads_of_people() -> None:
     assert float(np.median(with_person.ellipse_px[:, 2])) > 20
 
 
+def test_body_of_one_joint_has_head_of_usual_size() -> None:
+    keypoints_px = np.full((1, len(COCO_17.names), 2), np.nan)
+    keypoints_px[0, COCO_17.index("nose")] = 300.0, 200.0
+    ellipse_px = head_ellipses(keypoints_px, np.array([[300.0, 200.0, 300.0, 200.0]]), COCO_17)
+    regions = head_regions(CAMERA, range(1), TIME_S[:1], [], SeenHeads(np.zeros(1, int), ellipse_px))
+    assert regions.ellipse_px.tolist() == [[300.0, 200.0, 32.0, 32.0]]
+
+
 def test_frames_outside_of_take_are_covered_whole() -> None:
     regions = HeadRegions("front", (640, 480), 10, 20, np.array([12]), np.array([[100.0, 50.0, 20.0, 30.0]]))
     for frame in (9, 20):
