@@ -14,9 +14,11 @@ from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, INPUT_ERROR, 
 from pipeline.core.problems.request_codes import INTERNAL_ERROR
 from pipeline.core.problems.session_codes import VIDEO_TRUNCATED
 from tests.api.conftest import Live, form, problem_of
+from worker.run.planning import plan_job
 from worker.run.problems import job_problem
 from worker.store.model.job_records import JobProblem
 from worker.store.repositories.jobs import Jobs
+from worker.store.spec import JobSpec
 
 
 def test_job_from_its_creation_to_its_end(live: Live) -> None:
@@ -28,27 +30,17 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
     assert int(answer.headers["retry-after"]) >= 1
     assert uuid.UUID(job["id"]).version == 7
     assert (job["session_id"], job["state"], job["attempt"]) == (session_id, "queued", 1)
-    assert [stage["name"] for stage in job["stages"]] == [
-        "look",
-        "detect",
-        "check_session",
-        "associate",
-        "expect_bodies",
-        "redetect",
-        "identify",
-        "fit",
-        "hold_feet",
-        "export",
-    ]
-    # 60 frames of two cameras.
-    assert [stage["total"] for stage in job["stages"]] == [24, 120, 6, 6, 6, 12, 6, 6, 6, 6]
+    planned = plan_job(live.services.store.sessions.get(session_id), JobSpec(method="tracking"))
+    totals = {stage.name: sum(chunk.unit_count for chunk in stage.chunks) for stage in planned}
+    assert {stage["name"]: stage["total"] for stage in job["stages"]} == totals
+    assert (totals["look"], totals["detect"]) == (24, 120)  # 60 frames of two cameras
     assert job["created_at"].endswith("Z")
     assert abs((datetime.now(UTC) - datetime.fromisoformat(job["created_at"])).total_seconds()) < 60
 
     live.finish(job["id"])
     done = live.client.get(f"/v1/jobs/{job['id']}").json()
     assert (done["state"], done["progress"], done["error"]) == ("succeeded", 1.0, None)
-    assert [stage["fraction"] for stage in done["stages"]] == [1] * 10
+    assert [stage["fraction"] for stage in done["stages"]] == [1] * len(totals)
 
 
 def test_job_without_body_is_as_by_default(live: Live) -> None:
