@@ -3,19 +3,38 @@
 import ast
 import doctest
 import importlib.metadata
+import inspect
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
 import hatch_build
 import multicap
+from api.cli import client
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 
 SOURCE = Path(multicap.__file__)
+# Entries of the science, which other packages may call too
+METHODS = (
+    "pipeline.run.engine.plan:plan",
+    "pipeline.run.engine.stage:Stage",
+    "pipeline.calibration.adjustment.bundle:adjust",
+    "pipeline.calibration.board.calibrate_board:calibrate_board",
+    "pipeline.calibration.people.calibrate_people:calibrate_people",
+    "pipeline.calibration.known_points.fit:place_by_points",
+    "pipeline.calibration.registry:read_contents",
+    "pipeline.association.tracking.track_people:reconstruct_tracks",
+    "pipeline.association.clustering.cluster_people:reconstruct_by_clustering",
+    "pipeline.motion.skeleton.fitting.fit:fit_to_rays",
+    "pipeline.geometry.triangulation:triangulate",
+)
 
 
 def typed_references() -> dict[str, str]:
@@ -34,16 +53,36 @@ def test_types_and_interpreter_agree() -> None:
     assert sorted(multicap._REFERENCES) == multicap.__all__
 
 
-@pytest.mark.parametrize("name", multicap.__all__)
-def test_every_name_is_there_and_documented(name: str) -> None:
-    assert getattr(multicap, name).__doc__
-    assert name in dir(multicap)
+def returns_nothing(function: Callable[..., object]) -> bool:
+    return inspect.signature(function, eval_str=False).return_annotation in (None, "None", inspect.Parameter.empty)
+
+
+@pytest.mark.parametrize("name", [*(f"multicap:{name}" for name in multicap.__all__), *METHODS])
+def test_public_name_has_sections_and_example(name: str) -> None:
+    """Sections of numpydoc; `tests/pipeline/test_examples.py` runs the examples of the pipeline."""
+    thing = resolve_name(name)
+    sections = set(re.findall(r"^(\w+)\n-+$", inspect.getdoc(thing) or "", re.MULTILINE))
+    needed = {"Examples"}
+    is_error = inspect.isclass(thing) and issubclass(thing, Exception) and "__init__" not in vars(thing)
+    if not is_error:
+        needed |= {"Parameters"}
+    if not inspect.isclass(thing) and not returns_nothing(thing):
+        needed |= {"Returns"}
+    assert needed <= sections
+    assert ">>> " in (inspect.getdoc(thing) or "")
+    assert name.partition(":")[2] in dir(multicap) or name in METHODS
 
 
 def test_example_of_package_runs(tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=0.4), 0, 3), tmp_path)
     results = doctest.testmod(multicap, extraglobs={"folder": tmp_path})
     assert results.attempted > 4
+    assert results.failed == 0
+
+
+def test_examples_of_client_run() -> None:
+    results = doctest.testmod(client)
+    assert results.attempted == 3
     assert results.failed == 0
 
 

@@ -58,6 +58,12 @@ class Job(TypedDict):
         Sentences about the files, the choices and the result.
     links
         Paths by name, such as ``self`` and ``results``.
+
+    Examples
+    --------
+    >>> job: Job = {"id": "01a", "progress": 0.5, "state": "running"}
+    >>> f"{job['progress']:.0%}"
+    '50%'
     """
 
     id: str
@@ -73,7 +79,13 @@ class Job(TypedDict):
 
 
 class ServiceError(PipelineError):
-    """The service refused a request, failed, did not start or did not respond; the text states the reason."""
+    """The service refused a request, failed, did not start or did not respond; the text states the reason.
+
+    Examples
+    --------
+    >>> str(ServiceError("The service does not respond."))
+    'The service does not respond.'
+    """
 
     code = SERVICE_ERROR
 

@@ -23,15 +23,35 @@ UNKNOWN_SIZE = (0, 0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFile:
-    """Cameras of a file."""
+    """Cameras of a file.
 
-    format: str  # Name of the format for users
-    # Cameras; their lengths are metres if the format determines the unit, else in the file's unit
+    Parameters
+    ----------
+    format
+        Name of the format for users.
+    cameras
+        Cameras; lengths are metres if the format determines the unit, else in the file's unit.
+    unit
+        Unit of lengths in the file; ``None``: the format does not determine it.
+    axes
+        Axes of the file's world.
+    notes
+        Sentences for the user on what was assumed or left out.
+    unposed
+        Cameras of which the file has the intrinsics alone; their poses are the identity.
+
+    Examples
+    --------
+    >>> CameraFile("Studio", (), "m").axes
+    'as calibrated; Z must point up'
+    """
+
+    format: str
     cameras: tuple[Camera, ...]
-    unit: Units | None  # Unit of lengths in the file; ``None``: the format does not determine it
-    axes: str = "as calibrated; Z must point up"  # Axes of the file's world
-    notes: tuple[str, ...] = ()  # Sentences for the user on what was assumed or left out
-    unposed: tuple[Camera, ...] = ()  # Cameras of which the file has the intrinsics alone; their poses are the identity
+    unit: Units | None
+    axes: str = "as calibrated; Z must point up"
+    notes: tuple[str, ...] = ()
+    unposed: tuple[Camera, ...] = ()
 
 
 def scaled(camera: Camera, factor: float) -> Camera:

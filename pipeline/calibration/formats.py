@@ -46,6 +46,18 @@ class CalibrationReader(FormatReader):
 def reader(name: str, **options: Any) -> Callable[[Callable[[bytes, str], CameraFile]], CalibrationReader]:
     """Declare a function as the reader of a format; options are the parameters of ``CalibrationReader``.
 
+    Parameters
+    ----------
+    name
+        Name of the format for users.
+    options
+        Parameters of ``CalibrationReader``: suffixes and what tells the format.
+
+    Returns
+    -------
+    callable
+        Decorator of a function that takes the bytes and the name of a file, and returns a ``CameraFile``.
+
     Examples
     --------
     >>> @reader("Studio", suffixes=(".studio",))

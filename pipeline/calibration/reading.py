@@ -30,6 +30,13 @@ class Reading:
     ----------
     file
         Base name of the file.
+
+    Examples
+    --------
+    >>> reading = Reading("rig.toml")
+    >>> reading.leave_out(["left"], "it has no pose")
+    >>> reading.notes
+    ['rig.toml: camera left is left out: it has no pose.']
     """
 
     def __init__(self, file: str) -> None:

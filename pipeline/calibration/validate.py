@@ -51,6 +51,13 @@ class RawCamera:
         Transform from world to camera.
     lens
         Distortion model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> raw = RawCamera("left", (1920, 1080), np.eye(3), np.zeros(4), np.eye(3), np.zeros(3), "cam_0")
+    >>> raw.section
+    'cam_0'
     """
 
     name: Any

@@ -32,6 +32,11 @@ class Recording:
         Names or paths of further files in which the recording of ``file`` goes on, in order.
     offset_std_s
         Standard deviation of the offset; ``None``: nothing is known of it.
+
+    Examples
+    --------
+    >>> Recording("left", "GX010119.MP4", more_files=("GX020119.MP4",)).files
+    ('GX010119.MP4', 'GX020119.MP4')
     """
 
     camera: str

@@ -68,6 +68,13 @@ class KeypointSession:
         What the user should know of the files.
     layout
         Layout of points that the files do not name; ``None`` if the format or the files name them.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> session.joints.names[:2]
+    ('nose', 'left_eye')
     """
 
     cameras: tuple[Camera, ...]
@@ -174,10 +181,23 @@ def open_keypoints(
         Name of the layout of points that the files do not name, see ``layouts.FILE_LAYOUTS``; ``None``: the number of
         points and the people tell it.
 
+    Returns
+    -------
+    KeypointSession
+        Cameras with a folder, in the order of the calibration; keypoints are distorted pixels, NaN with score 0 where a
+        joint was not detected.
+
     Raises
     ------
     InputError
         With all problems of all files.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> len(session.cameras), session.timebase.frame_rate_hz
+    (3, 25.0)
     """
     calibration = Path(calibration)
     timestamps = None if timestamps is None else Path(timestamps)

@@ -53,6 +53,13 @@ class CaptureSession:
         Output frames of the session, if the times were corrected afterwards; ``None``: the frames of the times.
     offset_std_s
         Standard deviation of a camera's declared offset, by camera name, where it is stated.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_session(folder / "videos", folder / "calibration.json")
+    >>> len(session.cameras) == len(session.videos), session.timebase.frame_rate_hz
+    (True, 25.0)
     """
 
     cameras: tuple[Camera, ...]
@@ -156,10 +163,22 @@ def open_session(
     keeps_poses
         Whether the calibration's poses count; else it may have intrinsics alone, and poses in any unit.
 
+    Returns
+    -------
+    CaptureSession
+        Cameras with a video, in the order of the calibration, and frame times in seconds.
+
     Raises
     ------
     InputError
         With all problems of all files.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_session(folder / "videos", folder / "calibration.json")
+    >>> [video.num_frames for video in session.videos]
+    [3, 3, 3]
     """
     given = Path(videos) if isinstance(videos, str | os.PathLike) else [Path(video) for video in videos]
     files = find_videos(given)

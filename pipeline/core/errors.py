@@ -46,6 +46,11 @@ class Problem:
         does not apply.
     hint
         Advice for the user; ``None`` if there is none.
+
+    Examples
+    --------
+    >>> str(Problem("no_overlap", "The videos do not overlap.", camera="left", hint="Check the offsets."))
+    'camera left: The videos do not overlap. Check the offsets.'
     """
 
     code: Code
@@ -122,13 +127,31 @@ def _printable_problem(problem: Problem) -> Problem:
 
 
 class PipelineError(Exception):
-    """Base of the errors that carry a message for users and a stable code."""
+    """Base of the errors that carry a message for users and a stable code.
+
+    Examples
+    --------
+    >>> issubclass(InputError, PipelineError), PipelineError.code
+    (True, 'pipeline_error')
+    """
 
     code: ClassVar[Code] = PIPELINE_ERROR
 
 
 class InputError(PipelineError):
-    """The input is unusable; ``problems`` lists everything that is wrong with it. A retry fails the same way."""
+    """The input is unusable; ``problems`` lists everything that is wrong with it. A retry fails the same way.
+
+    Parameters
+    ----------
+    problems
+        Everything that is wrong with the input.
+
+    Examples
+    --------
+    >>> error = InputError([Problem("no_overlap", "The videos do not overlap.", hint="Check the offsets.")])
+    >>> [problem.code for problem in error.problems]
+    ['no_overlap']
+    """
 
     code: ClassVar[Code] = INPUT_ERROR
 
@@ -142,7 +165,19 @@ class InputError(PipelineError):
 
 
 class SessionRefused(InputError):  # noqa: N818 - named for what became of the session
-    """The check of a session found errors: ``problems``. With the choice ``force`` it is reconstructed all the same."""
+    """The check of a session found errors: ``problems``. With the choice ``force`` it is reconstructed all the same.
+
+    Parameters
+    ----------
+    problems
+        Errors of the check.
+
+    Examples
+    --------
+    >>> error = SessionRefused([Problem("upside_down", "The people stand on their heads.")])
+    >>> str(error).splitlines()[-1]
+    'Correct the session, or reconstruct it all the same: `--force`, `force`.'
+    """
 
     code: ClassVar[Code] = SESSION_REFUSED
     advice: ClassVar[str] = "Correct the session, or reconstruct it all the same: `--force`, `force`."
@@ -153,12 +188,24 @@ class SessionRefused(InputError):  # noqa: N818 - named for what became of the s
 
 
 class ChildError(PipelineError):
-    """A process of Multicap's own failed; the input is not at fault, and a retry may succeed."""
+    """A process of Multicap's own failed; the input is not at fault, and a retry may succeed.
+
+    Examples
+    --------
+    >>> issubclass(ChildError, InputError)
+    False
+    """
 
     code: ClassVar[Code] = CHILD_FAILED
 
 
 class ModelError(PipelineError):
-    """A detector network or the sample capture can't be installed or used; once it is, a retry may succeed."""
+    """A detector network or the sample capture can't be installed or used; once it is, a retry may succeed.
+
+    Examples
+    --------
+    >>> str(ModelError("The network movenet-multipose is not installed."))
+    'The network movenet-multipose is not installed.'
+    """
 
     code: ClassVar[Code] = MODEL_ERROR

@@ -17,6 +17,12 @@ class Progress:
         Units of the stage that are done, and all of them.
     reused
         Units among ``done`` whose outputs an earlier run has left.
+
+    Examples
+    --------
+    >>> progress = Progress("detect", 12, 24, reused=6)
+    >>> f"{progress.done / progress.total:.0%}"
+    '50%'
     """
 
     stage: str

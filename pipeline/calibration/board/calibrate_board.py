@@ -50,6 +50,8 @@ def calibrate_board(
 
     Parameters
     ----------
+    views, board
+        Corners in pixels and times in seconds of each camera's pictures; the board, whose squares give the scale.
     given
         Cameras whose intrinsics are known, by name: they stay. ``None``: intrinsics are calibrated.
     frame_rate_hz
@@ -59,10 +61,41 @@ def calibrate_board(
     known_points
         Points that determine the world, in place of the board on the floor.
 
+    Returns
+    -------
+    CalibrationResult
+        Cameras, world in metres with Z up, and what is doubtful.
+
     Raises
     ------
     InputError
         If a camera has too few views, if cameras share too few, or if they or the known points disagree.
+
+    References
+    ----------
+    Zhang, "A flexible new technique for camera calibration" (2000), for the intrinsics.
+
+    Examples
+    --------
+    >>> from scipy.spatial.transform import Rotation
+    >>> from pipeline.calibration.board.spec import parse_board
+    >>> from pipeline.core.data.rigid import Rigid3
+    >>> from pipeline.geometry.camera import project
+    >>> from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
+    >>> rng, board = np.random.default_rng(0), parse_board("charuco:7x5:0.12:0.09:DICT_4X4_50")
+    >>> cameras = build_cameras(Rig(Layout.RING, 2, (3.0, 2.5), 2.0), rng)
+    >>> turns = Rotation.from_euler("xyz", rng.uniform(-0.5, 0.5, (20, 3))).as_matrix()
+    >>> poses = [Rigid3(turn, np.array([0.0, 0.0, 1.0])) for turn in turns]
+    >>> views = [
+    ...     BoardViews(
+    ...         camera.name, camera.size_px, np.arange(20.0),
+    ...         np.stack([project(camera, pose.apply(board.corners_m)) for pose in poses]), np.ones(20), 20,
+    ...     )
+    ...     for camera in cameras
+    ... ]
+    >>> found = calibrate_board(views, board, {camera.name: camera for camera in cameras}, frame_rate_hz=1.0)
+    >>> found.has_extrinsics, found.reprojection_error_px < 0.01
+    (True, True)
     """
     board_checks.require_views(views, board, needs_intrinsics=given is None)
     has_times = all(np.isfinite(camera_views.time_s).all() for camera_views in views)

@@ -50,6 +50,11 @@ def calibrate_people(
     ----------
     cameras
         Cameras with known or guessed intrinsics; their poses are ignored.
+    times, detections
+        Frame times in seconds and bodies in distorted pixels (NaN with score 0 where a joint was not detected), by
+        name of the camera.
+    joints
+        Joints of the detections.
     stature_m
         Statures of the people, in any order; one for all is enough. Several go to people by their heights.
     has_intrinsics
@@ -58,10 +63,28 @@ def calibrate_people(
     known_points
         Points that determine the world with its scale, in place of the people.
 
+    Returns
+    -------
+    CalibrationResult
+        Cameras, world in metres with Z up, and what is doubtful.
+
     Raises
     ------
     InputError
         If too few people are seen, if cameras can't be linked, or if they or the known points disagree.
+
+    Examples
+    --------
+    A minute of people is enough; a second of them is refused:
+
+    >>> from dataclasses import replace
+    >>> from pipeline.validation.simulation.scenes import SCENES, record
+    >>> take = record(replace(SCENES["room"], duration_s=1.0), seed=0, num_views=3)
+    >>> try:
+    ...     calibrate_people(take.cameras, take.times, take.detections, take.joints, (1.75,), has_intrinsics=True)
+    ... except InputError as error:
+    ...     print(error.problems[0].code)
+    people_not_found
     """
     if known_points and (problems := point_problems(known_points, {camera.name: camera.size_px for camera in cameras})):
         raise InputError(problems)

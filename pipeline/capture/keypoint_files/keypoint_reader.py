@@ -79,6 +79,18 @@ class KeypointReader(FormatReader):
 def reader(name: str, **options: Any) -> Callable[[Callable[[Any, KeypointReading], People]], KeypointReader]:
     """Declare a function as the reader of a format; options are the parameters of ``KeypointReader``.
 
+    Parameters
+    ----------
+    name
+        Name of the format for users.
+    options
+        Parameters of ``KeypointReader``: suffixes and what tells the format.
+
+    Returns
+    -------
+    callable
+        Decorator of a function that takes loaded content and a ``KeypointReading``, and returns people in pixels.
+
     Examples
     --------
     >>> import numpy as np

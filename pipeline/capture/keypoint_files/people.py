@@ -56,7 +56,18 @@ JOINT_SETS: Mapping[int, JointSet] = {len(joints.names): joints for joints in (*
 class KeypointsError(Exception):
     """The file can't be used; the text is the message of its problem.
 
-    ``field`` is the name of the field in question, if there is one.
+    Parameters
+    ----------
+    message
+        Message of the problem.
+    field
+        Name of the field in question; ``None`` if there is none.
+
+    Examples
+    --------
+    >>> error = KeypointsError("A person has 3 points.", "points")
+    >>> str(error), error.field
+    ('A person has 3 points.', 'points')
     """
 
     def __init__(self, message: str, field: str | None = None) -> None:

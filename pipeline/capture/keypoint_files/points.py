@@ -103,8 +103,23 @@ CANDIDATES: Mapping[int, tuple[KeypointLayout, ...]] = {
 class KeypointReading:
     """Reading of the keypoint files of a camera.
 
-    ``size_px`` has width and height of the camera's images; ``None`` if unknown. ``forms`` are the names of the formats
-    that were read, ``counts`` the numbers of points of a person in files that do not name the points.
+    Parameters
+    ----------
+    size_px
+        Width and height of the camera's images; ``None`` if unknown.
+
+    Attributes
+    ----------
+    forms
+        Names of the formats that were read.
+    counts
+        Numbers of points of a person in files that do not name the points.
+
+    Examples
+    --------
+    >>> reading = KeypointReading((1920, 1080))
+    >>> reading.layout(17, "points").name, reading.counts
+    ('coco-17', {17})
     """
 
     def __init__(self, size_px: tuple[int, int] | None) -> None:

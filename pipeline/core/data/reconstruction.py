@@ -51,6 +51,14 @@ class Reconstruction:
         Layout of keypoints whose files do not name their points, and how it was told; ``None`` for others.
     is_emptied
         Whether edits removed everybody who was found.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> take = multicap.reconstruct(session)
+    >>> take.timebase.frame_rate_hz, len(take.tracks) == len(take.motions)
+    (25.0, True)
     """
 
     cameras: tuple[Camera, ...]

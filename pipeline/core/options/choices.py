@@ -60,24 +60,49 @@ class FileFormat(Value):
 
     Another package adds a format by an entry point of the group ``multicap.writers``: its name is the format's name,
     its object the ``FileFormat``. The web API loads the object too, so its module imports no science.
+
+    Parameters
+    ----------
+    label
+        Name of the format for users.
+    media_type
+        Media type (RFC 6838), as the service sends it.
+    holds
+        ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
+        ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body.
+    writer
+        Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``; ``None`` for formats that
+        stages of their own make.
+    has_body, has_presets
+        Whether it holds a body that follows the skeleton; whether names, axes, unit and rest pose come from a preset.
+    ending
+        Ending of the names of files, without the dot; ``None``: the format's name.
+    package, file
+        Package that writes and reads the files, beside the packages that all formats need; file that is needed too.
+    size
+        Size of the files.
+    in_take
+        Whether a file of the whole take holds everybody once more.
+    note
+        Sentence for users.
+
+    Examples
+    --------
+    >>> studio = FileFormat("Studio", "text/plain", "joints", writer="studio.writer:WRITER", ending="txt")
+    >>> studio.ending, studio.has_presets
+    ('txt', False)
     """
 
-    media_type: str  # RFC 6838, as the service sends it
-    # ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
-    # ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body
+    media_type: str
     holds: Literal["motion", "joints", "angles", "recording", "model"]
-    # Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``; ``None`` for formats that
-    # stages of their own make
     writer: str | None = None
-    has_body: bool = False  # Whether it holds a body that follows the skeleton
-    has_presets: bool = False  # Whether names, axes, unit and rest pose come from a preset
-    ending: str | None = None  # Ending of the names of files, without the dot; ``None``: the format's name
-    package: OptionalPackage | None = (
-        None  # Package that writes and reads the files, beside the packages that all formats need
-    )
-    file: OptionalFile | None = None  # File that is needed too
+    has_body: bool = False
+    has_presets: bool = False
+    ending: str | None = None
+    package: OptionalPackage | None = None
+    file: OptionalFile | None = None
     size: FileSize = FileSize()
-    in_take: bool = False  # Whether a file of the whole take holds everybody once more
+    in_take: bool = False
 
 
 @dataclass(frozen=True, slots=True)

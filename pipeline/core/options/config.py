@@ -325,6 +325,12 @@ class ReconstructionConfig(JobChoices):
         Output frames of one chunk, which is decoded and detected as one piece, of one camera.
     processes
         Number of processes, each with a single-threaded network of its own.
+
+    Examples
+    --------
+    >>> config = ReconstructionConfig(exports=("bvh", "glb"), bvh="blender")
+    >>> config.exports, config.processes
+    (('bvh', 'glb'), 1)
     """
 
     tracking: Mapping[str, float] = field(default_factory=dict)

@@ -44,6 +44,17 @@ def read_character_file(path: Path) -> CharacterFile:
 class CharacterSource:
     """File of a character, GLB, VRM or FBX, with a table of its bones.
 
+    Parameters
+    ----------
+    path
+        File of the character.
+    table
+        Table of its bones; ``None``: bones are recognised by their names.
+
+    Examples
+    --------
+    >>> CharacterSource(Path("robot.vrm")).path.suffix
+    '.vrm'
     >>> character = CharacterSource(Path("robot.vrm"))  # doctest: +SKIP
     >>> character.open().mapping.document()["missing"]  # doctest: +SKIP
     ['LeftToeBase', 'RightToeBase']

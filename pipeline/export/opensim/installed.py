@@ -37,10 +37,26 @@ def install(on_bytes: OnBytes = silent) -> Path:
 
     Returns the path of the model.
 
+    Parameters
+    ----------
+    on_bytes
+        Called with the numbers of bytes that have arrived and of all bytes.
+
+    Returns
+    -------
+    Path
+        Model, an ``osim`` file.
+
     Raises
     ------
     ModelError
         If the package can't be downloaded, or a checksum is wrong.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> multicap.install_opensim_model().suffix  # doctest: +SKIP
+    '.osim'
     """
     model = path()
     targets = {_LICENCE_TEXT: model.with_name(LICENCE_FILE), _MODEL: model}

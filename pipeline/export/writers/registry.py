@@ -28,20 +28,43 @@ from pipeline.motion.angles.compute import JointAngles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonContent:
-    """Content of a person's file."""
+    """Content of a person's file.
 
-    track: Track3D  # Positions of the joints
-    motion: SkeletonMotion  # Motion of the skeleton in the same frames
-    # Joints of the track, and clock of its frames
+    Parameters
+    ----------
+    track, motion
+        Positions of the joints in metres, and motion of the skeleton in the same frames.
+    joints, timebase
+        Joints of the track, and clock of its frames.
+    file_name
+        Name of the file.
+    frames, is_present
+        Output frames of the file, the person's frames among them; frames of the file in which the person is there.
+    origin_m
+        World position that is the origin of files of single precision.
+    preset, body
+        Convention of BVH and FBX files; body of files that have one.
+    skeleton_m, angles
+        World positions of the skeleton's joints, and joint angles in degrees, in the frames of the track, each
+        computed once.
+
+    Examples
+    --------
+    >>> from dataclasses import fields
+    >>> [field.name for field in fields(PersonContent)][:3]
+    ['track', 'motion', 'joints']
+    """
+
+    track: Track3D
+    motion: SkeletonMotion
     joints: JointSet
     timebase: Timebase
-    file_name: str  # Name of the file
-    frames: range  # Output frames of the file, the person's frames among them
-    is_present: Bool[np.ndarray, " frames"]  # Frames of the file in which the person is there
-    origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
-    preset: Preset  # Convention of BVH and FBX files
-    body: BodyChoice  # Body of files that have one
-    # World positions of the skeleton's joints, and joint angles, in the frames of the track, each computed once
+    file_name: str
+    frames: range
+    is_present: Bool[np.ndarray, " frames"]
+    origin_m: Float[np.ndarray, " 3"]
+    preset: Preset
+    body: BodyChoice
     skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
     angles: Callable[[], JointAngles]
 
@@ -72,20 +95,41 @@ class TakeWriter:
 
 @dataclass(frozen=True, slots=True)
 class Writer:
-    """Writer and reader of a format. Every file is read back and compared with what it should hold."""
+    """Writer and reader of a format. Every file is read back and compared with what it should hold.
 
-    encode: Callable[[PersonContent], Iterator[bytes]]  # Yields the bytes of a person's file, piece by piece
-    # Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3), or as angles in
-    # degrees, (frames, columns, 1); NaN for unknown values
+    Parameters
+    ----------
+    encode
+        Yields the bytes of a person's file, piece by piece.
+    read
+        Yields blocks of frames of a file of ``encode`` as world positions in metres, (frames, joints, 3), or as angles
+        in degrees, (frames, columns, 1); NaN for unknown values.
+    expected
+        Values that ``read`` should yield.
+    between_frames
+        Place at which interpolated angles are farthest off; ``None`` for formats without angles.
+    holds_name
+        Whether the file holds the person's name. Other files stay as they are when the person is renamed.
+    has_origin
+        Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``.
+    take
+        Files of a whole take; ``None`` for formats that hold one person.
+
+    Examples
+    --------
+    >>> def encode(content):
+    ...     yield ",".join(content.joints.names).encode()
+    >>> Writer(encode, read=lambda path, preset: iter(())).has_origin
+    False
+    """
+
+    encode: Callable[[PersonContent], Iterator[bytes]]
     read: Callable[[Path, Preset], Iterator[Float[np.ndarray, "_ values components"]]]
-    expected: Callable[[PersonContent], Expected] = skeleton_positions  # Values that ``read`` should yield
-    # Place at which interpolated angles are farthest off; ``None`` for formats without angles
+    expected: Callable[[PersonContent], Expected] = skeleton_positions
     between_frames: Callable[[PersonContent], BetweenFrames | None] = lambda _: None
-    # Whether the file holds the person's name. Other files stay as they are when the person is renamed.
     holds_name: bool = False
-    # Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``
     has_origin: bool = False
-    take: TakeWriter | None = None  # Files of a whole take; ``None`` for formats that hold one person
+    take: TakeWriter | None = None
 
 
 def find_writer(export: Export) -> Writer:

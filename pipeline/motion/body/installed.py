@@ -56,10 +56,26 @@ def path() -> Path:
 def install(on_bytes: OnBytes = silent) -> Path:
     """Install the human body from its package, unless it is installed and intact; return its path.
 
+    Parameters
+    ----------
+    on_bytes
+        Called with the numbers of bytes that have arrived and of all bytes.
+
+    Returns
+    -------
+    Path
+        Installed file.
+
     Raises
     ------
     ModelError
         If the package can't be downloaded, or a checksum is wrong.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> multicap.install_body().is_file()  # doctest: +SKIP
+    True
     """
     target = path()
     with exclusive(target), storage_errors():

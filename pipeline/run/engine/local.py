@@ -67,6 +67,11 @@ def reconstruct(
         Folder in which outputs of tasks are kept for later runs, see ``pipeline.run.engine.output_folder``; ``None``:
         no output is kept.
 
+    Returns
+    -------
+    Reconstruction
+        Tracks in metres, NaN where a joint is unknown, and motions of skeletons.
+
     Raises
     ------
     InputError
@@ -78,6 +83,14 @@ def reconstruct(
         If the detector is not installed.
     PipelineError
         If the folder for intermediate outputs can't be written.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> take = multicap.reconstruct(session, multicap.ReconstructionConfig(refine_calibration="off"))
+    >>> take.timebase.num_frames == session.timebase.num_frames
+    True
     """
     _check(session, config)
     cache = None if cache is None else Path(cache)
@@ -123,6 +136,11 @@ def reconstruct_to_files(
     character
         Character onto which everybody is retargeted as well, see ``docs/characters.md``; ``None``: there is none.
 
+    Returns
+    -------
+    WrittenResults
+        Paths of the files, and the content of ``metrics.json``.
+
     Raises
     ------
     InputError
@@ -131,6 +149,15 @@ def reconstruct_to_files(
         If the detector, or a human body that files shall have, is not installed.
     PipelineError
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> config = multicap.ReconstructionConfig(exports=("trc",))
+    >>> written = multicap.reconstruct_to_files(session, folder / "results", config)
+    >>> "metrics.json" in {path.name for path in written.paths}
+    True
     """
     _check(session, config)
     if config.body == "human" and any(FILE_FORMATS[export].has_body for export in config.exports):

@@ -265,6 +265,50 @@ class Stage:
     A module of ``pipeline.run.steps`` holds the declaration; ``plan`` collects all of them. Labels of forms and
     progress bars, keys of outputs and totals of progress are derived from it.
 
+    Parameters
+    ----------
+    name, label
+        Name in the service's API, in keys and in logs, and what forms and progress bars call it.
+    function
+        Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many of
+        its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result file
+        is not whole when it is read back.
+    cut
+        How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at
+        all.
+    follows
+        Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too.
+    choices
+        Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
+    is_planned
+        Whether a job has this stage.
+    frames_a_part
+        Frames for each task of a stage that is cut by person, so that the shortest takes have one.
+    unit, frames_a_unit
+        What its progress counts; frames of a camera that a unit of a stage on ranges of cameras stands for.
+    max_frames
+        Largest number of frames of a camera that it looks at; ``None``: all.
+    looked_at_hz
+        Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would.
+    is_reusable
+        Whether its outputs serve other jobs of the session too.
+    leaves_interim
+        Whether its tasks leave interim outputs beside their outputs: for stages of the same job, removed when the job
+        ends. An interim output belongs to no key. A task whose output is reused runs all the same if its interim output
+        is missing and a stage that reads it has yet to run.
+    interim_of
+        Stages whose interim outputs it reads, as far as they leave some.
+    reads_videos
+        Whether it fails without the session's videos.
+    runs_networks
+        Whether networks run in it: its output depends on their execution provider, and two tasks overlap
+        (``overlapped``).
+    makes_files, is_of_edits
+        Whether its output are result files, and their index; whether it works for edits of people alone.
+    pieces_of
+        Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are
+        no pieces.
+
     Examples
     --------
     >>> def count(task: Task, context: Context) -> Output:
@@ -274,40 +318,25 @@ class Stage:
     2
     """
 
-    name: str  # Name in the service's API, in keys and in logs
-    label: str  # What forms and progress bars call it
-    # Runs a task whose stages before it are done. It raises ``InputError`` if a video can't be decoded or too many of
-    # its frames are damaged, ``ModelError`` if the detector is not installed, and ``PipelineError`` if a result file is
-    # not whole when it is read back.
+    name: str
+    label: str
     function: Callable[[Task, Context], Output]
-    # How it is cut into tasks: by camera, by camera and range of frames, by range of frames, by person, or not at all
     cut: Cut
-    # Stages whose outputs it reads, as far as they are planned; the others in the plan before it must be done too
     follows: tuple[str, ...]
-    # Keys of ``effective_choices`` on which its output depends. All stages depend on a choice that no stage names.
     choices: tuple[str, ...]
-    # Whether a job has this stage
     is_planned: Callable[[SessionFacts, ReconstructionConfig], bool] = lambda facts, config: config.is_of_people
-    # Frames for each task of a stage that is cut by person, so that the shortest takes have one
     frames_a_part: int = 25
-    unit: Literal["frames", "steps"] = "steps"  # What its progress counts
-    frames_a_unit: int = 1  # Frames of a camera that a unit of a stage on ranges of cameras stands for
-    max_frames: int | None = None  # Largest number of frames of a camera that it looks at; ``None``: all
-    # Rate of the frames that a stage on all cameras looks at; ``None``: it works a tenth as long as detection would
+    unit: Literal["frames", "steps"] = "steps"
+    frames_a_unit: int = 1
+    max_frames: int | None = None
     looked_at_hz: float | None = None
-    is_reusable: bool = True  # Whether its outputs serve other jobs of the session too
-    # Whether its tasks leave interim outputs beside their outputs: for stages of the same job, removed when the job
-    # ends. An interim output belongs to no key. A task whose output is reused runs all the same if its interim output
-    # is missing and a stage that reads it has yet to run.
+    is_reusable: bool = True
     leaves_interim: Callable[[ReconstructionConfig], bool] = lambda config: False
-    interim_of: tuple[str, ...] = ()  # Stages whose interim outputs it reads, as far as they leave some
-    reads_videos: bool = False  # It fails without the session's videos
-    # Networks run in it: its output depends on their execution provider, and two tasks overlap (``overlapped``).
+    interim_of: tuple[str, ...] = ()
+    reads_videos: bool = False
     runs_networks: bool = False
-    makes_files: bool = False  # Whether its output are result files, and their index
-    is_of_edits: bool = False  # Whether it works for edits of people alone
-    # Stage on whose code and choices pieces of its output depend, which are kept for other edits; empty: there are no
-    # pieces
+    makes_files: bool = False
+    is_of_edits: bool = False
     pieces_of: str = ""
 
     def num_parts(self, frames: range) -> int:

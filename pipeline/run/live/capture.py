@@ -54,6 +54,16 @@ class LiveCapture:
     ------
     InputError
         If there are fewer than two cameras, or two of the same name.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> capture = multicap.LiveCapture(session.cameras, session.joints, multicap.LiveSettings(25.0))
+    >>> frames = multicap.recorded_frames(session.cameras, session.times, session.detections)
+    >>> instants = [instant for frame in frames for instant in capture.push(*frame)] + capture.flush()
+    >>> len(instants) > 5
+    True
     """
 
     def __init__(

@@ -72,7 +72,28 @@ class DetectedFrame(NamedTuple):
 def recorded_frames(
     cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections]
 ) -> list[RecordedFrame]:
-    """Frames of all cameras in time order, empty ones included; at the same time in order of the cameras."""
+    """Frames of all cameras in time order, empty ones included; at the same time in order of the cameras.
+
+    Parameters
+    ----------
+    cameras
+        Cameras in the order of their numbers.
+    times, detections
+        Frame times in seconds and detections of each camera, by camera name.
+
+    Returns
+    -------
+    list of RecordedFrame
+        Frames with points in distorted pixels, NaN with score 0 where a joint was not detected.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> frames = multicap.recorded_frames(session.cameras, session.times, session.detections)
+    >>> frames[0].camera, frames[0].points_px.shape[1:]
+    (0, (17, 2))
+    """
     return [RecordedFrame(*frame[:-1]) for frame in detected_frames(cameras, times, detections)]
 
 

@@ -55,6 +55,11 @@ class LiveSettings:
     ------
     InputError
         If a value is not allowed; it names all of them.
+
+    Examples
+    --------
+    >>> LiveSettings(50.0, output_rate_hz=25.0).output_rate_hz
+    25.0
     """
 
     frame_rate_hz: float
@@ -101,10 +106,29 @@ _MOST_FRAMES = 400
 def read_bodies(path: StrPath) -> tuple[tuple[float, ...], ...]:
     """Lengths of the skeleton's bones, in metres, of each person of a result file ``skeletons.json``.
 
+    Parameters
+    ----------
+    path
+        Result file ``skeletons.json``.
+
+    Returns
+    -------
+    tuple of tuples
+        Lengths in metres, in the order of the skeleton's joints, of each person.
+
     Raises
     ------
     InputError
         If the file can't be read.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> session = multicap.open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    >>> written = multicap.reconstruct_to_files(session, folder / "earlier")
+    >>> bodies = read_bodies(folder / "earlier" / "skeletons.json")
+    >>> len(bodies) == len(written.metrics["people"])
+    True
     """
     path = Path(path)
     try:

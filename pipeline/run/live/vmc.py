@@ -107,6 +107,12 @@ class VmcSender:
     ------
     InputError
         If the address is unknown, or another machine's and not allowed; or if a port is wrong.
+
+    Examples
+    --------
+    >>> with VmcSender("127.0.0.1", [39540, 39541]) as sender:
+    ...     isinstance(sender, VmcSender)
+    True
     """
 
     def __init__(self, host: str = "127.0.0.1", ports: Iterable[int] = (PORT,), *, allow_network: bool = False) -> None:

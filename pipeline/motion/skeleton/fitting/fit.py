@@ -400,8 +400,32 @@ def fit_to_rays(
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
 
-    ``track`` is located by association. ``offsets`` of the detector's marks from the joints' centres are unused for a
-    person without hips and shoulders.
+    Parameters
+    ----------
+    track
+        Person as association located it: joints (frames, joints, 3) in metres, NaN where unknown.
+    seen
+        Observations of the track in distorted pixels, NaN where a camera does not see a joint.
+    offsets
+        Offsets of the detector's marks from the joints' centres; unused for a person without hips and shoulders.
+
+    Returns
+    -------
+    SkeletonFit
+        Fit that is ready for its windows of frames, with positions in metres, NaN in gaps.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from pipeline.association.tracking.track_people import reconstruct_tracks
+    >>> from pipeline.association.tracking.tracking_parameters import derive_parameters
+    >>> from pipeline.validation.simulation.scenes import SCENES, record
+    >>> take = record(replace(SCENES["room"], duration_s=1.0), seed=0)
+    >>> parameters = derive_parameters(take.cameras, take.timebase.frame_rate_hz)
+    >>> tracks, seen = reconstruct_tracks(take.cameras, take.times, take.detections, take.timebase, parameters)
+    >>> fit = fit_to_rays(tracks[0], seen[0], take.cameras, take.timebase, take.joints, "person-1")
+    >>> fit.has_torso, fit.track.num_frames == tracks[0].num_frames
+    (True, True)
     """
     rays_of = _rays_in(seen, cameras, joints)
     lively = liveliness(track, rays_of, usual_step_m(joints, timebase), joints, timebase.frame_rate_hz)
