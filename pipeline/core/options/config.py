@@ -10,14 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Literal, cast, get_args
 
-from pipeline.core.options.choices import (
-    About,
-    Network,
-    OtherNames,
-    Value,
-    declared_choices,
-    named_values,
-)
+from pipeline.core.options.choices import About, Network, OtherNames, Value, declared_choices, named_values
 from pipeline.core.options.edits import PeopleEdit, without_names
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
