@@ -21,13 +21,13 @@ from tests.pipeline.video.children import in_children, when_opened
 from tests.waiting import wait_for
 
 
-@pytest.mark.parametrize("module", ["probe", "decoder", "sound", "playback.proxy"])
+@pytest.mark.parametrize("module", ["probe", "decode_process", "sound", "playback.proxy"])
 def test_child_imports_little(module: str) -> None:
     program = f"import sys, pipeline.video.{module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run(python_command("-c", program), capture_output=True, text=True, check=True)
     assert {"av", "pipeline"} <= set(done.stdout.split())
     heavy = {"jaxtyping", "scipy", "cv2", "onnxruntime"} | (
-        {"numpy"} if module in {"decoder", "playback.proxy"} else set()
+        {"numpy"} if module in {"decode_process", "playback.proxy"} else set()
     )
     assert not heavy & set(done.stdout.split())
 
