@@ -167,7 +167,7 @@ def assert_same(found: np.ndarray, expected: np.ndarray, tolerance: float, what:
 
 
 def is_a_picture_of_people(path: Path) -> bool:
-    """Whether something bright and colourful stands on the grey floor."""
+    """Tell whether something bright and colourful stands on the grey floor."""
     image = cv2.imread(str(path))
     assert image is not None
     return bool((np.ptp(image.astype(int), axis=-1) > 100).mean() > 0.005)

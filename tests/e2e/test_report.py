@@ -132,7 +132,7 @@ def picture(page: Page) -> NDArray[np.uint8]:
 
 
 def is_same(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Tell whether two pictures show the same; Chromium shades single pixels by one or two levels anew."""
+    """Tell whether two pictures show the same; between two drawings Chromium shades single pixels differently."""
     return bool((cv2.absdiff(one, other) > 8).sum() < 20)
 
 

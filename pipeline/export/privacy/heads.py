@@ -314,7 +314,7 @@ def _projected(camera: Camera, people: Sequence[HeadPath], time_s: float) -> Flo
 def _sized(
     camera: Camera, ellipse_px: Float[np.ndarray, "n 4"], projected: Sequence[Float[np.ndarray, "here 4"]]
 ) -> Float[np.ndarray, "n 4"]:
-    """Ellipses; one without a size, as of a single joint, gets the size that heads in this camera mostly have."""
+    """Ellipses; one without a size (a single joint has none) gets the usual size of heads in this camera."""
     least_px = _MIN_OF_PICTURE * max(camera.size_px)
     usual_px = float(np.median(np.concatenate(projected)[:, 2:])) if projected else 0.0
     half_px = np.where(ellipse_px[:, 2:] >= 1.0, ellipse_px[:, 2:], max(least_px, usual_px))

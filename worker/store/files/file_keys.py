@@ -111,7 +111,7 @@ def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str
 
 
 def is_key(key: str) -> bool:
-    """Whether a text is a key."""
+    """Tell whether a text is a key."""
     return _KEY.fullmatch(key) is not None
 
 
