@@ -234,4 +234,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output docs/options.md docs/problems.md .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output docs/reference/options.md docs/reference/problems.md .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

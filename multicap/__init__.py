@@ -16,8 +16,8 @@ or send it to a service:
 ...     job = client.follow(job, lambda job: print(f"{job['progress']:.0%}"))
 ...     client.download(job, Path("results"))
 
-``docs/python.md`` is the manual. Names are loaded at their first use: ``import multicap`` alone imports no other
-package.
+``docs/reference/python.md`` is the manual. Names are loaded at their first use: ``import multicap`` alone imports no
+other package.
 """
 
 import importlib.metadata

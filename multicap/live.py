@@ -1,7 +1,8 @@
 """Client of live captures: keypoints to a service, people and their skeletons back, while it happens.
 
 ``connect`` is asynchronous, ``connect_sync`` is for loops and threads. Instants come as ``LiveInstant``, whose people
-have located joints and, once their bones are learnt, a skeleton. ``docs/live_service.md`` describes the protocol.
+have located joints and, once their bones are learnt, a skeleton. ``docs/reference/live-protocol.md`` describes the
+protocol.
 
 The examples of this module run against a service at ``address`` with a ``calibration`` of two cameras.
 """

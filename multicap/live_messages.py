@@ -32,7 +32,7 @@ class LiveError(Exception):
     Parameters
     ----------
     code
-        Code of docs/problems.md.
+        Code of docs/reference/problems.md.
     detail
         Sentence for the user.
     problem
@@ -52,7 +52,7 @@ class LiveError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Choices of a capture; docs/live_service.md describes them.
+    """Choices of a capture; docs/reference/live-protocol.md describes them.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ def occurrences(text: str) -> Counter[str]:
 def files() -> list[Path]:
     """Sources and documents that we write; pages of decisions and of measurements are a record."""
     kept = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.suffix in SUFFIXES]
-    ours = [path for path in kept if not {"node_modules", "vendor", "adr", "__pycache__"} & {*path.parts}]
+    ours = [path for path in kept if not {"node_modules", "vendor", "lab", "__pycache__"} & {*path.parts}]
     return [*ours, *ROOT.glob("*.md")]
 
 

@@ -80,7 +80,7 @@ ProviderOption = Annotated[
     str | None,
     typer.Option(
         metavar="|".join(get_args(ProviderChoice)),
-        help="What runs the networks, see docs/providers.md. Default: MULTICAP_PROVIDER, else auto.",
+        help="What runs the networks, see `multicap help providers`. Default: MULTICAP_PROVIDER, else auto.",
         show_default=False,
     ),
 ]

@@ -106,7 +106,7 @@ class ErrorItem(BaseModel):
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
     code: Code = Field(
-        description="Stable code, such as `video_truncated`; docs/problems.md lists all codes. Codes of fields and "
+        description="Stable code, such as `video_truncated`; `/help/problems` lists all codes. Codes of fields and "
         "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items()),
         examples=["video_truncated"],
     )
@@ -140,7 +140,7 @@ class ProblemDetails(BaseModel):
     status: int = Field(description="HTTP status.")
     detail: str = Field(description="Description of the problem, a sentence for a person.")
     instance: str = Field(description="Path of the request.", examples=[f"/v1/jobs/{ID}"])
-    code: Code = Field(description="Stable name of the problem; docs/problems.md lists all codes.")
+    code: Code = Field(description="Stable name of the problem; `/help/problems` lists all codes.")
     errors: tuple[ErrorItem, ...] = Field(default=(), description="Everything that is wrong with the request.")
     camera: str | None = Field(default=None, description="Name of the camera, if the problem concerns one camera.")
     stage: str | None = Field(default=None, description="Name of the stage, if the problem concerns one stage.")

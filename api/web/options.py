@@ -176,7 +176,7 @@ class SampleOut(ResponseModel):
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
-# Seconds of a job a camera's frame, by profile and joints: docs/measurements.md, "Profiles".
+# Seconds of a job a camera's frame, by profile and joints: docs/lab/measurements.md, "Profiles".
 _CAMERA_FRAME_S: Mapping[tuple[config.Profile, config.JointsOfBody], float] = {
     ("fast", "body"): 0.023,
     ("fast", "feet"): 0.054,

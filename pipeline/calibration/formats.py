@@ -1,7 +1,8 @@
 """Calibration formats: a module of ``pipeline.calibration.readers`` each, or an object of another package.
 
 A module declares its format by ``reader`` above the function that reads it, and has its rows of the table of formats in
-``docs/formats.md`` in its docstring. Other packages add formats by entry points of the group ``multicap.readers``.
+``docs/reference/formats.md`` in its docstring. Other packages add formats by entry points of the group
+``multicap.readers``.
 """
 
 from collections.abc import Callable

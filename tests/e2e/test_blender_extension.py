@@ -1,7 +1,7 @@
 """The extension for Blender as a newcomer uses it: the sample capture sent, followed, imported, and put on a character.
 
 With ``MULTICAP_PICTURES`` the scenes are rendered: ``blender-people.jpg`` and ``blender-character.jpg`` of the page
-docs/blender.md.
+docs/start/blender.md.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Programs of `docs/clients.md`, run as they stand there with the clients that each generator makes of the contract."""
+"""Programs of `docs/reference/clients.md`, run with the clients that each generator makes of the contract."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ from api.web.contract.openapi import COMMITTED
 from pipeline.core.runtime.packages.samples import Sample
 from tests.e2e.serving import Served, serving
 
-PAGE = Path(__file__).parents[2] / "docs/clients.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/clients.md"
 CLIENTS = Path(__file__).parent / "clients"
 ADDRESS, KEY, FOLDER = "https://multicap.example", "mc_...", "take"
 TIMEOUT_S = 400.0

@@ -1,4 +1,4 @@
-"""Examples of `docs/python.md`, run as they are written: in this process, and with a service."""
+"""Examples of `docs/reference/python.md`, run as they are written: in this process, and with a service."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.e2e.serving import Served, digests
 
 pytestmark = pytest.mark.xdist_group("service")
 
-PAGE = Path(__file__).parents[2] / "docs/python.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/python.md"
 ADDRESS = "http://127.0.0.1:8000"
 
 

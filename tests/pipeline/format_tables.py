@@ -1,11 +1,11 @@
-"""Tables of formats: in docs/formats.md, and their rows in the docstrings of readers."""
+"""Tables of formats: in docs/reference/formats.md, and their rows in the docstrings of readers."""
 
 import ast
 import re
 from pathlib import Path
 from types import ModuleType
 
-_DOCUMENT = Path(__file__).parents[2] / "docs" / "formats.md"
+_DOCUMENT = Path(__file__).parents[2] / "docs/reference/formats.md"
 
 
 def documented_rows(readers: ModuleType, head: str) -> list[str]:

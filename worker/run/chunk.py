@@ -27,7 +27,7 @@ STOP_GRACE_S = 2.0
 _LOOK_S = 0.25
 
 # Time that a unit is foreseen to take: networks of the default profile take a tenth of a second for a frame of a camera
-# (docs/measurements.md), and units of other stages as long. Few units take no less than the shortest limit.
+# (docs/lab/measurements.md), and units of other stages as long. Few units take no less than the shortest limit.
 _UNIT_S = 0.1
 _SHORTEST_LIMIT_S = 600.0
 

@@ -232,8 +232,8 @@ class WorkerSettings(StorageSettings):
     )
     provider: ProviderChoice = Field(
         default="auto",
-        description="What runs the networks of workers, see docs/providers.md; auto is CUDA where it works, else the "
-        "CPU.",
+        description="What runs the networks of workers, see `multicap help providers`; auto is CUDA where it works, "
+        "else the CPU.",
     )
     chunk_time_factor: float = Field(
         default=10.0,

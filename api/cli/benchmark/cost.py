@@ -62,7 +62,7 @@ def all_costs(as_json: JsonOption = False) -> None:
 
 
 def measure_all(sample: Sample, folder: Path) -> dict[str, Any]:
-    """Measure all costs; docs/benchmarks.md has the keys. ``folder`` is for videos."""
+    """Measure all costs; docs/lab/benchmarks.md has the keys. ``folder`` is for videos."""
     machine = describe_machine()
     footage = _Footage(sample, folder)
     return {

@@ -41,7 +41,7 @@ from pipeline.run.session_check.verdict import session_findings
 @with_source(omits=("clock",))
 def command(
     *,
-    calibration: Annotated[Path, typer.Option(help="Calibration file, see docs/formats.md.")],
+    calibration: Annotated[Path, typer.Option(help="Calibration file, see `multicap help formats`.")],
     source: SourceOptions,
     chosen: Mapping[str, Any],
     thumbnails: Annotated[

@@ -94,7 +94,9 @@ def command(
     ] = None,
     character: Annotated[
         Path | None,
-        typer.Option(help="Character that moves as each person: a GLB, VRM or FBX file, see docs/characters.md."),
+        typer.Option(
+            help="Character that moves as each person: a GLB, VRM or FBX file, see `multicap help own-character`."
+        ),
     ] = None,
     bones: Annotated[
         Path | None,
@@ -103,11 +105,11 @@ def command(
     chosen: Mapping[str, Any],
     tracking: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see docs/tracking.md; repeatable."),
+        typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see `multicap help tracking`; repeatable."),
     ] = None,
     clustering: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see docs/clustering.md; repeatable."),
+        typer.Option(metavar="NAME=VALUE", help="Parameter of clustering, see `multicap help clustering`; repeatable."),
     ] = None,
     provider: ProviderOption = None,
     cache: Annotated[

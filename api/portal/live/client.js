@@ -5,7 +5,7 @@ const [SUBPROTOCOL, KEY_SUBPROTOCOL] = ["multicap.live", "mc.key."];
 // Bytes that wait in the browser, beyond which frames are left out: some seconds of a few cameras.
 const MAX_WAITING_BYTES = 2 ** 20;
 
-/** The service refused or ended a capture; `code` is of docs/problems.md. */
+/** The service refused or ended a capture; `code` is of docs/reference/problems.md. */
 class LiveRefusal extends Error {
   constructor({ code = null, detail, errors = [], hint = null }) {
     super(detail);
@@ -107,7 +107,7 @@ function lost(code) {
   return { detail: "The connection to the service was lost, or was not opened.", hint: "The service may have as many live captures as it can compute. Begin again." };
 }
 
-// Packed messages of live captures (docs/live_service.md, "Packed messages"): keypoints to the service, instants from it.
+// Packed messages of live captures (docs/reference/live-protocol.md, "Packed messages"): keypoints to the service, instants from it.
 
 const KEYPOINTS = "MCK1";
 const INSTANT = "MCI1";

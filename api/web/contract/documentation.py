@@ -1,11 +1,11 @@
-"""``python -m api.web.contract.documentation``: write the pages of ``docs`` that are made from the code."""
+"""``python -m api.web.contract.documentation``: write the pages of ``docs/reference`` that are made from the code."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from api.web.contract import options_page, problems_page
 
-FOLDER = Path(__file__).parents[3] / "docs"
+FOLDER = Path(__file__).parents[3] / "docs" / "reference"
 PAGES: Mapping[str, Callable[[], str]] = {"options.md": options_page.document, "problems.md": problems_page.document}
 """Texts of the pages by their names; git ignores these files."""
 

@@ -1,4 +1,4 @@
-"""Page ``docs/options.md``: choices of a reconstruction with their values, limits and defaults."""
+"""Page ``docs/reference/options.md``: choices of a reconstruction with their values, limits and defaults."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ _INTRODUCTION = """\
 
 This page lists the choices of a reconstruction with their values, limits and defaults.
 
-A job's `spec` has the fields of the first column ([API](../openapi/openapi.json)). `multicap reconstruct` has the
+A job's `spec` has the fields of the first column ([API](../../openapi/openapi.json)). `multicap reconstruct` has the
 options of the second column. `GET /v1/options` lists the same choices for a form, and the networks that are installed.
 
 This page is made from the code: `make docs` writes it.

@@ -1,4 +1,4 @@
-"""Page ``docs/problems.md``: problem codes with what they mean and what to do."""
+"""Page ``docs/reference/problems.md``: problem codes with what they mean and what to do."""
 
 from collections.abc import Iterator, Mapping
 
@@ -30,8 +30,8 @@ problem, `errors` lists everything that is wrong with the request, `retryable` s
 later, and `request_id` is in the service's log. The column *where* says where a code appears: a number is the HTTP
 status of the answer; `job` is the error of a job, `waiting` an outage that a job waits for, `attempt` a failed attempt
 at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
-`finding` a finding of a check (see [preflight](preflight.md) and [calibration](calibration.md)), `live` a message of a
-[live capture](live_service.md), `recording` a message of a [recording](phones_service.md).
+`finding` a finding of a check (see [quality](../guide/quality.md) and [calibration](../guide/calibration.md)), `live`
+a message of a [live capture](live-protocol.md), `recording` a message of a [recording](recording-protocol.md).
 
 This page is made from the code: `make docs` writes it.
 """

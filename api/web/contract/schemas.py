@@ -39,7 +39,8 @@ class FindingOut(ResponseModel):
     """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
 
     code: Code = Field(
-        description="Stable code, such as `same_video`; docs/problems.md lists all codes.", examples=["frames_repeated"]
+        description="Stable code, such as `same_video`; `/help/problems` lists all codes.",
+        examples=["frames_repeated"],
     )
     camera: str | None = Field(
         default=None, description="Name of the camera; null if it is not about one camera.", examples=["cam_0"]
@@ -56,7 +57,7 @@ class FindingOut(ResponseModel):
     )
     evidence: dict[str, Any] = Field(
         default_factory=dict,
-        description="What was measured, by name; docs/preflight.md describes it for each code.",
+        description="What was measured, by name; `/help/quality` describes it for each code.",
         examples=[{"file": "cam_0.mp4", "num_frames": 1}],
     )
 

@@ -40,7 +40,7 @@ class StageOut(ResponseModel):
 class SessionErrorOut(ResponseModel):
     """Error that the check of a job's session found."""
 
-    code: Code = Field(description="Stable code; docs/problems.md lists all codes.")
+    code: Code = Field(description="Stable code; `/help/problems` lists all codes.")
     message: str = Field(description="Description of the error, a sentence for a person.")
     camera: str | None = Field(description="Camera that the error is about; null if it is not about one.")
     hint: str | None = Field(description="Advice to the caller.")
@@ -49,7 +49,7 @@ class SessionErrorOut(ResponseModel):
 class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
-    code: Code = Field(description="Stable code; docs/problems.md lists all codes.", examples=["worker_lost"])
+    code: Code = Field(description="Stable code; `/help/problems` lists all codes.", examples=["worker_lost"])
     detail: str = Field(
         description="Description of the error, a sentence for a person.",
         examples=["A worker stopped responding."],
@@ -201,7 +201,7 @@ class JobOut(ResponseModel):
         description="Warnings about the files, the choices and, once finished, the result.", examples=[[WARNING]]
     )
     result_warnings: tuple[WarningOut, ...] = Field(
-        description="Warnings about the result with codes, such as `nobody_found`; docs/problems.md lists all codes."
+        description="Warnings about the result with codes, such as `nobody_found`; `/help/problems` lists all codes."
     )
     space: SpaceOut | None = Field(
         default=None,

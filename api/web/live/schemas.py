@@ -187,7 +187,7 @@ _Point = tuple[float, float, float]
 
 
 class LiveSkeletonOut(_Sent):
-    """Pose of a person's animation skeleton; the rest pose is that of docs/conventions.md."""
+    """Pose of a person's animation skeleton; the rest pose is that of `/help/conventions`."""
 
     root_m: _Point = Field(description="World position of the root.")
     rotations_xyzw: tuple[tuple[float, float, float, float], ...] = Field(
@@ -256,7 +256,7 @@ _DESCRIPTION = """\
 A live capture for as long as the WebSocket is open. The client sends `start`, then keypoints of each camera's frames,
 and `end`. The service answers `ready`, then instants with people, and `ended`; a `problem` ends the capture early.
 Keypoints and instants may be packed, as messages of bytes. Pages of allowed origins, whose browsers send no headers,
-offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. docs/live_service.md describes both forms,
+offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. `/help/live-protocol` describes both forms,
 limits and close codes.
 """
 _CHANNEL = SocketChannel(

@@ -363,7 +363,8 @@ _DESCRIPTION = """\
 A recording by phones. Phones offer the subprotocols `multicap.recording` and `mc.link.` with the secret of the
 recording's link behind it, and say `hello` first; hosts come with a key or the browser's cookie. Phones send small
 JPEGs of their pictures as messages of bytes; hosts get them behind the phone's number, an unsigned integer of two
-bytes, little-endian. All else is JSON. docs/phones_service.md describes the order of messages, limits and close codes.
+bytes, little-endian. All else is JSON. `/help/recording-protocol` describes the order of messages, limits and
+close codes.
 """
 _ADDRESS = "/v1/recordings/{recording_id}/connect"
 _PARAMETERS = {"recording_id": "Id of the recording."}

@@ -1,9 +1,9 @@
 """Choices of a reconstruction, each declared once: name, values, default, limits and one sentence.
 
-The job's spec, the options of the command line, ``GET /v1/options``, the form of the page and ``docs/options.md`` are
-made from these declarations, in the words of ``pipeline.core.options.choices``. For type checkers the union of a
-choice's values is a ``Literal`` of all names. Beside the standard library it knows where files are installed: the web
-API imports this module.
+The job's spec, the options of the command line, ``GET /v1/options``, the form of the page and
+``docs/reference/options.md`` are made from these declarations, in the words of ``pipeline.core.options.choices``. For
+type checkers the union of a choice's values is a ``Literal`` of all names. Beside the standard library it knows where
+files are installed: the web API imports this module.
 """
 
 from collections.abc import Mapping

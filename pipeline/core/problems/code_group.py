@@ -1,4 +1,4 @@
-"""Declaration of problem codes in groups; each group is a section of ``docs/problems.md``."""
+"""Declaration of problem codes in groups; each group is a section of ``docs/reference/problems.md``."""
 
 import ast
 import inspect

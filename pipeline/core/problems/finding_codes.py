@@ -5,8 +5,8 @@ from pipeline.core.problems.code_group import CodeGroup
 FILES = CodeGroup(
     "Findings about files",
     "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. None refuses a "
-    "session; [preflight](preflight.md) describes the evidence of each. Findings about the cameras have the codes"
-    " of [findings about calibrations](#findings-of-checks).",
+    "session; [preflight](../guide/quality.md) describes the evidence of each. Findings about the cameras have the "
+    "codes of [findings about calibrations](#findings-of-checks).",
 )
 
 FILE_IGNORED = FILES.code("file_ignored", "finding")
@@ -134,13 +134,13 @@ OUTPUT_DAMAGED = JOBS.code("output_damaged", "job", "attempt")
 """A stored output of a stage was damaged. | The operator checks the disk; then retry the job."""
 SYNC_NO_MOTION = JOBS.code("sync_no_motion", "job", "command")
 """A camera sees nobody who moves, or too little motion to tell its offset. | Declare the offsets, or film people who
-move; see [synchronization](synchronization.md#refusals)."""
+move; see [synchronization](../guide/synchronization.md#refusals)."""
 SYNC_AMBIGUOUS = JOBS.code("sync_ambiguous", "job", "command")
 """The motion that a camera sees fits several offsets. | Declare the offsets, or film other motion; see
-[synchronization](synchronization.md#refusals)."""
+[synchronization](../guide/synchronization.md#refusals)."""
 SYNC_CONTRADICTION = JOBS.code("sync_contradiction", "job", "command")
 """The sound of a camera and the motion of people tell different offsets. | Declare the offsets, or send videos without
-sound; see [synchronization](synchronization.md#refusals)."""
+sound; see [synchronization](../guide/synchronization.md#refusals)."""
 SYNC_LITTLE_OVERLAP = JOBS.code("sync_little_overlap", "job", "command")
 """A camera recorded for too short a time together with the others. | Declare the offsets."""
 SYNC_NOTHING_IN_COMMON = JOBS.code("sync_nothing_in_common", "job", "command")
@@ -179,7 +179,7 @@ TAKE_TOO_LARGE = WARNINGS.code("take_too_large", "warning")
 frames by `frame_range`, or for a lower `output_rate_hz`."""
 OPENSIM_FAILED = WARNINGS.code("opensim_failed", "warning")
 """OpenSim could not scale its model to a person, or not follow the person's markers; the message says why. | See
-[OpenSim](biomechanics.md#opensim). The person's archive has the setups to run it by hand."""
+[OpenSim](../guide/biomechanics.md#opensim). The person's archive has the setups to run it by hand."""
 TOO_FEW_CAMERAS = WARNINGS.code("too_few_cameras", 422, "warning", "finding", "job", "command")
 """The session has fewer than three cameras. | Add a camera."""
 DAMAGED_VIDEO = WARNINGS.code("damaged_video", "warning")
@@ -193,35 +193,37 @@ FEW_VIEWS = WARNINGS.code("few_views", "warning")
 """Fewer than three cameras saw a person in most frames. | Add or move cameras."""
 APPROXIMATE_ASSOCIATION = WARNINGS.code("approximate_association", "warning")
 """Some frames show more people than exact methods can tell apart. | Check these frames; see
-[tracking](tracking.md#crowds) and [clustering](clustering.md#crowds)."""
+[tracking](../methods/tracking.md#crowds) and [clustering](../methods/clustering.md#crowds)."""
 UNCERTAIN_IDENTITY = WARNINGS.code("uncertain_identity", "warning")
 """Two people may have been taken for each other at some moment. | Look at the moments under `identity.doubts` in
-metrics.json; see [who is who](identity.md#doubts)."""
+metrics.json; see [who is who](../methods/identity.md#doubts)."""
 PERSON_LOST = WARNINGS.code("person_lost", "warning")
 """A person vanishes in the middle of the room: cameras view the place, and the person is not found there. | Look at the
-frames and the place in the message; add cameras, or try the other `method`. See [losses](identity.md#losses)."""
+frames and the place in the message; add cameras, or try the other `method`. See
+[losses](../methods/identity.md#losses)."""
 PHANTOM_ENDED = WARNINGS.code("phantom_ended", "warning")
 """A track was made of the limbs of other people for some time; these frames were taken from it. | Look at the frames in
-the message: a person may have been there. See [losses](identity.md#losses)."""
+the message: a person may have been there. See [losses](../methods/identity.md#losses)."""
 LIMB_MISMEASURED = WARNINGS.code("limb_mismeasured", "warning")
 """A limb was located with a length that the person's other side or proportions exclude. The fit uses another one. |
-Look at this limb: it may be hidden for most of the take. See [the fit](fit.md#skeleton-fitpy-gauss_newtonpy)."""
+Look at this limb: it may be hidden for most of the take. See
+[the fit](../methods/fit.md#skeleton-fitpy-gauss_newtonpy)."""
 PERSON_NEVER_MOVES = WARNINGS.code("person_never_moves", "warning")
 """A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PATCH
-/v1/jobs/{id}/people`); see [likenesses](identity.md#likenesses)."""
+/v1/jobs/{id}/people`); see [likenesses](../methods/identity.md#likenesses)."""
 MIRROR_IMAGE = WARNINGS.code("mirror_image", "warning")
 """A person is the mirror image of another one. | Remove the image (`PATCH /v1/jobs/{id}/people`), or cover the mirror;
-see [likenesses](identity.md#likenesses)."""
+see [likenesses](../methods/identity.md#likenesses)."""
 CALIBRATION_REFINED = WARNINGS.code("calibration_refined", "warning")
 """Cameras were moved to fit the people of the take. | Use the result calibration.json for other takes; see
-[refinement](calibration.md#refinement)."""
+[refinement](../guide/calibration.md#refinement)."""
 CALIBRATION_KEPT = WARNINGS.code("calibration_kept", "warning")
 """`refine_calibration` is `auto`, and the given calibration was kept: it fits about as well, or the people do not
 determine the cameras. Its severity is `info`. | Nothing if the calibration fits. Otherwise let people walk all over the
-place; see [refinement](calibration.md#refinement)."""
+place; see [refinement](../guide/calibration.md#refinement)."""
 WORLD_LEVELED = WARNINGS.code("world_leveled", "warning")
 """The floor was tilted or not at z = 0, and the world was moved so that feet stand at z = 0. | Use the result
-calibration.json for other takes; see [refinement](calibration.md#refinement)."""
+calibration.json for other takes; see [refinement](../guide/calibration.md#refinement)."""
 CAMERA_BUMPED = WARNINGS.code("camera_bumped", "warning")
 """A camera was moved during the take. | Reconstruct the frames before and after the time in the message on their own
 (`frame_range`)."""
@@ -293,7 +295,7 @@ MIRRORED_WORLD = WARNINGS.code("mirrored_world", "warning", "finding", "job", "c
 mirrored."""
 CAMERA_DISAGREES = WARNINGS.code("camera_disagrees", "warning", "finding", "job", "command")
 """A camera sees people elsewhere than the other cameras do. | Refine the calibration; see
-[refinement](calibration.md#refinement). Or check the camera's offset."""
+[refinement](../guide/calibration.md#refinement). Or check the camera's offset."""
 
 FINDINGS = CodeGroup(
     "Findings of checks",
@@ -326,7 +328,7 @@ the lens again with views near the edges, or with fewer coefficients."""
 
 STREAMS = CodeGroup(
     "Cameras of live captures",
-    "Problems of the cameras of `multicap live`; see [live cameras](live_cameras.md).",
+    "Problems of the cameras of `multicap live`; see [live cameras](../start/live-cameras.md).",
 )
 
 CAMERA_SOURCE = STREAMS.code("camera_source", "command")
@@ -363,8 +365,8 @@ UNKNOWN_JOINTS = COMMANDS.code("unknown_joints", "command")
 UNKNOWN_EVIDENCE = COMMANDS.code("unknown_evidence", "command")
 """There is no such evidence for the method. | Omit it, or use the hint."""
 UNKNOWN_PARAMETER = COMMANDS.code("unknown_parameter", "command")
-"""The method has no parameter of this name. | Use a name of [tracking](tracking.md#parameters) or
-[clustering](clustering.md#parameters)."""
+"""The method has no parameter of this name. | Use a name of [tracking](../methods/tracking.md#parameters) or
+[clustering](../methods/clustering.md#parameters)."""
 PARAMETER_RANGE = COMMANDS.code("parameter_range", "command")
 """The value of the parameter is not allowed. | Use an allowed value."""
 PARAMETER_UNREADABLE = COMMANDS.code("parameter_unreadable", "command")

@@ -125,7 +125,7 @@ DATABASE_UNAVAILABLE = ANSWERS.code("database_unavailable", 503, "readyz", "wait
 """The database does not respond. | Send the request again later; the operator starts the database."""
 DATABASE_DAMAGED = ANSWERS.code("database_damaged", 503, "readyz", "command")
 """SQLite can't read its file. | The operator restores a backup, see
-[operations](operations.md#when-the-database-is-damaged)."""
+[operations](../operate/operations.md#when-the-database-is-damaged)."""
 ARTIFACTS_UNAVAILABLE = ANSWERS.code("artifacts_unavailable", 503, "readyz", "waiting")
 """The artifact store does not respond. Jobs wait for it. | Send the request again later; the operator starts the store.
 Nothing has to be done for jobs."""
@@ -272,7 +272,7 @@ WEBHOOK_SECRET_MISSING = SPECS.code("webhook_secret_missing", 422)
 
 LIVE = CodeGroup(
     "Live captures",
-    "Values of `code` in the messages `problem` of `WS /v1/live`; see [live captures](live_service.md).",
+    "Values of `code` in the messages `problem` of `WS /v1/live`; see [live captures](live-protocol.md).",
 )
 
 LIVE_MESSAGE = LIVE.code("live_message", "live")
@@ -313,7 +313,7 @@ Begin another capture when the service answers again."""
 RECORDINGS = CodeGroup(
     "Recordings by phones",
     "Values of `code` in the messages `problem` of `WS /v1/recordings/{recording_id}/connect`; see "
-    "[recordings](phones_service.md).",
+    "[recordings](recording-protocol.md).",
 )
 
 RECORDING_MESSAGE = RECORDINGS.code("recording_message", "recording")

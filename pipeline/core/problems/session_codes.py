@@ -23,8 +23,8 @@ CALIBRATION_UNITS_UNSTATED = CALIBRATIONS.code("calibration_units_unstated", 422
 """Neither the file nor `units` states the unit of length, and metres are not plausible. | State `units`; `message` has
 the distances of a camera in both units."""
 BOARD_INVALID = CALIBRATIONS.code("board_invalid", 422, "command")
-"""The specification of a board is malformed or not plausible. | Write it as [calibration](calibration.md#from-a-board)
-says."""
+"""The specification of a board is malformed or not plausible. | Write it as
+[calibration](../guide/calibration.md#from-a-board) says."""
 BOARD_NOT_FOUND = CALIBRATIONS.code("board_not_found", "job", "command")
 """The board was found in too few pictures of a camera. | Check the numbers of the board; film it sharp and whole."""
 BOARD_EXCHANGED = CALIBRATIONS.code("board_exchanged", "job", "command")
@@ -34,7 +34,7 @@ BOARD_UNLINKED = CALIBRATIONS.code("board_unlinked", "job", "command")
 see it."""
 KNOWN_POINTS_INVALID = CALIBRATIONS.code("known_points_invalid", 422, "job", "command")
 """A known point is malformed, is named twice, or is not in the picture. | Correct it as
-[calibration](calibration.md#known-points) says."""
+[calibration](../guide/calibration.md#known-points) says."""
 KNOWN_POINTS_FEW = CALIBRATIONS.code("known_points_few", 422, "job", "command")
 """Fewer than three known points are seen by two cameras. | Mark each point in the pictures of two cameras or more,
 under the same name."""
@@ -246,7 +246,7 @@ TIMESTAMPS_START = TIMES.code("timestamps_start", 422, "command")
 
 CHARACTERS = CodeGroup(
     "Characters",
-    "Characters of the user's own, onto which motion is retargeted; see [characters](characters.md).",
+    "Characters of the user's own, onto which motion is retargeted; see [characters](../start/own-character.md).",
 )
 
 CHARACTER_FORMAT = CHARACTERS.code("character_format", 422, "command")

@@ -164,7 +164,7 @@ def _check_outputs(network: OwnNetwork, shapes: Sequence[Sequence[int]], filenam
     if not fits:
         raise ModelError(
             f"{filename} has no outputs of the head {network.head}: it gives {[list(shape) for shape in shapes]}. "
-            "See docs/detectors.md for the outputs of each head."
+            "See docs/guide/detectors.md for the outputs of each head."
         )
     if num_outputs != num_points:
         alike = [layout.name for layout in LAYOUTS.values() if len(layout.points) == num_outputs]

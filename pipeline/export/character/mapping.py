@@ -182,7 +182,7 @@ def _wrong(rig: CharacterRig, joints: Mapping[str, int], name: str) -> list[Prob
                 CHARACTER_BONES,
                 f"No bone of the character was recognised as {listed_names(missing)}.",
                 file=name,
-                hint="State them by a table of bones (`bones`, or the option --bones), see docs/characters.md.",
+                hint="State them by a table of bones (`bones`, or --bones), see `multicap help own-character`.",
             )
         ]
     wrong = []

@@ -173,7 +173,8 @@ def _angles(contents: ReportContents) -> Markup:
     if not contents.angles:
         return Markup()
     notes = [
-        "By the definitions of the International Society of Biomechanics; docs/biomechanics.md tells what not to trust."
+        "By the definitions of the International Society of Biomechanics; "
+        "`multicap help biomechanics` tells what not to trust."
     ]
     if len(contents.metrics["people"]) > len(contents.angles):
         notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")

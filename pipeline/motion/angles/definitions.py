@@ -4,7 +4,7 @@ Definitions follow the International Society of Biomechanics: Wu et al. 2002 (an
 1983 (knee), Wu et al. 2005 (shoulder, elbow, wrist), and Baker 2001 for the pelvis in the world. The axes of every
 segment are X to the front, Y up along the segment, and Z to the right, in the anatomical position: upright, arms
 hanging, palms to the front. All angles are then zero. Where a body without markers can't follow the definitions,
-docs/biomechanics.md says so.
+docs/guide/biomechanics.md says so.
 """
 
 from collections.abc import Mapping
@@ -187,7 +187,7 @@ JOINTS: tuple[AngleJoint, ...] = (
 """Joints from the pelvis outwards."""
 
 # Hips and shoulders are two lines: how a trunk that bends to the front shares its bend is the skeleton's guess. Errors
-# of the tilt in simulated walks, squats and kicks (docs/biomechanics.md).
+# of the tilt in simulated walks, squats and kicks (docs/guide/biomechanics.md).
 _PELVIS_DEG, _THORAX_DEG = 5.0, 3.0
 _MIDDLE_UP = {"left_shoulder": 0.5, "right_shoulder": 0.5, "left_hip": -0.5, "right_hip": -0.5}
 

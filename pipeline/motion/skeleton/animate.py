@@ -51,7 +51,7 @@ def animate(
 ) -> Animation:
     """Compute the skeleton motion and the final joint positions of all people.
 
-    ``docs/fit.md`` describes the method, with its sources.
+    ``docs/methods/fit.md`` describes the method, with its sources.
 
     Parameters
     ----------

@@ -134,7 +134,8 @@ def reconstruct_to_files(
     on_file
         Called with the path of each file when it is whole and has its name.
     character
-        Character onto which everybody is retargeted as well, see ``docs/characters.md``; ``None``: there is none.
+        Character onto which everybody is retargeted as well, see ``docs/start/own-character.md``; ``None``: there is
+        none.
 
     Returns
     -------

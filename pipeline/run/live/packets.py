@@ -1,4 +1,4 @@
-"""Messages and packets of live captures, as docs/live_service.md describes them. Standard library only.
+"""Messages and packets of live captures, as docs/reference/live-protocol.md describes them. Standard library only.
 
 Messages go over the pipes between the service and the process of a capture. To the process: a length in four bytes and
 as many bytes. The first message is the start, in JSON, the next ones are packets of keypoints, and an empty one is the

@@ -1,4 +1,4 @@
-// A character in motion as its GLB file has it: what the file describes, and the keys of its motion (docs/characters.md).
+// A character in motion as its GLB file has it: what the file describes, and the keys of its motion (docs/start/own-character.md).
 
 const HEAD_BYTES = 2 ** 16;
 const CHUNK_START = 20;

@@ -5,8 +5,8 @@ Python or JavaScript: an object with ``pose_landmarks``, ``poseLandmarks`` or ``
 or of one; and for the holistic ones of the hands. A list holds all frames, each with its number ``frame``, or in order
 from 0. Positions are shares of the image, whose size is ``image_size`` (width, height), or else the camera's.
 
-A form of our own (docs/formats.md) has ``poses`` in an object a frame, or ``frames`` in an object of all frames. There
-positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
+A form of our own (docs/reference/formats.md) has ``poses`` in an object a frame, or ``frames`` in an object of all
+frames. There positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
 
 Rows of the table of formats:
 

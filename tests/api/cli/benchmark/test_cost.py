@@ -133,5 +133,5 @@ def test_every_key_is_documented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     keys = {*cost, *cost["machine"], *cost["keypoints"], *cost["pictures"][0]}
     for jobs in (cost["profiles"], cost["processes"], cost["length"], cost["cameras"], *cost["keypoints"].values()):
         keys |= {key for job in jobs for key in job}
-    text = (Path(__file__).parents[4] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[4] / "docs/lab/benchmarks.md").read_text(encoding="utf-8")
     assert [key for key in sorted(keys) if f"`{key}`" not in text] == []

@@ -9,7 +9,7 @@ from pipeline.core.layouts import LAYOUTS
 from pipeline.run.live.packets import InstantHead, KeypointsHead
 from pipeline.run.live.settings import LiveSettings
 
-PAGE = (Path(__file__).parents[4] / "docs/live_service.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[4] / "docs/reference/live-protocol.md").read_text(encoding="utf-8")
 
 
 def test_references_of_contract_lead_somewhere() -> None:

@@ -34,7 +34,7 @@ from tests.warm_programs import WarmPrograms
 # Bones are learnt in the first half of the take.
 LEARN_S = 0.4
 NETWORK = "movenet-multipose"
-PAGE = (Path(__file__).parents[4] / "docs/live_service.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[4] / "docs/reference/live-protocol.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

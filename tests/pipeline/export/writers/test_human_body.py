@@ -164,7 +164,7 @@ def test_other_readers_of_fbx_find_joints(
         np.testing.assert_allclose(GLTF.xyz_m_from_file(positions[name] / 100.0), expected_m[:, number], atol=1e-4)
 
 
-# At 29.97 Hz, the rate of the other walk, Blender's importer of FBX places keys late (docs/limits.md).
+# At 29.97 Hz, the rate of the other walk, Blender's importer of FBX places keys late (docs/lab/limits.md).
 @pytest.mark.blender
 @pytest.mark.parametrize("motion", [gesturing(12), walk(12, 30.0)], ids=["fingers", "no fingers"])
 def test_blender_finds_joints_and_bends_body(motion: SkeletonMotion, tmp_path: Path) -> None:

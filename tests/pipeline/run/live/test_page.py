@@ -1,4 +1,4 @@
-"""Examples of `docs/live.md`, run as they are written."""
+"""Examples of `docs/start/live.md`, run as they are written."""
 
 import re
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from pipeline.validation.simulation.scenes import SCENES, record
 from tests.pipeline.simulations import write_simulation
 
-PAGE = Path(__file__).parents[4] / "docs/live.md"
+PAGE = Path(__file__).parents[4] / "docs/start/live.md"
 
 
 def test_examples_of_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
