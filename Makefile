@@ -131,7 +131,7 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 wheel: $(VENV)/.installed  ## Build the wheel into dist/
 	$(BIN)/python -P -m hatchling build -t wheel -d dist
 
-docs: $(VENV)/.installed  ## Write the pages of docs/ that are made from the code: options, problem codes
+docs: $(VENV)/.installed  ## Write the pages of docs/ that are made from the code: options, problem codes, settings
 	$(BIN)/python -P -m api.web.contract.documentation
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
@@ -234,4 +234,4 @@ lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output docs/reference/options.md docs/reference/problems.md .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output docs/reference/options.md docs/reference/problems.md docs/reference/settings.md .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic_settings import BaseSettings
 
 from api.cli.client import Client
 from api.cli.main import COMMANDS, load
 from api.web.contract import documentation
-from api.web.settings import Settings
-from worker.run.settings import WorkerSettings
 
 ROOT = Path(__file__).parents[1]
 # Pages that git ignores, by their paths: a link to one of them would lead nowhere in a browser.
@@ -27,7 +24,6 @@ TEXTS = {
 MAX_README_LINES = 120
 MAX_README_ROW = 240
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-MEMORY_UNITS = {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -95,29 +91,6 @@ def test_pages_begin_with_what_they_are_for(page: Path) -> None:
     assert title.startswith("# ")
     assert blank == ""
     assert first.startswith("This page ")
-
-
-@pytest.mark.parametrize("settings", [Settings, WorkerSettings])
-def test_every_setting_is_documented(settings: type[BaseSettings]) -> None:
-    page = (ROOT / "docs/operate/operations.md").read_text(encoding="utf-8")
-    assert [name for name in settings.model_fields if f"`{name.upper()}`" not in page] == []
-
-
-@pytest.mark.parametrize("settings", [Settings, WorkerSettings])
-def test_documented_defaults_are_those_of_settings(settings: type[BaseSettings]) -> None:
-    """Defaults that are numbers, with units of memory. A row has one for each of its settings."""
-    page = (ROOT / "docs/operate/operations.md").read_text(encoding="utf-8")
-    wrong, compared = [], 0
-    for row in re.finditer(r"^\| (?P<names>(?:`[A-Z_]+`(?:, )?)+) \| (?P<defaults>.*?) \|", page, re.MULTILINE):
-        names, defaults = re.findall(r"`([A-Z_]+)`", row["names"]), row["defaults"].split(", ")
-        for name, default in zip(names, defaults, strict=False):
-            number = re.fullmatch(r"(\d[\d,]*(?:\.\d+)?)(?: (KiB|MiB|GiB))?", default)
-            if number is not None and (field := settings.model_fields.get(name.lower())) is not None:
-                compared += 1
-                if float(number[1].replace(",", "")) * MEMORY_UNITS.get(number[2], 1) != field.default:
-                    wrong.append(f"{name}: {default}, but {field.default}")
-    assert wrong == []
-    assert compared > 5
 
 
 def test_python_example_calls_client_as_it_is() -> None:

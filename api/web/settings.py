@@ -7,8 +7,7 @@ from pydantic import Field, IPvAnyNetwork, ValidationInfo, field_validator
 
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.runtime.child_processes import module_command
-from worker.run.logs import LogLevel
-from worker.run.settings import StorageSettings
+from worker.run.settings import SharedSettings
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
 
@@ -23,22 +22,24 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Settings(StorageSettings):
-    """Addresses, storage and limits of the web API."""
+class Settings(SharedSettings):
+    """Addresses and limits of the web API."""
 
     signed_downloads_s: float | None = Field(
         default=None,
         gt=0,
         le=7 * 24 * 3600,
-        description="Validity of the signed addresses to which downloads of results are redirected, in the store at "
-        "artifacts_url; without it downloads go through the API.",
+        description="Validity of the signed addresses of the bucket to which downloads of results are redirected; "
+        "without it downloads go through the API.",
     )
-    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
 
-    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
-
-    host: str = Field(default="127.0.0.1", description="Address to listen on.")
-    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 for a free one.")
+    host: str = Field(default="127.0.0.1", description="Address to listen on; `multicap serve` has an option.")
+    port: int = Field(
+        default=8000,
+        ge=0,
+        le=65535,
+        description="Port to listen on, 0 for a free one; `multicap serve` has an option.",
+    )
     trust_network: bool = Field(
         default=False,
         description="Allow a listening address beyond loopback without keys. Only for services that other machines "
@@ -46,15 +47,18 @@ class Settings(StorageSettings):
     )
     certificate: Path | None = Field(
         default=None,
-        description="File of the certificate in PEM, with those between it and its authority, for a service that "
-        "encrypts by itself; without it a proxy does.",
+        description="File of the certificate in PEM, with the certificates between it and its authority, for a "
+        "service that encrypts by itself; without it a proxy encrypts. `multicap serve` has options.",
     )
     certificate_key: Path | None = Field(
-        default=None, validate_default=True, description="File of the certificate's private key in PEM."
+        default=None,
+        validate_default=True,
+        description="File of the certificate's private key in PEM, without a password; needed with it.",
     )
     certificate_authority: Path | None = Field(
         default=None,
-        description="File of the certificate of the service's own authority in PEM, which phones get at /certificate.",
+        description="File of the certificate of the service's own authority in PEM, which phones get at /certificate; "
+        "without it they get none.",
     )
     allowed_hosts: frozenset[str] = Field(
         default=frozenset(),
@@ -72,21 +76,14 @@ class Settings(StorageSettings):
     max_connections: int = Field(
         default=4096,
         gt=0,
-        description="Largest number of open connections of an API process; requests beyond it are answered by 503. The "
-        "limit on open files may lower it.",
+        description="Open connections of an API process; requests beyond it get 503. At most half of the process's "
+        "limit on open files counts.",
     )
     max_wrong_keys_per_minute: int = Field(
         default=30,
         gt=0,
-        description="Wrong keys from a client's address (IPv6: its /64) in a minute, at each API process; more are "
-        "answered by 429. Valid keys are always served.",
-    )
-
-    headroom_bytes: int | None = Field(
-        default=None,
-        ge=0,
-        description="Bytes on data_dir's disk that are kept free; with fewer free bytes nothing new is accepted (507). "
-        "Default: 5 % of the disk, at most 256 MiB.",
+        description="Wrong keys from a client's address (IPv6: its /64) in a minute, at each API process; more get "
+        "429. Valid keys are always served.",
     )
 
     max_file_bytes: int = Field(default=16 * GIB, gt=0, description="Largest size of a video.")
@@ -96,17 +93,21 @@ class Settings(StorageSettings):
     max_session_bytes: int = Field(default=64 * GIB, gt=0, description="Largest size of all files of a session.")
     max_calibration_bytes: int = Field(default=16 * MIB, gt=0, description="Largest size of a calibration file.")
     max_character_bytes: int = Field(
-        default=512 * MIB, gt=0, description="Largest size of a character's file; larger ones than 512 MiB aren't read."
+        default=512 * MIB, gt=0, description="Largest size of a character's file; files above 512 MiB are never read."
     )
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Largest size of a JSON body or part.")
     max_session_joints: int = Field(
         default=25_000_000,
         gt=0,
-        description="Largest number of joints in all keypoint files of a session, with or without coordinates. A "
-        "worker needs some 65 bytes for each joint.",
+        description="Largest number of joints in all keypoint files of a session, with or without coordinates; a "
+        "session with more is refused (`session_too_large`). A worker needs some 65 bytes for each joint: raise "
+        "memory_bytes of the workers with it.",
     )
     max_cameras: int = Field(
-        default=64, gt=0, description="Largest number of cameras of a session. A recording in parts is one camera."
+        default=64,
+        gt=0,
+        description="Largest number of cameras of a session. A recording in parts is one camera; a session has at "
+        "most 16 parts for each camera on average.",
     )
 
     max_duration_s: float | None = Field(
@@ -119,15 +120,23 @@ class Settings(StorageSettings):
     )
 
     max_tenant_sessions: int | None = Field(
-        default=None, ge=0, description="Largest number of sessions of a tenant; without it any number."
+        default=None,
+        ge=0,
+        description="Largest number of sessions of a tenant; a new session beyond it gets 403 `quota_exceeded`; "
+        "without it any number.",
     )
     max_tenant_unfinished_jobs: int | None = Field(
-        default=None, ge=0, description="Largest number of a tenant's jobs that wait or run; without it any number."
+        default=None,
+        ge=0,
+        description="Largest number of a tenant's jobs that wait or run; a new job beyond it gets 429 "
+        "`quota_exceeded`; without it any number.",
     )
     max_tenant_bytes: int | None = Field(
         default=None,
         ge=0,
-        description="Largest size of a tenant's sessions with all their results; without it any size.",
+        description="Largest size of a tenant's characters, unused uploads (by their announced size), and sessions "
+        "with everything made from them. A new session beyond it gets 403 `quota_exceeded`, before it is sent if its "
+        "length is announced; accepted work continues. Without it any size.",
     )
     max_tenant_uploads: int | None = Field(
         default=None,
@@ -137,10 +146,14 @@ class Settings(StorageSettings):
     max_requests_per_minute: int | None = Field(
         default=None,
         gt=0,
-        description="Largest number of a tenant's requests in a minute, at each API process; without it any number.",
+        description="Largest number of a tenant's requests in a minute, at each API process; more get 429 "
+        "`too_many_requests`; without it any number. With it responses have RateLimit headers.",
     )
     max_tenant_streams: int = Field(
-        default=200, gt=0, description="Largest number of a tenant's open event streams, at each API process."
+        default=200,
+        gt=0,
+        description="Largest number of open event streams of a tenant, or without keys of a client's address, at each "
+        "API process.",
     )
     max_link_days: float = Field(default=30.0, gt=0, le=3650, description="Longest lifetime of a link.")
     idempotency_lease_s: float = Field(
@@ -149,13 +162,11 @@ class Settings(StorageSettings):
         description="Time until an Idempotency-Key can be used again if the API process of its request was killed.",
     )
 
-    webhook_private: bool = Field(
-        default=False, description="Whether webhooks may go to addresses of private networks, also without TLS."
-    )
     client_idle_s: float = Field(
         default=60.0,
         gt=0,
-        description="Longest time in which a client neither sends nor receives a byte of a body.",
+        description="Longest time in which a client neither sends nor receives a byte of a body; slower clients get "
+        "408 or are disconnected.",
     )
     client_min_bytes_per_s: float = Field(
         default=1000.0, ge=0, description="Smallest average rate of a client's body, checked from client_idle_s on."
@@ -173,50 +184,54 @@ class Settings(StorageSettings):
         default=None,
         gt=0,
         le=36_500,
-        description="Time for which results are kept; without it until they are deleted.",
+        description="Time for which results are kept after a job's end; the reaper then removes them, and the job is "
+        "`expired`. Outputs of its stages stay until the session is deleted. Without it results stay until they are "
+        "deleted.",
     )
     chunk_frames: int = Field(
         default=DEFAULT_CHUNK_FRAMES,
         gt=0,
-        description="Output frames of a camera in a chunk of new sessions; results do not depend on it.",
+        description="Frames of a camera in a chunk of new sessions: a length for which networks take about 10 s. It "
+        "is doubled for a session that would have more than 20,000 chunks. Results do not depend on it.",
     )
 
     preflight_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.capture.preflight")),
-        description="Program that checks a session's files (the preflight), run in a child process.",
+        description="Program that checks a session's files, run in a child process.",
     )
     character_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.export.character.check_character")),
-        description="Program that checks a character's file, run in a child process with the limits of a preflight.",
+        description="Program that checks a character's file, run in a child process with the limits of a session's "
+        "check.",
     )
     preflight_timeout_s: float = Field(
         default=60.0,
         gt=0,
-        description="Time limit of a preflight, in addition to 0.2 s a file, 60 s a GiB of videos or of a character, "
-        "and 1800 s a GiB of keypoints. After half of it no further picture is looked at.",
+        description="Time limit of the check of a session, in addition to 0.2 s a file, 60 s a GiB of videos or of a "
+        "character, and 1800 s a GiB of keypoints. After half of it no further picture is looked at.",
     )
     preflight_wait_s: float = Field(
         default=10.0,
         gt=0,
-        description="Longest time that a session waits for its preflight before it is refused, in addition to 60 s a "
-        "GiB of its files.",
+        description="Longest time that a session waits for its check before it is refused, in addition to 60 s a GiB "
+        "of its files.",
     )
-    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Largest size of a preflight's output.")
+    max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Largest size of a check's output.")
     max_record_bytes: int = Field(
         default=1 * GIB,
         gt=0,
-        description="Largest size of the data that a preflight stores for workers: times of all frames, keypoints.",
+        description="Largest size of the data that a check stores for workers: times of all frames, keypoints.",
     )
     preflight_memory_bytes: int = Field(
         default=3 * GIB,
         ge=GIB // 2,
-        description="Memory limit of a preflight; a session whose preflight needs more is refused.",
+        description="Memory limit of a check; a session whose check needs more is refused (`session_too_large`).",
     )
     max_parallel_preflights: int = Field(
         default=3,
         gt=0,
-        description="Largest number of preflights at the same time. A tenant, or without keys a client's address, has "
-        "at most one fewer.",
+        description="Largest number of checks at the same time, at each API process. A tenant, or without keys a "
+        "client's address, has at most one fewer.",
     )
 
     live_command: tuple[str, ...] = Field(
@@ -256,7 +271,7 @@ class Settings(StorageSettings):
         default=20,
         gt=0,
         description="Largest number of a tenant's live captures, or without keys of a client's address, that end by "
-        "problems of the client within a minute; then further captures are refused for a while.",
+        "problems of the client within a minute, at each API process; beyond it 429 `too_many_bad_captures`.",
     )
     max_live_message_bytes: int = Field(
         default=MIB, gt=0, description="Largest size of a message of a live capture, the calibration included."
@@ -271,8 +286,9 @@ class Settings(StorageSettings):
     public_url: str | None = Field(
         default=None,
         pattern=r"^https?://[^/?#\s]+$",
-        description="Address by which phones reach the service, such as https://192.168.1.20:8443, in the links of "
-        "recordings; without it that of the host's request.",
+        examples=["https://192.168.1.20:8443"],
+        description="Address by which phones reach the service, in the links of recordings; without it the address of "
+        "the host's request.",
     )
     max_recording_hours: float = Field(
         default=72.0, gt=0, le=24 * 365, description="Longest lifetime of a recording by phones, with its link."
@@ -286,7 +302,9 @@ class Settings(StorageSettings):
         default=3600.0, gt=0, le=43_200, description="Longest duration of a take; phones stop by themselves then."
     )
     max_recording_uploads: int = Field(
-        default=2000, gt=0, description="Largest number of uploads of a recording's phones that no session took."
+        default=2000,
+        gt=0,
+        description="Largest number of uploads of a recording's phones that no session took; quotas count them too.",
     )
     max_recording_bytes: int = Field(
         default=256 * GIB, gt=0, description="Largest size of the uploads of a recording's phones that no session took."

@@ -138,21 +138,41 @@ def require_usable_database(store: JobStore) -> None:
         return
 
 
-class StorageSettings(BaseSettings):
-    """Settings of the storage that the web API and the workers share."""
+class SharedSettings(BaseSettings):
+    """Settings of the web API and the workers: storage, broker, logs, webhooks."""
 
     model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True)
 
     data_dir: Path = Field(
         default_factory=default_data_dir,
-        description="Data folder: artifacts, unfinished uploads, and the database unless database_url names another.",
+        description="Data folder: database, stored files, unfinished uploads, logs. Default: `service` in the user's "
+        "data folder.",
     )
-    database_url: str = Field(default="", description="SQLAlchemy URL; empty for SQLite in data_dir.")
+    database_url: str = Field(
+        default="",
+        description="SQLAlchemy URL of the database, such as postgresql://user:password@host/name; without it SQLite "
+        "in data_dir.",
+    )
     artifacts_url: str = Field(
         default="",
         pattern=ARTIFACTS_URL,
         examples=["s3://bucket/prefix"],
-        description="s3://bucket/prefix; empty for a folder in data_dir.",
+        description="Bucket and prefix of stored files; without it they are in data_dir.",
+    )
+    broker_url: str = Field(
+        default="redis://127.0.0.1:6379/0", description="URL of Celery's broker; `multicap serve` sets it."
+    )
+    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
+    headroom_bytes: int | None = Field(
+        default=None,
+        ge=0,
+        description="Bytes on the disk of data_dir that are kept free. With fewer free bytes nothing new is accepted "
+        "(507), and workers start no chunk. Default: 5 % of the disk, at most 256 MiB.",
+    )
+    webhook_private: bool = Field(
+        default=False,
+        description="Whether webhooks may go to addresses of private networks and of this machine, also without TLS. "
+        "Set it for the API and the reaper.",
     )
 
     @classmethod
@@ -173,33 +193,22 @@ class StorageSettings(BaseSettings):
         return self.database_url or f"sqlite:///{self.data_dir / 'multicap.db'}"
 
 
-class WorkerSettings(StorageSettings):
-    """Storage, leases and limits of workers and reaper."""
+class WorkerSettings(SharedSettings):
+    """Leases and limits of workers and reaper."""
 
     cache_bytes: int = Field(
         default=DEFAULT_CACHE_BYTES,
         gt=0,
-        description="Largest size of the local copies in data_dir of files at artifacts_url.",
+        description="Largest size of a worker's copies in data_dir of videos at artifacts_url, without copies in use.",
     )
-    cache_hours: float = Field(
-        default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused local copy is kept."
-    )
-    broker_url: str = Field(default="redis://127.0.0.1:6379/0", description="URL of Celery's broker.")
-    headroom_bytes: int | None = Field(
-        default=None,
-        ge=0,
-        description="Bytes on data_dir's disk that are kept free; with fewer free bytes no chunk is started. Default: "
-        "5 % of the disk, at most 256 MiB.",
-    )
-    log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
+    cache_hours: float = Field(default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused copy is kept.")
     lease_s: float = Field(
         default=20.0, gt=0, description="Time without a heartbeat after which a worker loses its chunk."
     )
     heartbeat_s: float = Field(
-        default=2.0, gt=0, description="Time between heartbeats, with which a worker reports its progress."
-    )
-    webhook_private: bool = Field(
-        default=False, description="Whether webhooks may go to addresses of private networks and of this machine."
+        default=2.0,
+        gt=0,
+        description="Time between heartbeats, with which a worker reports its progress and learns of a cancel.",
     )
     visuals_rest_s: float = Field(
         default=300.0,
@@ -207,28 +216,32 @@ class WorkerSettings(StorageSettings):
         description="Time after the last edit of a job's people at which its overlay videos, report and recording are "
         "rebuilt; 0: only on request.",
     )
-    reap_interval_s: float = Field(default=5.0, gt=0, description="Time between two checks for lost work.")
+    reap_interval_s: float = Field(
+        default=5.0, gt=0, description="Time between two checks of the reaper for lost work."
+    )
     nice: int = Field(
         default=10,
         ge=0,
         le=19,
-        description="Niceness of workers, by which their priority is lowered.",
+        description="Niceness of workers: it lowers their priority, so that an API on the same machine answers.",
     )
     memory_bytes: int = Field(
         default=7 * 2**29,
         ge=2**29,
-        description="Memory limit of a worker process; a chunk that needs more fails with memory_limit.",
+        description="Memory of a worker process without code and unused reserves (RLIMIT_DATA). A chunk that needs "
+        "more ends its job with `memory_limit`; the worker continues.",
     )
     machine_memory_bytes: int | None = Field(
         default=None,
         gt=0,
-        description="Memory that the chunks at work on the machine of a worker may be foreseen to need together; a "
-        "further one waits. Default: nine tenths of the machine's memory, or of the container's limit.",
+        description="Memory that the chunks at work on a machine may need together by the forecast; a further chunk "
+        "waits. Default: nine tenths of the machine's memory, or of the container's limit (of cgroups of version 2; "
+        "set it under version 1).",
     )
     reserve_gpu: bool = Field(
         default=False,
-        description="Whether a worker with a GPU takes chunks of networks alone, as long as ready workers without a "
-        "GPU run the others; otherwise it takes them first.",
+        description="Whether a worker with a GPU takes chunks of networks alone, while ready workers without a GPU "
+        "run the others; otherwise it takes chunks of networks first.",
     )
     provider: ProviderChoice = Field(
         default="auto",

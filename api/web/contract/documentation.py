@@ -3,10 +3,14 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from api.web.contract import options_page, problems_page
+from api.web.contract import options_page, problems_page, settings_page
 
 FOLDER = Path(__file__).parents[3] / "docs" / "reference"
-PAGES: Mapping[str, Callable[[], str]] = {"options.md": options_page.document, "problems.md": problems_page.document}
+PAGES: Mapping[str, Callable[[], str]] = {
+    "options.md": options_page.document,
+    "problems.md": problems_page.document,
+    "settings.md": settings_page.document,
+}
 """Texts of the pages by their names; git ignores these files."""
 
 
