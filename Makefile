@@ -11,6 +11,7 @@ LITERT := .venv-litert
 PEERS := .venv-peers
 SPEED := .venv-speed
 UFBX := .venv-ufbx
+WEBSITE := website
 
 # Tests start many programs, which load what the first of them has compiled.
 unexport PYTHONDONTWRITEBYTECODE
@@ -131,8 +132,18 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 wheel: $(VENV)/.installed  ## Build the wheel into dist/
 	$(BIN)/python -P -m hatchling build -t wheel -d dist
 
-docs: $(VENV)/.installed  ## Write the pages of docs/ that are made from the code: options, problem codes, settings
-	$(BIN)/python -P -m api.web.contract.documentation
+docs: api/help/topics.json  ## Build the site of the documentation, which the service serves at /help, into api/help/
+
+$(WEBSITE)/node_modules/.installed: $(WEBSITE)/package-lock.json $(VENV)/.installed
+	$(PIP_INSTALL) --require-hashes --only-binary :all: -r $(WEBSITE)/requirements.lock
+	$(BIN)/npm ci --prefix $(WEBSITE) --silent --no-audit --no-fund
+	touch $@
+
+# Broken links and pages that stand nowhere in the navigation are errors.
+api/help/topics.json: $(WEBSITE)/node_modules/.installed openapi/openapi.json \
+		$(shell find docs $(WEBSITE) api multicap pipeline worker -name node_modules -prune -o -name help -prune -o -name __pycache__ -prune -o -type f -name '*.[mpy]*' -print)
+	$(BIN)/python -P -m website.pages
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -P -m mkdocs build --quiet --config-file $(WEBSITE)/mkdocs.yml
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
 	$(BIN)/python -P -m api.blender.build build
@@ -232,6 +243,8 @@ LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hash
 lock:  ## Pin the dependencies again (needs uv)
 	$(LOCK) --extra dev --extra evaluation --extra opensim --extra openvino --extra rerun --extra usd --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
+	$(LOCK) --constraint requirements.lock --extra docs --output-file $(WEBSITE)/requirements.lock pyproject.toml
 
 clean:  ## Remove everything that the targets made
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules build demo-output docs/reference/options.md docs/reference/problems.md docs/reference/settings.md .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	git clean -Xfq docs
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules $(WEBSITE)/node_modules api/help build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -3,16 +3,35 @@
 FROM node:24-bookworm-slim AS portal
 WORKDIR /src
 COPY api/portal api/portal
-RUN npm ci --prefix api/portal --no-audit --no-fund
+COPY website website
+RUN npm ci --prefix api/portal --no-audit --no-fund && npm ci --prefix website --no-audit --no-fund
 
-FROM python:3.11-slim-bookworm AS build
+FROM python:3.11-slim-bookworm AS packages
 WORKDIR /src
 RUN python -m venv /opt/multicap
 COPY docker/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
+
+# The documentation, which the service answers at /help.
+FROM packages AS website
+COPY website/requirements.lock .
+RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
+COPY --from=portal /usr/local/bin/node /usr/local/bin/node
+COPY --from=portal /src/website website
+COPY api api
+COPY docs docs
+COPY multicap multicap
+COPY openapi openapi
+COPY pipeline pipeline
+COPY worker worker
+RUN export PYTHONPATH=/src NO_MKDOCS_2_WARNING=1 && /opt/multicap/bin/python -P -m website.pages \
+    && /opt/multicap/bin/python -P -m mkdocs build --quiet --config-file website/mkdocs.yml
+
+FROM packages AS build
 COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
 COPY --from=portal /src/api/portal/vendor api/portal/vendor
+COPY --from=website /src/api/help api/help
 COPY multicap multicap
 COPY pipeline pipeline
 COPY --from=portal /src/pipeline/export/report/assets pipeline/export/report/assets

@@ -38,6 +38,7 @@ COMMANDS: Mapping[str, str] = {
     "doctor": "Look for what is wrong with a service: database, disk, files that belong to nothing.",
     "backup": "Backups of the service: create, restore, verify.",
     "simulate": "Write a simulated scene: keypoints, timestamps, calibration and the truth.",
+    "help": "Pages of the documentation: list the topics, show one.",
     "evaluate": "Accuracy against a known truth.",
     "benchmark": "Speed and memory.",
 }

@@ -15,6 +15,7 @@ from api.web.contract import description as contract
 from api.web.dependencies import Services
 from api.web.events.changes import JobChanges
 from api.web.health.checks import LimitedChecks
+from api.web.help import HelpFiles
 from api.web.http import middleware
 from api.web.http.bodies import validation
 from api.web.http.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
@@ -73,6 +74,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(resource.router, responses={} if resource.is_open else contract.problems(401, 429))
     app.include_router(page.router)
     app.mount("/portal", GZipMiddleware(page.PortalFiles(), minimum_size=1024))
+    app.mount("/help", GZipMiddleware(HelpFiles(), minimum_size=1024))
     declare_webhooks(app)
     errors.install(app)
     validation.install(app)

@@ -34,7 +34,7 @@ def document() -> str:
         _INTRODUCTION,
         "| field of a job | option | meaning | values | default |",
         "| --- | --- | --- | --- | --- |",
-        *(f"| `{choice.name}` {_row(choice)}" for choice in CHOICES.values()),
+        *(f"| [](){{ #{choice.name} }}`{choice.name}` {_row(choice)}" for choice in CHOICES.values()),
         "",
         *(line for choice in CHOICES.values() if choice.kind in {"one", "several"} for line in _values(choice)),
         _PURPOSES,

@@ -47,5 +47,5 @@ def _section(group: CodeGroup) -> Iterator[str]:
     yield from ("| code | where | meaning | what to do |", "| --- | --- | --- | --- |")
     for code, places in group.places.items():
         meaning, remedy = SENTENCES[code]
-        yield f"| `{code}` | {', '.join(map(str, places))} | {meaning} | {remedy} |"
+        yield f"| [](){{ #{code} }}`{code}` | {', '.join(map(str, places))} | {meaning} | {remedy} |"
     yield ""

@@ -1,0 +1,68 @@
+"""Hooks of MkDocs: diagrams are rendered at build time, decisions are listed, and topics are indexed.
+
+Beside each page the site has its Markdown, which ``multicap help TOPIC`` prints; ``topics.json`` lists all topics.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+_ROOT = Path(__file__).parents[1]
+_NODE = shutil.which("node", path=Path(sys.executable).parent) or shutil.which("node") or "node"
+_DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# Files of the repository that the service answers at other addresses
+_SERVED = {"../../openapi/openapi.json": "/openapi.json"}
+
+
+def on_config(config: Any) -> Any:
+    """Put all decisions into the navigation: an entry that is a folder becomes the pages in it."""
+    config.nav = [_expanded(entry, Path(config.docs_dir)) for entry in config.nav]
+    return config
+
+
+def _expanded(entry: Any, docs: Path) -> Any:
+    if isinstance(entry, dict):
+        return {title: _expanded(value, docs) for title, value in entry.items()}
+    if isinstance(entry, list):
+        return [_expanded(value, docs) for value in entry]
+    if entry.endswith("/"):
+        return [path.relative_to(docs).as_posix() for path in sorted((docs / entry).glob("*.md"))]
+    return entry
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace each Mermaid diagram of a page by its picture."""
+    for inside, served in _SERVED.items():
+        markdown = markdown.replace(f"({inside})", f"({served})")
+    sources = _DIAGRAM.findall(markdown)
+    if not sources:
+        return markdown
+    done = subprocess.run(  # noqa: S603 - our own script
+        [_NODE, _ROOT / "website/diagrams.mjs"], input=json.dumps(sources), capture_output=True, text=True, check=True
+    )
+    pictures = iter(json.loads(done.stdout))
+    # A blank line would end the block of HTML.
+    return _DIAGRAM.sub(lambda _: re.sub(r"\n\s*\n", "\n", f"<div>{next(pictures)}</div>"), markdown)
+
+
+def on_post_build(config: Any) -> None:
+    """Write the Markdown of all pages and the index of topics."""
+    site, docs = Path(config.site_dir), Path(config.docs_dir)
+    topics: dict[str, dict[str, str]] = {}
+    for page in sorted(docs.rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        title, _, rest = text.partition("\n")
+        path = page.relative_to(docs)
+        if page.stem in topics and page.stem != "index":
+            raise ValueError(f"Two pages have the name {page.stem}: rename {path}.")
+        topics[page.stem] = {
+            "about": " ".join(rest.strip().partition("\n\n")[0].split()),
+            "page": path.with_suffix(".html").as_posix(),
+            "title": title.removeprefix("# "),
+        }
+        (site / path).write_text(text, encoding="utf-8")
+    (site / "topics.json").write_text(json.dumps(topics, indent=1), encoding="utf-8")
