@@ -103,7 +103,7 @@ class NetworkEntry:
     # joints depend on how each processor rounds them
     single_precision: str | None = None
     fields: FieldGrid | None = None  # Grid of the part affinity fields; ``None`` for a network without fields
-    # Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/methods/fit.md)
+    # Offsets of the network's marks from the centres of the joints, learnt from rendered people (docs/lab/fit-notes.md)
     offsets: JointOffsets = field(default_factory=dict)
     # Description of a network of the user's own; ``None`` for the networks of the registry
     own: OwnNetwork | None = None

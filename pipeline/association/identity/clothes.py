@@ -73,7 +73,7 @@ class Contrast:
     across_cameras: ColourDistances
 
 
-# Distance of two pieces of the same person, on a sample and a rendered capture (docs/methods/identity.md). Pieces
+# Distance of two pieces of the same person, on a sample and a rendered capture (docs/lab/tracking-notes.md). Pieces
 # are short and show less than a person changes over a session, so a session's own distances can only raise it.
 _SAME_WITHIN_CAMERA, _SAME_ACROSS_CAMERAS = 0.14, 0.36
 # Least standard deviation. The captures have 0.05 to 0.13; other light, and another side of a body, have more.

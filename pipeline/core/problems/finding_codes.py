@@ -207,7 +207,7 @@ the message: a person may have been there. See [losses](../methods/identity.md#l
 LIMB_MISMEASURED = WARNINGS.code("limb_mismeasured", "warning")
 """A limb was located with a length that the person's other side or proportions exclude. The fit uses another one. |
 Look at this limb: it may be hidden for most of the take. See
-[the fit](../methods/fit.md#skeleton-fitpy-gauss_newtonpy)."""
+[the fit](../methods/fit.md#lengths-of-limbs)."""
 PERSON_NEVER_MOVES = WARNINGS.code("person_never_moves", "warning")
 """A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PATCH
 /v1/jobs/{id}/people`); see [likenesses](../methods/identity.md#likenesses)."""

@@ -118,7 +118,7 @@ def command(
     _print_simulated({f"{num_views} cameras": scores for num_views, scores in by_views.items()})
     if ablation:
         for num_views, scores in by_views.items():
-            typer.echo(f"\nClustering's parts, {num_views} cameras (see `multicap help clustering`)")
+            typer.echo(f"\nClustering's parts, {num_views} cameras (see `multicap help clustering-notes`)")
             _print_simulated(scores["ablation"])
 
 

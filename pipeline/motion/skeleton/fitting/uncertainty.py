@@ -5,7 +5,7 @@ about each landmark in the frames around an instant is summed, with weights that
 term of acceleration lets them, and the skeleton's degrees of freedom combine the landmarks of the instant. In
 simulation, this agrees with the errors as well as the exact marginal does. What the sum leaves out, errors that last
 over frames and bodies that are not exactly the skeleton, is in two constants that were set in simulation
-(docs/methods/fit.md).
+(docs/lab/fit-notes.md).
 """
 
 from typing import Protocol, runtime_checkable
