@@ -1,8 +1,8 @@
 """Calibration formats: a module of ``pipeline.calibration.readers`` each, or an object of another package.
 
 A module declares its format by ``reader`` above the function that reads it, and has its rows of the table of formats in
-``docs/reference/formats.md`` in its docstring. Other packages add formats by entry points of the group
-``multicap.readers``.
+its docstring: ``docs/reference/reader-tables.md`` is made of them. Other packages add formats by entry points of the
+group ``multicap.readers``.
 """
 
 from collections.abc import Callable

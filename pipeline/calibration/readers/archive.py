@@ -2,7 +2,7 @@
 
 Rows of the table of formats:
 
-| bioCV | `.zip` with a file `NAME.calib` a camera | mm | as calibrated |
+| bioCV | `.zip` with a file `NAME.calib` for each camera | mm | as calibrated |
 """
 
 import io

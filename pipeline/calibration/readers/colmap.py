@@ -5,7 +5,7 @@ first pixel, half a pixel from its centre. Scale and axes of a reconstruction ar
 
 Rows of the table of formats:
 
-| COLMAP text | `.zip` with `cameras.txt` and `images.txt`, or both one after the other in a text file | `units` |
+| COLMAP text | `.zip` with `cameras.txt` and `images.txt`; or a text file with both, one after the other | `units` |
 arbitrary: scale and turn the model first; a camera has the name of its image, or of the image's folder |
 """
 

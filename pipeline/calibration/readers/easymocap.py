@@ -4,8 +4,8 @@ Its documentation asks for metres.
 
 Rows of the table of formats:
 
-| EasyMocap | `.zip` with `intri.yml` and `extri.yml`, or both one after the other in a `.yml` | `units` | as calibrated
-|
+| EasyMocap | `.zip` with `intri.yml` and `extri.yml`; or a `.yml` with both, one after the other | `units` | as
+calibrated |
 """
 
 from collections.abc import Mapping

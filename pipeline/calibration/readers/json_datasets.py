@@ -8,9 +8,9 @@ Rows of the table of formats:
 
 | CMU Panoptic | `.json`, cameras with `distCoef` | cm | y down, turned to Z up; videos may be called `hd_00_00` |
 | VoxelPose, Faster-VoxelPose | `.json`, cameras with `fx`, `fy`, `cx`, `cy`, `k`, `p`, or the list of one sequence | mm
-| as calibrated; `T` is the camera's centre; videos may be called `Camera0` |
+| as calibrated; `T` is the centre of the camera; videos may be called `Camera0` |
 | MVOR (CAMMA) | `.json` with `cameras_info`: the annotations `camma_mvor_2018.json` | mm | Z up; cameras are called
-`cam1`, `cam2`, ...; the distortion is not applied, the pictures have none |
+`cam1`, `cam2`, ...; the distortion is ignored, because the pictures have none |
 """
 
 from collections.abc import Mapping, Sequence

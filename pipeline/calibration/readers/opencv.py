@@ -6,8 +6,8 @@ millimetres, with transposed matrices. 4D Association and data sets like it have
 Rows of the table of formats:
 
 | OpenCV FileStorage | `.yml`, `.yaml`, `.xml` (`opencv_storage`), `.json`: a mapping or a list of cameras; or `.zip`
-with a file a camera | `units` | as calibrated |
-| JARVIS | `.zip` with a file a camera, `intrinsicMatrix` | mm, or m if the numbers are as small | as calibrated;
+with a file for each camera | `units` | as calibrated |
+| JARVIS | `.zip` with a file for each camera, `intrinsicMatrix` | mm; m if the numbers are that small | as calibrated;
 matrices are transposed |
 | 4D Association, and data sets with its files | `.json`, cameras with `K`, `RT` or `R` and `T`, `imgSize` | `units` |
 as calibrated |

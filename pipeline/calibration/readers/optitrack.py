@@ -7,7 +7,7 @@ Motive's world has y up.
 Rows of the table of formats:
 
 | OptiTrack | `.mcal` of Motive 3.2 and later, root element `calibrationProfile` | m | y up, turned to Z up; the colour
-cameras (`ImagerIndex` 30) by `Serial`, or all cameras if there is none |
+cameras (`ImagerIndex` 30) by `Serial`; all cameras if there is no colour camera |
 """
 
 from itertools import islice

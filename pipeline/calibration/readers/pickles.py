@@ -9,8 +9,8 @@ Rows of the table of formats:
 
 | MVPose (zju3dv) | `.pickle` with the stacks `K` and `RT` (`camera_parameter.pickle`) | `units` | as calibrated;
 cameras are called `0`, `1`, ..., videos may be called `Camera0` |
-| OpenCap | `.zip` with a `.pickle` a camera: `Cam0/cameraIntrinsicsExtrinsics.pickle`, or `Cam0.pickle` | mm | the
-board's, turned to Z up; the cameras, which stand upright, tell how the board stood or lay |
+| OpenCap | `.zip` with a `.pickle` for each camera: `Cam0/cameraIntrinsicsExtrinsics.pickle`, or `Cam0.pickle` | mm |
+axes of the board, turned to Z up; the upright cameras tell how the board stood or lay |
 """
 
 from collections.abc import Mapping

@@ -9,8 +9,8 @@ Rows of the table of formats:
 | anipose, Pose2Sim, Caliscope's export for aniposelib | `.toml` | `units` | as calibrated |
 | Caliscope | `.toml` with sections `[cameras.0]`, ... (`camera_array.toml`) | `units` | as calibrated; cameras are
 called `cam_0`, ..., videos may be called `port_0` |
-| FreeMoCap | `.toml` with FreeMoCap's `[metadata]` | mm; `units` where the size of the board's squares is missing or 1
-| as calibrated |
+| FreeMoCap | `.toml` with FreeMoCap's `[metadata]` | mm; `units` if the size of the squares of the board is missing
+or 1 | as calibrated |
 """
 
 import tomllib

@@ -7,8 +7,8 @@ direction, so its coefficients are fitted.
 
 Rows of the table of formats:
 
-| Vicon | `.xcp`, root element `Cameras` | mm | Z up; video cameras (`SYSTEM` is `DV`, or `TYPE` has `video`) by
-`DEVICEID`, or by `NAME` |
+| Vicon | `.xcp`, root element `Cameras` | mm | Z up; video cameras alone (`SYSTEM` is `DV`, or `TYPE` has
+`video`), named by `DEVICEID` or `NAME` |
 """
 
 from itertools import islice

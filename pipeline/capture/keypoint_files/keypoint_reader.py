@@ -1,8 +1,8 @@
 """Keypoint formats: a module of ``pipeline.capture.keypoint_files.readers`` each, or an object of another package.
 
 A module declares its format by ``reader`` above the function that reads a frame, and has its rows of the table of
-formats in ``docs/reference/formats.md`` in its docstring. Other packages add formats by entry points of the group
-``multicap.readers``.
+formats in its docstring: ``docs/reference/reader-tables.md`` is made of them. Other packages add formats by entry
+points of the group ``multicap.readers``.
 """
 
 from collections.abc import Callable, Mapping

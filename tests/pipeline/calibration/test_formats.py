@@ -1,17 +1,10 @@
-"""Calibration formats: declared by readers, and documented by their docstrings."""
+"""Calibration formats: declared by readers."""
 
 from collections import Counter
 
 import pytest
 
-from pipeline.calibration import readers
 from pipeline.calibration.registry import calibration_readers, reader_of_file, reader_of_root
-from tests.pipeline.format_tables import documented_rows, table_rows
-
-
-def test_table_of_formats_is_one_of_readers() -> None:
-    head = "| format | file, recognised by | lengths | axes and names |"
-    assert documented_rows(readers, head) == table_rows(head)
 
 
 def test_each_ending_and_root_has_one_reader() -> None:

@@ -7,8 +7,9 @@ https://github.com/MVIG-SJTU/AlphaPose (docs/output.md, PoseFlow)
 
 Rows of the table of formats:
 
-| AlphaPose | all frames: the list `alphapose-results.json`; tracked by PoseFlow, or with `--format open` or `cmu`, an
-object of images, or `sep-json/` | COCO-17, Halpe-26 and -136, COCO-WholeBody; 18 joints of `open` and `cmu` |
+| AlphaPose | all frames: the list `alphapose-results.json`; of PoseFlow, `--format open` and `--format cmu` an object
+of images; or `sep-json/` | COCO-17, Halpe-26 and -136, COCO-WholeBody; 18 joints of `open` and `cmu` | a frame without
+people has no entry: it counts as dropped |
 """
 
 from collections.abc import Mapping

@@ -9,7 +9,8 @@ https://cocodataset.org/#format-data, https://github.com/jin-s13/COCO-WholeBody 
 Rows of the table of formats:
 
 | COCO, COCO-WholeBody | a frame or all frames: a list of people (results), or `{"annotations": [...]}` | COCO-17, heels
-and big toes, and hands; or any that `categories` name |
+and big toes, and hands; or the points that `categories` name | `frame`, or else `image_id`, is the number of the frame,
+unless the `file_name` of all images have numbers; faces and small toes are not read |
 """
 
 from collections.abc import Mapping, Sequence

@@ -8,7 +8,7 @@ https://deeplabcut.github.io/DeepLabCut (standard user guide, outputs of ``analy
 Rows of the table of formats:
 
 | DeepLabCut | all frames: CSV of one person (three rows of headers) or of several (four), or the same as HDF5 | joints
-whose names are known |
+whose names are known | individuals named `single` are not read; of a CSV and an HDF5 file of one name the CSV is read |
 """
 
 import csv

@@ -7,8 +7,8 @@ score below 0 means that the point was not found. Format: https://github.com/zju
 
 Rows of the table of formats:
 
-| EasyMocap | a frame: `{"annots": [...]}`, or the list alone: the folders of `annots` | BODY_25 and hands; the other
-layouts of OpenPose's form |
+| EasyMocap | a frame: `{"annots": [...]}`, or the list alone: the folders of `annots` | BODY_25 and hands; or the other
+layouts of OpenPose | people with boxes alone are refused |
 """
 
 from typing import Any

@@ -9,7 +9,8 @@ trackers)
 Rows of the table of formats:
 
 | FreeMoCap | all frames: the array of a camera (`.npy`), frames x points x 3, of one person; or one file of all cameras
-| MediaPipe's 33, and hands; BODY_25, COCO-17 and the other layouts of OpenPose's form |
+| MediaPipe's 33, and hands; or BODY_25, COCO-17 and the other layouts of OpenPose | the file of all cameras needs
+`--pair-by-order`; or save `array[k]` in the folder of camera k; the service takes it as the only part `keypoints` |
 """
 
 from collections.abc import Iterable, Mapping

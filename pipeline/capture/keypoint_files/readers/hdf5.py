@@ -2,7 +2,8 @@
 
 Rows of the table of formats:
 
-| SLEAP | all frames: its analysis file (`.analysis.h5`) of one video | joints whose names are known |
+| SLEAP | all frames: its analysis file (`.analysis.h5`) of one video | joints whose names are known | projects (`.slp`)
+are not read: export the analysis file of each video (*Export Analysis HDF5*) |
 """
 
 import json

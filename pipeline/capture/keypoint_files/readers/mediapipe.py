@@ -5,13 +5,14 @@ Python or JavaScript: an object with ``pose_landmarks``, ``poseLandmarks`` or ``
 or of one; and for the holistic ones of the hands. A list holds all frames, each with its number ``frame``, or in order
 from 0. Positions are shares of the image, whose size is ``image_size`` (width, height), or else the camera's.
 
-A form of our own (docs/reference/formats.md) has ``poses`` in an object a frame, or ``frames`` in an object of all
+Multicap's own form (docs/guide/keypoints.md) has ``poses`` in an object a frame, or ``frames`` in an object of all
 frames. There positions without ``image_size`` are pixels. Landmarks: https://ai.google.dev/edge/mediapipe/solutions/vision
 
 Rows of the table of formats:
 
 | MediaPipe | a frame: its result, or `{"poses": [...]}`; all frames: a list of results, or `{"frames": [...]}` |
-COCO-17, heels and big toes, and hands |
+COCO-17, heels and big toes, and hands | programs write its results; positions are shares of `image_size`, or of the
+picture in the calibration; hips are some 3 cm lower than by other networks |
 """
 
 from collections.abc import Mapping

@@ -8,7 +8,8 @@ https://mmpose.readthedocs.io/en/latest/user_guides/inference.html
 Rows of the table of formats:
 
 | MMPose (RTMPose) | all frames: a list of `frame_id` and `instances`, or `instance_info` of the demos; a frame: a list
-of instances | COCO-17, Halpe-26 and -136, COCO-WholeBody; of the demos any that `keypoint_id2name` names |
+of instances | COCO-17, Halpe-26 and -136, COCO-WholeBody; or the points that `keypoint_id2name` names | the inferencer
+counts frames from 0, the demos from 1: use one of them for all cameras |
 """
 
 from collections.abc import Mapping, Sequence

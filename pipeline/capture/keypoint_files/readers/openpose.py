@@ -9,9 +9,10 @@ https://github.com/perfanalytics/pose2sim (poseEstimation.py, personAssociation.
 
 Rows of the table of formats:
 
-| OpenPose | a frame: `{"people": [...]}` | BODY_25, COCO-18 or COCO-17, and hands |
-| Pose2Sim, with RTMPose by RTMLib | a frame in OpenPose's form: the folders `cam01_json` of `pose`, `pose-sync` or
-`pose-associated` | COCO-17, Halpe-26, COCO-WholeBody |
+| OpenPose | a frame: `{"people": [...]}` | BODY_25, COCO-18 or COCO-17, and hands | `pose_keypoints_2d` and the hands
+of a person are read; faces are not |
+| Pose2Sim, with RTMPose by RTMLib | a frame in the form of OpenPose: the folders `cam01_json` of `pose`, `pose-sync` or
+`pose-associated` | COCO-17, Halpe-26, COCO-WholeBody | a person `{}` is not seen by this camera |
 """
 
 from typing import Any

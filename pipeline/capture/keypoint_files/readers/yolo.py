@@ -7,8 +7,9 @@ https://docs.ultralytics.com/datasets/pose, ``Results.save_txt``
 
 Rows of the table of formats:
 
-| YOLO (Ultralytics) | a frame: its labels of poses, `save_txt=True`: `class x y w h`, then `x y score` of each point |
-COCO-17, Halpe-26 and -136, COCO-WholeBody |
+| YOLO (Ultralytics) | a frame: the labels of poses, `save_txt=True`: `class x y w h`, then `x y score` of each point |
+COCO-17, Halpe-26 and -136, COCO-WholeBody | positions are shares of the picture in the calibration; a frame without
+people has no file: it counts as dropped |
 """
 
 from collections.abc import Mapping

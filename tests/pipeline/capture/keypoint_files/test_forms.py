@@ -10,21 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.capture.keypoint_files import readers
 from pipeline.capture.keypoint_files.folders import Contents, camera_folders, read_folder
 from pipeline.capture.keypoint_files.forms import find_reader, keypoint_readers
 from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.core.errors import InputError, Problem
-from tests.pipeline.format_tables import documented_rows, table_rows
 
 SIZE_PX = (640, 480)
 LABELS = "0 0.5 0.5 0.1 0.1" + " 0.5" * 51
-
-
-def test_table_of_formats_is_one_of_readers() -> None:
-    head = "| program | files | joints |"
-    assert documented_rows(readers, head) == table_rows(head)
 
 
 def test_each_field_tells_one_format() -> None:
