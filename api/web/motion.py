@@ -39,7 +39,7 @@ class MotionRecord(ResponseModel):
 
     num_bytes: int = Field(description="Size of a record.", examples=[48])
     offsets: dict[str, int] = Field(
-        description="First byte of each field; `/help/formats` describes the fields.",
+        description="First byte of each field; `/help/file-contents` describes the fields.",
         examples=[{"origin_m": 0, "joints": 12, "skeleton": 24}],
     )
     absent: int = Field(
@@ -286,7 +286,7 @@ def get_motion(
     """Read frames of a job's motion: for each person a head of 16 bytes and a record for each frame.
 
     The head holds four little-endian 32-bit numbers: the person's id, the first frame, the number of frames and the
-    bytes of a record. People without frames in the range are left out. `/help/formats` describes the records.
+    bytes of a record. People without frames in the range are left out. `/help/file-contents` describes the records.
     """
     description, result = _results(records, job_id, DESCRIPTION, MOTION)
     if revision is not None and revision != result.revision:

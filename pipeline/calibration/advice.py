@@ -13,7 +13,7 @@ SUPPORTED = (
 
 _AS_OPENCV = (
     "Write camera matrix, distortion, rotation, translation and size of each camera as OpenCV's YAML or as JSON; "
-    "docs/reference/formats.md has the names of fields."
+    "`multicap help reader-tables` has the names of fields."
 )
 _COLMAP = "Convert it by `colmap model_converter --output_type TXT`, and send a zip of cameras.txt and images.txt."
 # Files of other formats by their endings: what they are, and what to do.

@@ -20,7 +20,7 @@ from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
 
-_NAME_HINT = "Name it as the format does (docs/reference/formats.md has the names), or remove it."
+_NAME_HINT = "Name it as the format does (`multicap help reader-tables` has the names), or remove it."
 
 
 class Reading:

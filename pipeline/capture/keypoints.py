@@ -1,8 +1,8 @@
 """Open a session of 2D joints that another program detected: a folder a camera.
 
-``keypoint_files`` reads the folders in the forms of other programs (docs/reference/formats.md): a file a frame such as
-``frame_000000000123_keypoints.json``, or a file of all frames. A joint is undetected if its score is 0 or less, or if a
-number is not finite. People without a detected joint are left out. A missing frame is a dropped frame.
+``keypoint_files`` reads the folders in the forms of other programs (docs/reference/reader-tables.md): a file for each
+frame such as ``frame_000000000123_keypoints.json``, or a file of all frames. A joint is undetected if its score is 0 or
+less, or if a number is not finite. People without a detected joint are left out. A missing frame is a dropped frame.
 """
 
 import sys

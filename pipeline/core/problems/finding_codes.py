@@ -396,7 +396,7 @@ INTERRUPTED = COMMANDS.code("interrupted", "command")
 """The command was interrupted by a signal. | Start it again."""
 TAKES_UNREADABLE = COMMANDS.code("takes_unreadable", "command")
 """A batch has no takes, or its list of takes can't be read. | Give a folder with a folder for each take, or a list as
-in [many takes](formats.md#many-takes)."""
+in [many takes](../guide/many-takes.md)."""
 TAKE_EMPTY = COMMANDS.code("take_empty", "command")
 """A take has neither videos nor folders of keypoints. | Put the videos of all cameras, or the folder `keypoints`, into
 the folder of the take."""

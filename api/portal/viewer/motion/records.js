@@ -1,4 +1,4 @@
-// Records of frames: what an answer of GET /v1/jobs/{id}/motion holds (docs/reference/formats.md, "Motion for viewers").
+// Records of frames: what an answer of GET /v1/jobs/{id}/motion holds (docs/reference/file-contents.md, "Motion for viewers").
 
 const HEAD_BYTES = 16;
 const FIELDS = { joints: "numJoints", skeleton: "numBones" };
