@@ -450,7 +450,7 @@ def _offset(response: http.client.HTTPResponse, low: int, high: int) -> int:
 
 
 def _after(done: float, watch: Watch) -> Watch:
-    """Watch of a part of the work, before which some is done."""
+    """Progress of one step, offset by the finished steps."""
     return lambda part: watch(done + part)
 
 

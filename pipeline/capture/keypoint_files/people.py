@@ -188,5 +188,5 @@ def joined(body: People, hands: People | None) -> People:
 
 
 def nobody(num_joints: int = 0) -> People:
-    """People of a frame without any."""
+    """Empty frame."""
     return np.empty((0, num_joints, 3))

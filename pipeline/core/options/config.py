@@ -104,8 +104,8 @@ Preset = (
     | Annotated[Literal["humanik"], Value("HumanIK of MotionBuilder and Maya")]
 )
 Timeline = (
-    Annotated[Literal["take"], Value("Those of the take, in every file")]
-    | Annotated[Literal["person"], Value("Those in which the person is there")]
+    Annotated[Literal["take"], Value("Keep everyone in sync: every file covers the whole take")]
+    | Annotated[Literal["person"], Value("Trim each file to the frames in which the person is visible")]
 )
 
 Body = (
@@ -227,7 +227,7 @@ class JobChoices(MotionChoices):
         Annotated[Literal["auto"], Value("everybody")] | int,
         About(
             "Largest number of people",
-            "Largest number of people: the ones seen by most cameras for longest.",
+            "Keep at most this many people (the best seen).",
             minimum=1,
             maximum=1000,
             group="people",
@@ -254,8 +254,7 @@ class JobChoices(MotionChoices):
         Timeline,
         About(
             "Frames of the files",
-            "Frames of each person's files: people of a take are in step after the import if all files have the "
-            "frames of the take.",
+            "Frames of each person's files.",
             group="purpose",
         ),
     ] = "take"
@@ -282,7 +281,7 @@ class JobChoices(MotionChoices):
     ] = False
     blur_faces: Annotated[
         bool,
-        About("Blurred faces", "Whether heads are unrecognisable in all pictures shown of the session's videos."),
+        About("Blurred faces", "Blur all heads in videos, reports and links."),
     ] = False
     force: Annotated[
         bool,

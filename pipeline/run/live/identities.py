@@ -151,7 +151,7 @@ class _Seconds:
 
 @dataclass(slots=True, eq=False)
 class _Sight:
-    """Positions and colours of the second that is not over."""
+    """Positions and colours collected in the current second."""
 
     start_s: float
     seen_s: float  # Time of the latest instant
@@ -311,7 +311,7 @@ class Identities:
                 yield other
 
     def _former(self, number: int) -> int | None:
-        """Number of the absent person who is this one; ``None`` if it is nobody, or not clear."""
+        """Index of the absent person that matches; ``None`` if no person matches clearly."""
         present = set(self._number.values())
         # People who were located too seldom in each second have bones, which need fewer positions, and no lengths.
         absent = [known for known in self._known if known not in present and known in self._seconds]

@@ -1,6 +1,6 @@
 """Detect leaning bodies again where detectors miss them or call left right: expect them, then read them in crops.
 
-The output of *Find leaning bodies* is a ``Detections`` a camera, and the output of *Detect leaning bodies again* a
+The output of *Check unusual poses* is a ``Detections`` a camera, and the output of *Detect unusual poses again* a
 ``Detections`` for a range of a camera's frames.
 """
 
@@ -77,7 +77,7 @@ def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) ->
 
 EXPECT_STAGE = stage.Stage(
     stage.EXPECT,
-    "Find leaning bodies",
+    "Check unusual poses",
     expect_bodies,
     cut="whole",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
@@ -86,7 +86,7 @@ EXPECT_STAGE = stage.Stage(
 )
 REDETECT_STAGE = stage.Stage(
     stage.REDETECT,
-    "Detect leaning bodies again",
+    "Detect unusual poses again",
     redetect,
     cut="camera ranges",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),
