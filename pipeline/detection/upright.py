@@ -1,7 +1,7 @@
 """Turns that bring the pictures of cameras upright: by the calibration, checked by the people in a few frames.
 
 Networks learnt from upright people. They tolerate a camera that leans a little; of a picture that is turned by a
-quarter they find half of the joints (docs/guide/detectors.md). The calibration tells how a camera hangs, if its world
+quarter they find half of the joints (docs/lab/detection.md). The calibration tells how a camera hangs, if its world
 has Z up. What people show is stronger: they are found with more confidence in an upright picture, and their trunks
 point up in it.
 """

@@ -1,7 +1,7 @@
 """Places at which tracks expect leaning bodies in the pictures of each camera, and no detection is in agreement.
 
 Detectors learnt from upright people: of bodies that are upside down they miss a quarter to a third, and call left right
-in a fifth (docs/guide/detectors.md). A body leans if its trunk is far from upright in the world and in the picture.
+in a fifth (docs/lab/detection.md). A body leans if its trunk is far from upright in the world and in the picture.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -55,7 +55,7 @@ RULES: dict[Profile, SizeRule] = {
     "balanced": SizeRule(span_px=220.0, max_px=800),
     "accurate": SizeRule(span_px=230.0, max_px=800),
 }
-"""Rule of each profile; docs/guide/detectors.md has the measurements."""
+"""Rule of each profile; docs/lab/detection.md has the measurements."""
 
 
 def body_spans_px(bodies: ImageBodies, turn_deg: float = 0.0) -> Float[np.ndarray, " n"]:

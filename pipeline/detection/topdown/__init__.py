@@ -1,1 +1,1 @@
-"""Landmarks in crops of bodies and hands: refined joints, heels, toes and fingers (docs/guide/detectors.md)."""
+"""Landmarks in crops of bodies and hands: refined joints, heels, toes and fingers (docs/lab/detection.md)."""

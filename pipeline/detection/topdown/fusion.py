@@ -2,7 +2,7 @@
 
 Two networks that learnt from different annotations mark the same joint at different places. Before their joints are
 averaged, both are moved to one common mark: to the mark of the network whose mark is nearer to the centre of the joint.
-The offsets were learnt from rendered people with known joints (docs/guide/detectors.md). They are measured in the
+The offsets were learnt from rendered people with known joints (docs/lab/detection.md). They are measured in the
 image: up along the trunk, in lengths of the trunk; outwards along the line through the shoulders, in widths of the
 shoulders.
 """

@@ -187,7 +187,7 @@ JOINTS: tuple[AngleJoint, ...] = (
 """Joints from the pelvis outwards."""
 
 # Hips and shoulders are two lines: how a trunk that bends to the front shares its bend is the skeleton's guess. Errors
-# of the tilt in simulated walks, squats and kicks (docs/guide/biomechanics.md).
+# of the tilt in simulated walks, squats and kicks (docs/lab/angles.md).
 _PELVIS_DEG, _THORAX_DEG = 5.0, 3.0
 _MIDDLE_UP = {"left_shoulder": 0.5, "right_shoulder": 0.5, "left_hip": -0.5, "right_hip": -0.5}
 

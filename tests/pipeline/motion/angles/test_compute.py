@@ -65,7 +65,7 @@ def test_angles_are_as_precise_as_documented(motion: str, num_cameras: int, seed
     for name in HINGES:
         assert rmse_deg(errors[name]) < 3.0 * few, name
     for name in BALLS:
-        # How a squatting trunk shares its bend is not seen, by however many cameras: docs/guide/biomechanics.md.
+        # How a squatting trunk shares its bend is not seen, by however many cameras: docs/lab/angles.md.
         limit_deg = 6.2 if motion == "squat" and name == "hip_flexion" else 4.0 * few
         assert rmse_deg(errors[name]) < limit_deg, name
     for name in TWISTS:
