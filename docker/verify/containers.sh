@@ -150,7 +150,7 @@ small() {
     say "compose.yml is down"
 }
 
-# Steps of docs/operate/cluster.md, in its order.
+# Steps of docs/operate/containers.md, in their order; the backup is of docs/operate/backup.md.
 cluster() {
     slow api-1 api-2
     FILE=$ROOT/docker/compose.cluster.yml VERSION=1

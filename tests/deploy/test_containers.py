@@ -104,6 +104,13 @@ def test_api_processes_share_uploads_as_proxy_takes_turns() -> None:
     assert not [name for name in by_kind["Ingress"]["metadata"]["annotations"] if "hash" in name or "affinity" in name]
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "operate").glob("*.md")), ids=lambda page: page.stem)
+def test_pages_name_variables_that_exist(page: Path) -> None:
+    compose = set(re.findall(r"\$\{(MULTICAP_\w+):-", (DOCKER / "compose.cluster.yml").read_text()))
+    named = set(re.findall(r"\bMULTICAP_[A-Z_]+", page.read_text("utf-8")))
+    assert named <= settings() | OTHER_VARIABLES | COMPOSE_VARIABLES | compose
+
+
 @pytest.mark.parametrize(("path", "name"), SERVICES)
 def test_variables_are_settings_and_programs_exist(path: Path, name: str) -> None:
     service = yaml.safe_load(path.read_text())["services"][name]

@@ -15,6 +15,7 @@ from worker.store.store import JobStore
 
 MONITORING = Path(__file__).parents[2] / "deploy" / "monitoring"
 AUTOSCALING = MONITORING.parent / "kubernetes" / "autoscaling" / "workers.yaml"
+PAGE = MONITORING.parents[1] / "docs" / "operate" / "monitoring.md"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     return families | set(re.findall(r"^(\w+)[{ ]", text, re.MULTILINE))
 
 
-@pytest.mark.parametrize("path", [MONITORING / "alerts.yml", MONITORING / "dashboard.json", AUTOSCALING], ids=str)
+@pytest.mark.parametrize("path", [MONITORING / "alerts.yml", MONITORING / "dashboard.json", AUTOSCALING, PAGE], ids=str)
 def test_metrics_exist(exposed: set[str], path: Path) -> None:
     names = set(re.findall(r"\bmulticap_\w+", path.read_text()))
     assert names
@@ -47,6 +48,12 @@ def test_every_alert_has_test_and_action() -> None:
     }
     assert {rule["alert"] for rule in group["rules"]} == tested
     assert all(rule["annotations"].keys() == {"summary", "action"} for rule in group["rules"])
+
+
+def test_page_has_row_for_each_alert() -> None:
+    (group,) = yaml.safe_load((MONITORING / "alerts.yml").read_text())["groups"]
+    rows = re.findall(r"^\| `(Multicap\w+)` \| [^|]+ \| [^|]+ \|$", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert rows == [rule["alert"] for rule in group["rules"]]
 
 
 def test_panels_lie_side_by_side() -> None:

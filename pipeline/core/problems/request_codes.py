@@ -125,7 +125,7 @@ DATABASE_UNAVAILABLE = ANSWERS.code("database_unavailable", 503, "readyz", "wait
 """The database does not respond. | Send the request again later; the operator starts the database."""
 DATABASE_DAMAGED = ANSWERS.code("database_damaged", 503, "readyz", "command")
 """SQLite can't read its file. | The operator restores a backup, see
-[operations](../operate/operations.md#when-the-database-is-damaged)."""
+[backup](../operate/backup.md#when-the-database-is-damaged)."""
 ARTIFACTS_UNAVAILABLE = ANSWERS.code("artifacts_unavailable", 503, "readyz", "waiting")
 """The artifact store does not respond. Jobs wait for it. | Send the request again later; the operator starts the store.
 Nothing has to be done for jobs."""

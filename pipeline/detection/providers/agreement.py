@@ -2,7 +2,7 @@
 
 A network computes the same function of every picture, so that any picture shows another precision: on noise of four
 sizes the largest differences are 0.00006 of an output's largest value in single precision, 0.02 in half precision and
-0.2 in bfloat16 (docs/operate/providers.md).
+0.2 in bfloat16 (docs/lab/operations-notes.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence

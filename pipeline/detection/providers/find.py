@@ -29,7 +29,7 @@ def find_provider(choice: providers.ProviderChoice) -> providers.Provider:
     """Find the provider for a choice; the CPU, with a note that says why, if the chosen one does not work here.
 
     ``auto`` is CUDA where its package is installed and it works, else the CPU: OpenVINO in single precision is no
-    quicker than ONNX Runtime's own kernels, see docs/operate/providers.md.
+    quicker than ONNX Runtime's own kernels, see docs/lab/operations-notes.md.
     """
     if choice == "cpu" or (choice == "auto" and _installed_version("cuda") is None):
         return providers.CPU
