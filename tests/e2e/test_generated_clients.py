@@ -41,7 +41,7 @@ def sections() -> dict[str, Section]:
     """Sections of the page with code, by title."""
     found = {}
     for text in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
-        blocks = re.findall(r"^```(\w+) ?(\S*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        blocks = re.findall(r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```$', text, re.MULTILINE | re.DOTALL)
         commands = [shlex.split(line) for kind, _, code in blocks if kind == "sh" for line in code.splitlines()]
         files = {name: code for _, name, code in blocks if name}
         found[text.splitlines()[0]] = Section(files, commands)
