@@ -133,7 +133,7 @@ class PurposeOut(ResponseModel):
     )
     spec: dict[str, str | tuple[str, ...]] = Field(
         description="Fields of the spec of a job, with their values.",
-        examples=[{"exports": ["bvh", "fbx"], "bvh": "blender"}],
+        examples=[{"exports": ["bvh", "fbx"], "preset": "blender"}],
     )
 
 

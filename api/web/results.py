@@ -54,7 +54,7 @@ class ResultOut(ResponseModel):
         return cls.from_record(
             result,
             format=result.kind if form is not None else None,
-            preset=job.spec.bvh if form is not None and form.has_presets else None,
+            preset=job.spec.preset if form is not None and form.has_presets else None,
             download_name=result_name(job.session_name, result.name, result.revision, result.person_name),
             link=f"/v1/jobs/{job.id}/results/{result.name}",
         )

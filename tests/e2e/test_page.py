@@ -198,7 +198,7 @@ def test_upload_continues_after_reload(page: Page, served: Served, sample: Sampl
     served.client.post(f"/v1/jobs/{job['id']}/cancel")
     assert max(offsets) > 0, "every file was sent from its start"
     assert sum(offsets) < sum(path.stat().st_size for path in sample.videos.values())
-    assert (job["session_name"], job["spec"]["bvh"]) == ("Cut and gone on", "blender")
+    assert (job["session_name"], job["spec"]["preset"]) == ("Cut and gone on", "blender")
     session = served.client.get(job["links"]["session"]).json()
     starts = {one["name"]: one["start_time_s"] for one in session["preflight"]["cameras"]}
     assert starts["cam03"] - starts["cam01"] == pytest.approx(0.25, abs=1e-3)

@@ -289,7 +289,7 @@ def test_second_press_sends_nothing_twice(served: Served, files: dict[str, Path]
     with opened(f"{served.client.base_url}#/new", allowed=ALLOWED) as page:
         run = used(page, [*actions, unreal], (SESSIONS, 1), JOBS, is_pressed_at_once=False)
         assert [len(run.bodies[kind]) for kind in (SESSIONS, JOBS)] == [1, 1]
-        assert run.bodies[JOBS][0]["bvh"] == "unreal"
+        assert run.bodies[JOBS][0]["preset"] == "unreal"
         assert_shown(served, run, num_bytes, meant)
 
 

@@ -211,7 +211,7 @@ def test_generated_client_gets_from_files_to_animations(served: Served, capture:
                 timestamps=sent["timestamps"][0],
                 keypoints=sent["keypoints"],
                 manifest=models.Manifest(name="Generated"),
-                spec=models.JobSpec.from_dict({"smoothing": "none", "bvh": "blender"}),
+                spec=models.JobSpec.from_dict({"smoothing": "none", "preset": "blender"}),
             ),
         )
         assert isinstance(job, models.JobOut), job

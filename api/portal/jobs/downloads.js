@@ -31,7 +31,7 @@ function fileWords({ kind, format, preset, person }, options) {
   if (!format) return OF_ALL[kind] ?? OF_PERSON[kind] ?? kind;
   if (kind in OF_ALL) return OF_ALL[kind];
   if (person === null) return `${label("exports", format)}, in one scene with cameras and floor`;
-  return preset && preset !== "default" ? `${label("exports", format)} for ${label("bvh", preset)}` : label("exports", format);
+  return preset && preset !== "default" ? `${label("exports", format)} for ${label("preset", preset)}` : label("exports", format);
 }
 
 function fileLink(result, options) {

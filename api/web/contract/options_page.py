@@ -57,7 +57,7 @@ def _row(choice: Choice) -> str:
 
 def _purpose(purpose: Purpose) -> str:
     options = f"--exports {','.join(purpose.exports)}" + (
-        f" --preset {purpose.bvh}" if purpose.bvh != "default" else ""
+        f" --preset {purpose.preset}" if purpose.preset != "default" else ""
     )
     return f"| {purpose.label} | `{options}` | {purpose.note} |"
 

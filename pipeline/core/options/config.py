@@ -241,12 +241,11 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = ("bvh",)
-    bvh: Annotated[
+    preset: Annotated[
         Preset,
         About(
             "Application for BVH and FBX files",
             "Application that BVH and FBX files are written for: names, axes, unit and rest pose.",
-            option="preset",
             group="purpose",
         ),
     ] = "default"
@@ -320,7 +319,7 @@ class ReconstructionConfig(JobChoices):
 
     Examples
     --------
-    >>> config = ReconstructionConfig(exports=("bvh", "glb"), bvh="blender")
+    >>> config = ReconstructionConfig(exports=("bvh", "glb"), preset="blender")
     >>> config.exports, config.processes
     (('bvh', 'glb'), 1)
     """
@@ -447,7 +446,7 @@ class Purpose:
     label: str  # Name in forms and documentation
     note: str  # Sentence that tells which files it gives
     exports: tuple[Export, ...]
-    bvh: Preset = "default"
+    preset: Preset = "default"
 
     @property
     def spec(self) -> dict[str, str | tuple[str, ...]]:

@@ -174,7 +174,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",
-        "bvh": not any(FILE_FORMATS[export].has_presets for export in config.exports),
+        "preset": not any(FILE_FORMATS[export].has_presets for export in config.exports),
         "timeline": not config.exports and config.character is None,
         "body": not any(FILE_FORMATS[export].has_body for export in config.exports),
     }

@@ -29,7 +29,7 @@ def write_people(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.run.engine.take import assemble
 
     config, pieces = context.config, Pieces(task, context)
-    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
+    choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
     keep_people(assemble(context), WRITE_STAGE.people(task), context.scratch, *choices, context.on_share(task), files)
     return stage.Output(b"", pieces=pieces.files)
@@ -51,7 +51,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     report: "ReportOf" = partial(take.report, views=views) if context.files.keeps_pieces else quality_report
     if "osim" in config.exports:
         report = partial(_with_opensim, report, context)
-    choices = config.exports, config.bvh, config.output_rate_hz, config.timeline, config.body
+    choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
     names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
@@ -106,7 +106,7 @@ WRITE_STAGE = stage.Stage(
     write_people,
     cut="people",
     follows=stage.TAKE,
-    choices=("exports", "bvh", "output_rate_hz", "timeline", "body"),
+    choices=("exports", "preset", "output_rate_hz", "timeline", "body"),
     is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
     is_of_edits=True,
     pieces_of=stage.EXPORT,
@@ -117,7 +117,7 @@ EXPORT_STAGE = stage.Stage(
     export,
     cut="whole",
     follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),
-    choices=("exports", "bvh", "output_rate_hz", "timeline", "body", "names"),
+    choices=("exports", "preset", "output_rate_hz", "timeline", "body", "names"),
     is_planned=lambda facts, config: config.making is None,
     is_reusable=False,
     makes_files=True,

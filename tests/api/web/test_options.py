@@ -28,7 +28,7 @@ def test_options_describe_every_choice_of_job(live: Live) -> None:
         "feet",
         "joint_centers",
         "refine_calibration",
-        "bvh",
+        "preset",
     ):
         # The networks of users are texts of a pattern beside the names.
         (names,) = [one["enum"] for one in properties[name].get("anyOf", [properties[name]]) if "enum" in one]
@@ -48,9 +48,9 @@ def test_each_purpose_sets_same_choices_to_allowed_values(live: Live) -> None:
     assert len({purpose["name"] for purpose in purposes}) == len(purposes) > 1
     for purpose in purposes:
         assert JobSpec.model_validate(purpose["spec"])
-        assert purpose["spec"].keys() == {"exports", "bvh"}
+        assert purpose["spec"].keys() == {"exports", "preset"}
     first = purposes[0]["spec"]
-    assert first == {"exports": list(CHOICES["exports"].default), "bvh": CHOICES["bvh"].default}
+    assert first == {"exports": list(CHOICES["exports"].default), "preset": CHOICES["preset"].default}
 
 
 @pytest.mark.parametrize(

@@ -141,8 +141,8 @@ def test_form_has_field_for_every_choice(live: Live) -> None:
         names = {name.removeprefix("send-") for name in fields.evaluate_all("all => all.map(one => one.name)")}
         # The clocks are measured where the start of the videos stands: tests/e2e/test_words.py
         assert names == {*choices, "more-people", "purpose"} - {"sync"}
-        group = page.locator("[data-group]").filter(has=page.get_by_label(choices["bvh"]["label"]))
-        assert group.get_attribute("data-group") == choices["bvh"]["group"] == "purpose"
+        group = page.locator("[data-group]").filter(has=page.get_by_label(choices["preset"]["label"]))
+        assert group.get_attribute("data-group") == choices["preset"]["group"] == "purpose"
         assert page.get_by_label(choices["smoothing"]["label"]).input_value() == "fit"
         cutoff = page.get_by_label(choices["cutoff_hz"]["label"])
         assert (cutoff.get_attribute("placeholder"), cutoff.get_attribute("max")) == ("6", "1000")
