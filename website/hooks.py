@@ -19,7 +19,7 @@ _SERVED = {"../../openapi/openapi.json": "/openapi.json"}
 
 
 def on_config(config: Any) -> Any:
-    """Put all decisions into the navigation: an entry that is a folder becomes the pages in it."""
+    """Put the notebook into the navigation: an entry that is a folder becomes the pages in it."""
     config.nav = [_expanded(entry, Path(config.docs_dir)) for entry in config.nav]
     return config
 
@@ -28,10 +28,16 @@ def _expanded(entry: Any, docs: Path) -> Any:
     if isinstance(entry, dict):
         return {title: _expanded(value, docs) for title, value in entry.items()}
     if isinstance(entry, list):
-        return [_expanded(value, docs) for value in entry]
-    if entry.endswith("/"):
-        return [path.relative_to(docs).as_posix() for path in sorted((docs / entry).glob("*.md"))]
-    return entry
+        return [page for value in entry for page in _pages(value, docs)]
+    return _pages(entry, docs) if entry.endswith("/") else entry
+
+
+def _pages(entry: Any, docs: Path) -> list[Any]:
+    """Pages of an entry in a list: all files if it is a folder, and its index first."""
+    if isinstance(entry, str) and entry.endswith("/"):
+        names = sorted(path.name for path in (docs / entry).glob("*.md"))
+        return [entry + name for name in sorted(names, key=lambda name: name != "index.md")]
+    return [_expanded(entry, docs)]
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

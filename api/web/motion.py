@@ -58,7 +58,7 @@ class MotionDoubt(ResponseModel):
 
     frame: int = Field(description="Output frame from which on the other choice differs.")
     confidence: float = Field(description="Probability of the choice.")
-    other: int | None = Field(description="Person who would go on as this one; null if it is nobody else.")
+    other: int | None = Field(description="Person that would continue as this one; null if there is no other.")
 
 
 class MotionIdentity(ResponseModel):

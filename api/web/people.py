@@ -39,13 +39,13 @@ class PeopleEdits(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     edits: Annotated[tuple[_Edit, ...], Field(max_length=MAX_EDITS), BeforeValidator(_not_too_long)] = Field(
-        description="Each edit is applied to the people whom the edits before it leave. An empty list undoes all.",
+        description="Each edit is applied to the people that the earlier edits leave. An empty list undoes all.",
         examples=[[{"action": "merge", "person": 1, "other": 3}, {"action": "rename", "person": 1, "name": "Anna"}]],
     )
 
 
 class FoundPersonOut(ResponseModel):
-    """Person whom the reconstruction found, before any edit."""
+    """Person of the reconstruction, before any edit."""
 
     id: int = Field(description="Number of the person.")
     start_frame: int = Field(description="First frame.", examples=[0])
@@ -53,7 +53,7 @@ class FoundPersonOut(ResponseModel):
 
 
 class PieceOut(ResponseModel):
-    """Frames of a person whom the reconstruction found."""
+    """Frames of a person of the reconstruction."""
 
     person: int = Field(description="Number of the person who was found.")
     start_frame: int = Field(description="First frame.", examples=[0])
@@ -78,7 +78,7 @@ class PeopleOut(ResponseModel):
 
     revision: int = Field(description="Number of times that the edits were changed; results name it.")
     num_frames: int = Field(description="Frames of the reconstruction, before any cut.", examples=[300])
-    found: tuple[FoundPersonOut, ...] = Field(description="People whom the reconstruction found.")
+    found: tuple[FoundPersonOut, ...] = Field(description="People of the reconstruction.")
     edits: tuple[_Edit, ...] = Field(
         description="Edits in their order.", examples=[[{"action": "rename", "person": 1, "name": "Anna"}]]
     )
@@ -143,11 +143,11 @@ def edit_job_people(
     records: RecordsDep,
     if_match: IfMatch = None,
 ) -> Response:
-    """Replace the edits of a job's people; the files are made anew, without looking for joints again.
+    """Replace the edits of a job's people; the files are written again, without detecting joints again.
 
-    With `If-Match`, only if nobody changed the edits since. The edits may be changed again before their files are made:
-    work for an earlier list is given up. The files of the last finished revision can be read until then; the job's
-    `results_revision` names it.
+    With `If-Match`, only if the edits have not changed since. The edits may be changed again before their files are
+    made: work for an earlier list is given up. The files of the last finished revision can be read until then. The
+    job's `results_revision` names it.
     """
     job = records.jobs.get(job_id)
     found = _found(job)

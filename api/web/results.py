@@ -88,7 +88,7 @@ _FILE = file_content(dict.fromkeys(_TYPES))
     responses=problems(404, 409),
 )
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
-    """List the result files of the last revision that was finished, also while those of a newer one are made."""
+    """List the result files of the last revision that was finished, also while files of a newer one are made."""
     results = records.results.downloads(job_id)
     job = records.jobs.get(job_id)
     return ResultList(results=tuple(ResultOut.from_result(job, result) for result in results))
@@ -173,7 +173,7 @@ def get_result(
 ) -> Response:
     """Download a result file: the whole file, or a range, such as the rest of an interrupted download.
 
-    Clients save it under a name that begins with that of the take, such as `handshake-take-3_person-1.bvh`. After
+    Clients save it under a name that begins with the name of the take, such as `handshake-take-3_person-1.bvh`. After
     edits of its people the name tells their revision, and the name of a person who was given one:
     `handshake-take-3_revision-2_person-1-anna.bvh`.
     """

@@ -256,7 +256,7 @@ def open_keypoints(
     if problems or joints is None or timebase is None:
         raise InputError(problems)
     if forms != {openpose.read_frame.name}:
-        message = f"The keypoints are read as those of {' and '.join(sorted(forms))}."
+        message = f"The keypoints are read in the form of {' and '.join(sorted(forms))}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
     findings += [
         Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")

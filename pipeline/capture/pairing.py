@@ -129,7 +129,7 @@ def _by_name(
             hint = _lists(called, names, thing)
             problems.append(Problem(codes.without_camera, message, file=name, hint=hint))
         elif len(of_name) > 1:
-            message = f"The name of this {thing} is that of several cameras: {', '.join(of_name)}."
+            message = f"The name of this {thing} fits several cameras: {', '.join(of_name)}."
             hint = f"{_lists(called, names, thing)} Rename the {thing}{or_state}."
             problems.append(Problem(session_codes.PAIRING_AMBIGUOUS, message, file=name, hint=hint))
         elif (other := stated.get(of_name[0])) is not None:

@@ -51,8 +51,8 @@ class JobSpec(_Choices, frozen=True):
     )
     priority: Priority = Field(
         default="normal",
-        description="Order among the jobs of one tenant: chunks of `preview` are taken before those of `normal`, these "
-        "before those of `batch`, and edits of people before all. Shares of other tenants stay the same.",
+        description="Order among the jobs of one tenant: edits of people are first, then "
+        "chunks of `preview`, of `normal` and of `batch`. Shares of other tenants stay the same.",
     )
     keep_videos: bool = Field(
         default=True,

@@ -115,7 +115,7 @@ def _describe(report: BackupReport, sentence: str) -> None:
     console.print(
         f"{sentence} {manifest.rows.sessions} sessions, {sum(manifest.rows.jobs.values())} jobs"
         f"{f' ({jobs})' if jobs else ''}, {manifest.rows.uploads} uploads, {manifest.files} files, "
-        f"{report.archive_bytes / 1e6:,.1f} MB; as of {manifest.created_at:%Y-%m-%d %H:%M:%S} UTC, "
+        f"{report.archive_bytes / 1e6:,.1f} MB; state of {manifest.created_at:%Y-%m-%d %H:%M:%S} UTC, "
         f"Multicap {manifest.multicap_version}.",
         markup=False,
         soft_wrap=True,

@@ -61,7 +61,7 @@ def _add_file(
 _CREATE = """\
 Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
 
-A file is checked and stored at once. Otherwise the answer is a job, whose id is that of the calibration. Generated
+A file is checked and stored at once. Otherwise the answer is a job, with the same id as the calibration. Generated
 clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do the same with one kind of body
 each.
 """

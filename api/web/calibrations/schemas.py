@@ -79,7 +79,7 @@ class CalibrationSpec(BaseModel):
         default=None,
         min_length=1,
         max_length=200,
-        description="Name for people; by default that of the file.",
+        description="Name for people; by default the name of the file.",
         examples=["Studio B"],
     )
     units: Literal["m", "cm", "mm"] | None = Field(

@@ -133,7 +133,7 @@ async def change_character(
     records: RecordsDep,
     if_match: IfMatch = None,
 ) -> Response:
-    """Rename a character, or correct its bones, which are recognised anew. With `If-Match`, only an unchanged one.
+    """Rename a character, or correct its bones, which are recognised again. With `If-Match`, only an unchanged one.
 
     Corrections replace earlier ones.
     """

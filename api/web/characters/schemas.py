@@ -30,7 +30,7 @@ class CharacterSpec(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: _Name | None = Field(default=None, description="Name for people; by default that of the file.")
+    name: _Name | None = Field(default=None, description="Name for people; by default the name of the file.")
     bones: Corrections = Field(
         default={},
         description="Bones by joint that go before those that are recognised; null: the joint has no bone. Others are "
@@ -81,7 +81,7 @@ class CharacterSummaryOut(ResponseModel):
     format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.", examples=["VRM 1.0"])
     method: Method = Field(description=f"How the bones were recognised. {_METHODS}")
     stature: float = Field(
-        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; that of FBX "
+        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; FBX "
         "is converted to metres.",
         examples=[1.72],
     )

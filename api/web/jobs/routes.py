@@ -153,7 +153,7 @@ def list_jobs(
     limit: Limit = 50,
     cursor: Cursor = None,
 ) -> JobPage:
-    """List jobs, the newest first: all of them, or those of a session or in a state."""
+    """List jobs, the newest first: all of them, or only jobs of a session or in a state."""
     return _page(records, state, str(session_id) if session_id else None, limit, cursor, kind)
 
 
@@ -252,13 +252,13 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
 @small.post(
     "/jobs/{job_id}/visuals",
     operation_id="makeJobVisuals",
-    summary="Make visuals of a job anew",
+    summary="Make the visuals of a job again",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
     responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Make overlay videos, report and recording of an edited job anew, by a job of their own, which is answered.
+    """Make overlay videos, report and recording of an edited job again. The answer is the job that makes them.
 
     It is the same job if it is at work already. A newer edit deletes it. Each file takes the place of the earlier one.
     """

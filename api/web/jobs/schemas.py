@@ -127,7 +127,7 @@ class JobLinks(ResponseModel):
     )
     cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
     visuals: str | None = Field(
-        description="Path that makes overlay videos, report and recording anew; null unless they are of earlier edits "
+        description="Path that makes overlay videos, report and recording again; null unless they are of earlier edits "
         "than the other files, and no job makes them; of overlay videos also if the session's videos were deleted."
     )
     retry: str | None = Field(
@@ -136,7 +136,7 @@ class JobLinks(ResponseModel):
 
 
 class VisualsJobOut(ResponseModel):
-    """Job that makes overlay videos, the report and the recording of an edited job anew."""
+    """Job that makes overlay videos, the report and the recording of an edited job again."""
 
     id: Id
     state: JobState = Field(description="State of that job.")
@@ -164,8 +164,8 @@ class JobOut(ResponseModel):
     attempt: int = Field(description="Number of the current attempt, from 1.")
     revision: int = Field(description="Number of times that the edits of the job's people were changed.", examples=[0])
     results_revision: int | None = Field(
-        description="Revision whose result files can be read, also while those of `revision` are made; null before the "
-        "first files are.",
+        description="Revision whose result files can be read, also while the files of `revision` are made; null before "
+        "the first files are.",
         examples=[0],
     )
     visuals_job: VisualsJobOut | None = Field(

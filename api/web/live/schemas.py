@@ -65,7 +65,7 @@ class LiveStart(_Received):
         ge=0.1,
         le=1000.0,
         allow_inf_nan=False,
-        description="Rate of the instants that are sent back; null: that of the cameras.",
+        description="Rate of the instants that are sent back; null: the rate of the cameras.",
     )
     window_s: float = Field(
         default=0.1,
@@ -93,7 +93,7 @@ class LiveStart(_Received):
     )
     joint_centers: Literal["off", "movenet-multipose", "openpose-mobilenet-thin"] = Field(
         default="off",
-        description="Network whose offsets of the marks from the joints' centres are used, as of jobs; off: none.",
+        description="Network whose offsets of the marks from the joints' centres are used, as in jobs; off: none.",
     )
     format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
     keep: bool = Field(
@@ -187,7 +187,7 @@ _Point = tuple[float, float, float]
 
 
 class LiveSkeletonOut(_Sent):
-    """Pose of a person's animation skeleton; the rest pose is that of `/help/conventions`."""
+    """Pose of a person's animation skeleton; `/help/conventions` describes the rest pose."""
 
     root_m: _Point = Field(description="World position of the root.")
     rotations_xyzw: tuple[tuple[float, float, float, float], ...] = Field(

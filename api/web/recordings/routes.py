@@ -168,7 +168,7 @@ async def create_take_calibration(
 ) -> Response:
     """Make a calibration of the phones from people of known stature, or from a board, in a take.
 
-    The answer is the job, whose id is that of the calibration.
+    The answer is the job, with the same id as the calibration.
     """
     if (spec.board is None) == (not spec.stature_m):
         code, pointer = (MISSING_FIELD, "stature_m") if spec.board is None else (UNKNOWN_FIELD, "board")

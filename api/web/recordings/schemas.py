@@ -83,7 +83,7 @@ class TakeSessionSpec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     calibration_id: UUID = Field(description="Calibration whose cameras have the names of the phones.")
-    name: TakeName | None = Field(default=None, description="Name of the session; by default that of the take.")
+    name: TakeName | None = Field(default=None, description="Name of the session; by default the name of the take.")
     job: JobSpec | None = Field(
         default=None,
         description="Choices of a job that reconstructs the session at once; null: none. Without `sync`, it measures "
@@ -97,7 +97,7 @@ class TakeCalibrationSpec(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: TakeName | None = Field(default=None, description="Name of the calibration; by default that of the take.")
+    name: TakeName | None = Field(default=None, description="Name of the calibration; by default the name of the take.")
     stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
         default=(),
         max_length=MAX_STATURES,
@@ -108,7 +108,7 @@ class TakeCalibrationSpec(BaseModel):
         default=None,
         max_length=100,
         pattern=BOARD_PATTERN,
-        description="Board that is shown, as of calibrations; or `stature_m`.",
+        description="Board that is shown, as in calibrations; or `stature_m`.",
     )
 
     def spec(self, cameras: tuple[Mapping[str, Any], ...], name: str) -> dict[str, Any]:

@@ -71,7 +71,7 @@ async def _phone(websocket: WebSocket, services: Services, recording_id: str, se
     settings, metrics = services.settings, _metrics(websocket)
     caller = await run_in_threadpool(joining_caller, websocket, services, secret)
     if caller.join is None or caller.join.recording_id != canonical_id(recording_id, "recording"):
-        raise ApiError(LINK_UNKNOWN, "The link is that of another recording.", hint="Open the link again.")
+        raise ApiError(LINK_UNKNOWN, "The link belongs to another recording.", hint="Open the link again.")
     intake = RecordingIntake(websocket, settings, must_send=True)
     with services.rooms.greeting(caller.join.recording_id, settings.max_recording_phones):
         hello = await said_hello(intake)

@@ -207,7 +207,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
     Copies, so that each session has files of its own: either may be deleted.
     """
     if any(parts.has(part) for part in _FOOTAGE.values()):
-        message = "The footage is that of a session: files of footage can't be sent too."
+        message = "The footage comes from a session: files of footage can't be sent too."
         parts.reject_field(
             form_kinds.SESSION_ID, request_codes.PART_NOT_ALLOWED, message, "Omit session_id, or the files."
         )

@@ -71,7 +71,7 @@ add_creation(
 def list_sessions(
     records: RecordsDep, name: Name = None, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> SessionPage:
-    """List sessions, the newest first: all of them, or those of a name or with a newest job in a state."""
+    """List sessions, the newest first: all of them, or only sessions of a name or with a newest job in a state."""
     captures = records.sessions.page(limit=limit, after=str(cursor) if cursor else None, name=name, state=state)
     next_cursor = captures[-1].session.id if len(captures) == limit else None
     return SessionPage(sessions=tuple(map(SessionOut.from_capture, captures)), next_cursor=next_cursor)

@@ -168,8 +168,8 @@ class Manifest(BaseModel):
     )
     timeline: Literal["take", "person"] = Field(
         default="take",
-        description="Frames of the files of the session's jobs whose spec does not state `timeline`: those of the "
-        "take, or those in which the person is there.",
+        description="Frames of the files of the session's jobs whose spec does not state `timeline`: all "
+        "frames of the take, or the frames in which the person is there.",
     )
     metadata: Annotated[dict[str, Any], AfterValidator(_json)] = Field(
         default={},
@@ -197,8 +197,8 @@ class UploadedSession(form_kinds.UploadedFootage):
     session_id: UUID | None = Field(
         default=None,
         description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
-        "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are "
-        "those of the session.",
+        "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset "
+        "are copied, too.",
     )
     manifest: Manifest = Field(default=Manifest(), examples=[{"name": "Handshake, take 3"}])
 

@@ -200,7 +200,7 @@ def floor_warnings(places: Places, time_s: float, board: Board) -> Iterator[Prob
     if board.is_ambiguous:
         message = (
             f"A chessboard of {board.cols} x {board.rows} corners looks the same upside down: the origin and the "
-            "directions of x and y may be those of the opposite corner."
+            "directions of x and y may belong to the opposite corner."
         )
         hint = "Use a board with an odd and an even number, a ChArUco board, or known points."
         yield Problem(finding_codes.BOARD_AMBIGUOUS, message, hint=hint)

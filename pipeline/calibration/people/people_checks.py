@@ -96,7 +96,7 @@ def people_warnings(
             yield Problem(finding_codes.PEOPLE_POOR_FIT, message, camera=report.name, hint=f"{_CHECK} Or film longer.")
         if report.reprojection_error_px > _POOR_FIT * median_px:
             message = (
-                f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than that of the other "
+                f"The reprojection error, {report.reprojection_error_px:.1f} px, is larger than the error of the other "
                 f"cameras ({median_px:.1f} px)."
             )
             yield Problem(finding_codes.PEOPLE_POOR_FIT, message, camera=report.name, hint=_CHECK)
@@ -137,7 +137,7 @@ def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[
         own_m, known_m = worst
         if abs(np.log(own_m / known_m)) > _STATURE_RATIO:
             message = (
-                f"The ratios of the statures {given} m are not those of the people: the person of {known_m:.2f} m is "
+                f"The ratios of the statures {given} m do not fit the people: the person of {known_m:.2f} m is "
                 f"{own_m:.2f} m tall at the scale that fits most."
             )
             yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)

@@ -118,7 +118,7 @@ def stated_folders(
     places = [folder.resolve() for folder in folders.values()]
     for camera, folder in folders.items():
         if places.count(folder.resolve()) > 1:
-            message = "The folder is stated to be that of several cameras."
+            message = "The folder is stated for several cameras."
             problems.append(
                 Problem(
                     session_codes.DUPLICATE_KEYPOINTS, message, file=folder.name, camera=camera, hint="State others."

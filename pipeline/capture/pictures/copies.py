@@ -63,7 +63,7 @@ def same_video(
     similarity = 1.0 if all(stands_still) else correlation(*changes)
     if similarity < _SAME_MOTION:
         return None
-    message = f"The pictures are like those of {first.camera}: one video may have been given twice."
+    message = f"The pictures are like the pictures of {first.camera}: one video may have been given twice."
     evidence = {
         "other_camera": first.camera,
         "similarity": similarity,

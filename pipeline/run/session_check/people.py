@@ -203,7 +203,7 @@ def _check_rest(
     by_pair = {} if agreeing else evidence.pair_agreements(best, range(len(rig)))
     if by_pair and min(by_pair.values()) > DOUBTFUL:
         numbers = {"disagreement": round(float(np.mean(list(by_pair.values()))), 3), "num_pairs": len(by_pair)}
-        message = "No two cameras agree about people: the calibration is that of another rig, or the clocks are wrong."
+        message = "No two cameras agree about people: the calibration belongs to another rig, or the clocks are wrong."
         severity: Severity = "error"
         if not evidence.is_clear(list(by_pair), best):
             message = (

@@ -6,10 +6,10 @@ import pytest
 from pydantic import ValidationError
 
 from api.cli.main import load
-from api.web.contract.options_page import document
 from pipeline.core.options.choices import declared_choices
 from pipeline.core.options.config import CHOICES, ReconstructionConfig
 from tests.api.conftest import Live
+from website.options_page import document
 from worker.store.spec import JobSpec
 
 
@@ -93,7 +93,7 @@ def test_reconstruct_has_option_for_every_choice() -> None:
 def test_page_describes_every_option_and_value() -> None:
     page = document()
     for choice in declared_choices(ReconstructionConfig):
-        field = f"`{choice.name}` | " if choice.name in CHOICES else ""
+        field = f"[](){{ #{choice.name} }}`{choice.name}` | " if choice.name in CHOICES else ""
         assert f"\n| {field}`--{choice.option}` | {choice.about.sentence} | " in page
     for choice in CHOICES.values():
         if choice.kind in {"one", "several"}:
@@ -101,4 +101,6 @@ def test_page_describes_every_option_and_value() -> None:
             assert re.findall(r"^\| `(.+?)` \| (.+?)(?:\. .*)? \|$", section, re.MULTILINE) == [
                 (name, value.label) for name, value in choice.values.items()
             ]
-    assert re.search(r"\n\| `cutoff_hz` \| `--cutoff` \| .+ \| a number, more than 0 and at most 1000 \| 6 \|\n", page)
+    assert re.search(
+        r"\n\| .*`cutoff_hz` \| `--cutoff` \| .+ \| a number, more than 0 and at most 1000 \| 6 \|\n", page
+    )

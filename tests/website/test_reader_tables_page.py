@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from api.web.contract.reader_tables_page import CALIBRATIONS, KEYPOINTS, document, reader_rows
 from pipeline.calibration.readers import fields
 from pipeline.calibration.registry import calibration_readers, reader_of_file
 from pipeline.capture.keypoint_files.forms import keypoint_readers
+from website.reader_tables_page import CALIBRATIONS, KEYPOINTS, document, reader_rows
 
 NUM_CELLS, MAX_CELL = 4, 200
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-_PIPELINE = Path(__file__).parents[3] / "pipeline"
+_PIPELINE = Path(__file__).parents[1] / "pipeline"
 CALIBRATIONS = _PIPELINE / "calibration" / "readers"
 """Folder of the readers of calibration formats."""
 KEYPOINTS = _PIPELINE / "capture" / "keypoint_files" / "readers"

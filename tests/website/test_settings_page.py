@@ -5,8 +5,8 @@ import re
 import pytest
 from pydantic_settings import BaseSettings
 
-from api.web.contract.settings_page import SECTIONS, document, variable
 from api.web.settings import Settings
+from website.settings_page import SECTIONS, document, variable
 from worker.run.settings import SharedSettings, WorkerSettings
 
 KINDS = (Settings, WorkerSettings)

@@ -1,0 +1,55 @@
+"""Site of the documentation: built strictly, whole without a network, and answered at /help."""
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from api.web.help import FOLDER, read_topics
+from pipeline.core.options.config import CHOICES
+from tests.api.conftest import Live
+from tests.e2e.browsing import opened
+from website.problems_page import SENTENCES
+
+pytestmark = pytest.mark.skipif(not (FOLDER / "topics.json").is_file(), reason="needs `make docs`")
+
+
+def test_topic_leads_to_its_page(live: Live) -> None:
+    answer = live.client.get("/help/calibration")
+    assert answer.history[0].headers["location"].endswith("/help/guide/calibration.html")
+    assert "<h1" in answer.text
+
+
+def test_unknown_topic_is_refused(live: Live) -> None:
+    assert live.client.get("/help/nothing").status_code == 404
+    assert live.client.get("/help/../web/help.py").status_code == 404
+
+
+def test_pages_load_nothing_from_elsewhere() -> None:
+    for page in FOLDER.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)=\"?(https?:[^\s\">]+)", text)
+        assert loaded == [], page
+        assert "@import" not in text, page
+
+
+def test_every_choice_and_code_has_its_place() -> None:
+    options = (FOLDER / "reference/options.html").read_text(encoding="utf-8")
+    assert [name for name in CHOICES if f'id="{name}"' not in options] == []
+    problems = (FOLDER / "reference/problems.html").read_text(encoding="utf-8")
+    assert [code for code in SENTENCES if f'id="{code}"' not in problems] == []
+
+
+def test_search_finds_a_page_in_the_dark(live: Live) -> None:
+    with opened(str(live.client.base_url)) as page:
+        page.emulate_media(color_scheme="dark")
+        page.goto("/help/")
+        page.get_by_placeholder("Search").fill("reprojection error")
+        expect(page.get_by_role("link", name=re.compile("reprojection", re.IGNORECASE)).first).to_be_visible()
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+
+
+def test_every_topic_has_a_title_and_a_purpose() -> None:
+    topics = read_topics()
+    assert {"first-take", "calibration", "options", "security", "tracking", "limits"} <= topics.keys()
+    assert [name for name, topic in topics.items() if not topic["title"] or not topic["about"]] == []
