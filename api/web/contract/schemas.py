@@ -57,7 +57,7 @@ class FindingOut(ResponseModel):
     )
     evidence: dict[str, Any] = Field(
         default_factory=dict,
-        description="What was measured, by name; `/help/quality` describes it for each code.",
+        description="What was measured, by name; `/help/findings` describes it for each code.",
         examples=[{"file": "cam_0.mp4", "num_frames": 1}],
     )
 

@@ -5,7 +5,7 @@ from pipeline.core.problems.code_group import CodeGroup
 FILES = CodeGroup(
     "Findings about files",
     "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. None refuses a "
-    "session; [preflight](../guide/quality.md) describes the evidence of each. Findings about the cameras have the "
+    "session; [findings](findings.md) lists the evidence of each. Findings about the cameras have the "
     "codes of [findings about calibrations](#findings-of-checks).",
 )
 
