@@ -57,7 +57,7 @@ def _places(packets: BinaryIO) -> Mapping[int, Mapping[float, int]]:
 
 
 def _written(people: Float[np.ndarray, "people points 3"], layout: str) -> Float[np.ndarray, "people points_written 3"]:
-    """Points as they are written; 0 for those that the layout lacks."""
+    """Points as they are written; 0 for points that the layout lacks."""
     if (other := _WRITTEN_AS.get(layout)) is None:
         return people
     points = LAYOUTS[layout].points
@@ -70,8 +70,8 @@ def _write_archive(packets: BinaryIO, offsets: Sequence[int], layout: str, path:
         for frame, offset in enumerate(offsets):
             packets.seek(offset)
             _, people = unpack_keypoints(read_message(packets) or b"")
-            rows = np.round(_written(people, layout), _DIGITS).reshape(len(people), -1).tolist()
-            content = {"people": [{"pose_keypoints_2d": row} for row in rows]}
+            bodies = np.round(_written(people, layout), _DIGITS)
+            content = {"people": [{"pose_keypoints_2d": body.ravel().tolist()} for body in bodies]}
             archive.writestr(f"frame_{frame:012d}_keypoints.json", json.dumps(content))
 
 

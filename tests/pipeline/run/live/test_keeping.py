@@ -1,5 +1,6 @@
 """Packets of a live capture as a session, in layouts that OpenPose's form has, and in others."""
 
+import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -43,3 +44,15 @@ def test_points_of_layout_are_same_joints_in_session(tmp_path: Path, name: str) 
         np.testing.assert_array_equal(kept.frame, sent.frame)
         found_px = kept.keypoints_px[:, session.joints.indices(room.joints.names)]
         np.testing.assert_allclose(found_px, sent.keypoints_px, atol=1e-3)
+
+
+def test_frame_without_people_is_kept_empty(tmp_path: Path) -> None:
+    with (tmp_path / "packets").open("w+b") as packets:
+        for time_s, num_people in ((0.0, 1), (0.1, 0), (0.2, 1)):
+            points_px = np.full((num_people, 17, 2), 5.0)
+            packets.write(framed(pack_keypoints(0, time_s, points_px, np.full((num_people, 17), 0.5))))
+        packets.seek(0)
+        archives = write_session(packets, tmp_path, ["cam01"], "coco-17")
+    with zipfile.ZipFile(tmp_path / archives["cam01"]) as archive:
+        frames = [json.loads(archive.read(name))["people"] for name in archive.namelist()]
+    assert [len(people) for people in frames] == [1, 0, 1]
