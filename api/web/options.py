@@ -69,7 +69,7 @@ class ValueOut(ResponseModel):
     """Named value of a choice."""
 
     name: str = Field(description="Value in the spec of a job.", examples=["tracking"])
-    label: str = Field(description="Label of the value for people.", examples=["Tracking of whole bodies"])
+    label: str = Field(description="Label of the value for people.", examples=["Tracking whole bodies"])
     note: str = Field(description="Further sentence, such as a measured cost; empty for none.", examples=[""])
 
 

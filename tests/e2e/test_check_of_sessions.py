@@ -124,7 +124,7 @@ def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> No
         for error in job["error"]["errors"]:
             assert error["message"] in row.inner_text()
         row.get_by_role("button", name="all the same").click()
-        page.get_by_text("Despite errors").first.wait_for()
+        page.get_by_text("Ignore errors").first.wait_for()
     jobs = served.client.get(job["links"]["session"] + "/jobs").raise_for_status().json()["jobs"]
     (forced,) = [other for other in jobs if other["id"] != job["id"]]
     assert forced["spec"] == job["spec"] | {"force": True}

@@ -100,7 +100,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
     page.get_by_role("radio", name="Web pages").check()
     expect(page.get_by_role("checkbox", name="GLB, body and animation")).to_be_checked()
     expect(page.get_by_role("checkbox", name="FBX, body and animation")).not_to_be_checked()
-    expect(page.get_by_label("Application for BVH and FBX files")).to_have_value("default")
+    expect(page.get_by_label("Target application")).to_have_value("default")
 
 
 @pytest.mark.slow

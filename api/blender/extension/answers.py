@@ -77,8 +77,8 @@ class JobEntry:
     def sentence(self) -> str:
         """State of the job in words.
 
-        >>> JobEntry("1", "2", "Take", "running", 0.25, "Track people", 90.0, None, "", "").sentence()
-        '25 %, track people, about 2 min left'
+        >>> JobEntry("1", "2", "Take", "running", 0.25, "Tracking people", 90.0, None, "", "").sentence()
+        '25 %, tracking people, about 2 min left'
         """
         if self.state == "queued" and self.queue_position:
             return f"queued, number {self.queue_position}"

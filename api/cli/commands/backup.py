@@ -34,7 +34,7 @@ def create(
 ) -> None:
     """Back up a service, which may be running."""
     settings = settings_in(data)
-    with _reported(as_json), byte_bar("Back up", visible=not as_json) as on_progress:
+    with _reported(as_json), byte_bar("Backing up", visible=not as_json) as on_progress:
         report = create_backup(
             settings.data_dir, settings.resolved_database_url, settings.artifacts_url, archive, on_progress
         )
@@ -49,7 +49,7 @@ def restore(
 ) -> None:
     """Restore a service from a backup, into a new folder and, with MULTICAP_DATABASE_URL, an empty database."""
     settings = Settings(data_dir=data)
-    with _reported(as_json), byte_bar("Restore", visible=not as_json) as on_progress:
+    with _reported(as_json), byte_bar("Restoring", visible=not as_json) as on_progress:
         report = restore_backup(
             archive, settings.data_dir, settings.resolved_database_url, settings.artifacts_url, on_progress
         )
@@ -59,7 +59,7 @@ def restore(
 @app.command()
 def verify(archive: Archive, as_json: JsonOption = False) -> None:
     """Check a whole backup as `restore` does, without restoring it."""
-    with _reported(as_json), byte_bar("Verify", visible=not as_json) as on_progress:
+    with _reported(as_json), byte_bar("Verifying", visible=not as_json) as on_progress:
         report = verify_backup(archive, on_progress)
     _finish(report, f"{archive} is damaged:" if report.faults else f"{archive} is whole:", archive, as_json)
 

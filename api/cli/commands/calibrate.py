@@ -120,7 +120,7 @@ def from_board(
             else:
                 views = list(_in_photographs(images or Path(), found, progress))
                 named, rate_hz = {} if intrinsics is None else _named(intrinsics, views), 0.0
-            task = progress.add_task("Calibrate cameras", total=1.0)
+            task = progress.add_task("Calibrating cameras", total=1.0)
             made = calibrate_board(
                 views,
                 found,
@@ -155,13 +155,13 @@ def in_videos(session: CaptureSession, board: Board, progress: rich_progress.Pro
     for camera, video in zip(session.cameras, session.videos, strict=True):
         own_s = session.times[camera.name].time_s
         frames = frames_to_look_at(own_s, span_s, interval_s)
-        task = progress.add_task(f"Find the board: {camera.name}", total=len(frames))
+        task = progress.add_task(f"Finding the board: {camera.name}", total=len(frames))
         yield look_in_video(video, camera.name, own_s, frames, board, partial(progress.advance, task))
 
 
 def _in_photographs(folder: Path, board: Board, progress: rich_progress.Progress) -> Iterator[BoardViews]:
     for camera, paths in find_photographs(folder).items():
-        task = progress.add_task(f"Find the board: {camera}", total=len(paths))
+        task = progress.add_task(f"Finding the board: {camera}", total=len(paths))
         yield look_in_photographs(camera, paths, board, partial(progress.advance, task))
 
 

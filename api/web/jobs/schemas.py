@@ -19,7 +19,7 @@ class StageOut(ResponseModel):
     """Stage of a job with its progress."""
 
     name: str = Field(description="Name of the stage, such as `detect`.", examples=[DETECT])
-    label: str = Field(description="Name of the stage for people.", examples=["Detect 2D joints"])
+    label: str = Field(description="Name of the stage for people.", examples=["Finding people"])
     state: ChunkState = Field(description="State of the stage.", examples=["done"])
     done: int = Field(description="Units of work that are done, such as a camera's frames.", examples=[600])
     total: int = Field(description="All units of work.", examples=[600])

@@ -20,43 +20,41 @@ MAX_OUTPUT_FRAMES = 1_000_000
 
 
 Method = (
-    Annotated[Literal["tracking"], Value("Tracking of whole bodies")]
-    | Annotated[Literal["clustering"], Value("Clustering of joints for crowds and people who touch")]
+    Annotated[Literal["tracking"], Value("Tracking whole bodies")]
+    | Annotated[Literal["clustering"], Value("Clustering joints, for crowds")]
 )
 Profile = (
     Annotated[
         Literal["fast"],
-        Value("Fast", note="Mean error of rendered people 28 mm."),
+        Value("Fast", note="Mean joint error 28 mm (rendered people)."),
     ]
     | Annotated[
         Literal["balanced"],
-        Value("Balanced", note="Mean error of rendered people 25 mm."),
+        Value("Balanced", note="Mean joint error 25 mm (rendered people)."),
     ]
     | Annotated[
         Literal["accurate"],
-        Value("Accurate", note="Mean error of rendered people 24 mm."),
+        Value("Accurate", note="Mean joint error 24 mm (rendered people)."),
     ]
 )
 DetectedJoints = (
-    Annotated[Literal["auto"], Value("What the profile detects without a further network")]
-    | Annotated[Literal["body"], Value("17 joints of the body")]
-    | Annotated[
-        Literal["feet"], Value("Body, heels and toes", note="Doubles the time of fast; no cost with the others.")
-    ]
-    | Annotated[Literal["whole"], Value("Body, heels, toes and fingers", note="1.6 x the time of feet with balanced.")]
+    Annotated[Literal["auto"], Value("Default of the profile")]
+    | Annotated[Literal["body"], Value("Body, 17 joints")]
+    | Annotated[Literal["feet"], Value("Body, heels and toes", note="Doubles the time of Fast, free with the others.")]
+    | Annotated[Literal["whole"], Value("Body, feet and fingers", note="Takes 1.6 times as long with Balanced.")]
 )
 Detector = (
     Annotated[Literal["auto"], Value("Networks of the profile")]
-    | Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose alone")]
-    | Annotated[Literal["movenet-multipose-int8"], Network("MoveNet MultiPose alone, in integers of 8 bits")]
+    | Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose")]
+    | Annotated[Literal["movenet-multipose-int8"], Network("MoveNet MultiPose, 8 bits")]
     | Annotated[
         Literal["openpose-mobilenet-thin"],
-        Network("OpenPose MobileNet thin, part affinity fields for clustering", leaves_fields=True),
+        Network("OpenPose MobileNet, for clustering", leaves_fields=True),
     ]
     | Annotated[
         Literal["human-pose-estimation-0001"],
         Network(
-            "human-pose-estimation-0001, part affinity fields for clustering",
+            "human-pose-estimation-0001, for clustering",
             leaves_fields=True,
             publisher="Intel's Open Model Zoo (FP16-INT8)",
         ),
@@ -65,35 +63,30 @@ Detector = (
     | Annotated[str, OtherNames("^own-[a-z0-9]+(-[a-z0-9]+)*-[0-9a-f]{12}$")]
 )
 Smoothing = (
-    Annotated[Literal["none"], Value("None, joints as they were located")]
+    Annotated[Literal["none"], Value("None")]
     | Annotated[Literal["butterworth"], Value("Butterworth low-pass")]
     | Annotated[Literal["one-euro"], Value("One-euro low-pass")]
-    | Annotated[Literal["fit"], Value("Fit of a skeleton over the whole take")]
+    | Annotated[Literal["fit"], Value("Skeleton fit")]
 )
 Feet = (
-    Annotated[Literal["off"], Value("Not held")]
-    | Annotated[Literal["auto"], Value("Held where contact is likely")]
-    | Annotated[Literal["always"], Value("Held wherever contact is possible")]
+    Annotated[Literal["off"], Value("Never")]
+    | Annotated[Literal["auto"], Value("When contact is likely")]
+    | Annotated[Literal["always"], Value("When contact is possible")]
 )
-Appearance = (
-    Annotated[Literal["on"], Value("Clothes help to tell people apart")]
-    | Annotated[Literal["off"], Value("No colours are measured")]
-)
+Appearance = Annotated[Literal["on"], Value("Used")] | Annotated[Literal["off"], Value("Not used")]
 JointCenters = (
-    Annotated[Literal["auto"], Value("Offsets of the network; none for keypoints")]
-    | Annotated[Literal["off"], Value("Joints as they are marked")]
+    Annotated[Literal["auto"], Value("By the network")]
+    | Annotated[Literal["off"], Value("No offsets")]
     | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
     | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
 )
 RefineCalibration = (
-    Annotated[Literal["off"], Value("The calibration as it is given")]
-    | Annotated[
-        Literal["auto"], Value("Cameras are moved to fit the people where that lowers the error by more than a quarter")
-    ]
+    Annotated[Literal["off"], Value("Off")]
+    | Annotated[Literal["auto"], Value("Where it helps", note="Only if the error drops by more than a quarter.")]
 )
 Sync = (
-    Annotated[Literal["declared"], Value("Times of the files, with the offsets of the session")]
-    | Annotated[Literal["auto"], Value("Times measured from the motion of the people")]
+    Annotated[Literal["declared"], Value("Times of the files")]
+    | Annotated[Literal["auto"], Value("Measured from motion")]
 )
 Preset = (
     Annotated[Literal["default"], Value("Standard names")]
@@ -109,8 +102,8 @@ Timeline = (
 )
 
 Body = (
-    Annotated[Literal["human"], Value("A human, shaped by the person's bones")]
-    | Annotated[Literal["capsules"], Value("Capsules around the bones")]
+    Annotated[Literal["human"], Value("Human", note="Shaped by the person's bones.")]
+    | Annotated[Literal["capsules"], Value("Capsules", note="One around each bone.")]
 )
 
 
@@ -118,22 +111,19 @@ Body = (
 class MotionChoices:
     """Choices that a job and a configuration of the pipeline have alike."""
 
-    method: Annotated[Method, About("Method", "Method that matches detections to people.")] = "tracking"
-    profile: Annotated[
-        Profile, About("Profile", "Networks that find the 2D joints, by speed and accuracy.", group="quality")
-    ] = field(default="balanced", kw_only=True)
-    joints: Annotated[DetectedJoints, About("Joints", "Joints that are detected in videos.", group="quality")] = field(
+    method: Annotated[Method, About("Method", "How detections are matched to people.")] = "tracking"
+    profile: Annotated[Profile, About("Profile", "Speed and accuracy of the detection.", group="quality")] = field(
+        default="balanced", kw_only=True
+    )
+    joints: Annotated[DetectedJoints, About("Joints", "Joints to find in videos.", group="quality")] = field(
         default="auto", kw_only=True
     )
-    detector: Annotated[Detector, About("Detector", "Network that finds the 2D joints, in place of the profile's.")] = (
-        "auto"
-    )
+    detector: Annotated[Detector, About("Detector", "One network in place of the profile's.")] = "auto"
     follow_s: Annotated[
         float,
         About(
             "Time between detections, s",
-            "Longest time between two detections of bodies in whole pictures, in seconds; between them crops follow "
-            "people who move little. 0: every frame is detected.",
+            "Longest time between detections in whole pictures. Crops follow people meanwhile; 0 detects every frame.",
             minimum=0.0,
             maximum=0.2,
             option="follow",
@@ -143,38 +133,36 @@ class MotionChoices:
     cutoff_hz: Annotated[
         float,
         About(
-            "Cutoff of the Butterworth low-pass, Hz",
-            "Cutoff of the Butterworth low-pass, in Hz, below half of the frame rate.",
+            "Butterworth cutoff, Hz",
+            "Cutoff of the Butterworth low-pass in Hz. It must be below half the frame rate.",
             above=0.0,
             maximum=1000.0,
             option="cutoff",
         ),
     ] = 6.0
-    feet: Annotated[Feet, About("Feet on the floor", "Which standing feet are held in place.")] = "auto"
+    feet: Annotated[Feet, About("Feet on the floor", "When standing feet are held still.")] = "auto"
     appearance: Annotated[
         Appearance,
         About(
-            "Colours of clothes",
-            "Whether people in videos are told apart by the colours of their clothes too, with the method `tracking`.",
+            "Clothing colours",
+            "Use the colours of clothes to tell people apart. Only for the method `tracking`.",
         ),
     ] = "on"
     joint_centers: Annotated[
         JointCenters,
         About(
             "Joint centres",
-            "Offsets by which the fit moves joints from the detector's marks to the joints' centres.",
+            "Offsets from the detector's marks to the centres of the joints.",
         ),
     ] = "auto"
     refine_calibration: Annotated[
         RefineCalibration,
         About(
-            "Refinement of the calibration",
-            "Whether the calibration is refined from the people of the take.",
+            "Calibration refinement",
+            "Move the cameras to fit the people of the take.",
         ),
     ] = "off"
-    sync: Annotated[Sync, About("Synchronisation", "How it is known when the frames of each camera were taken.")] = (
-        "declared"
-    )
+    sync: Annotated[Sync, About("Synchronisation", "How the clocks of the cameras are aligned.")] = "declared"
 
     @property
     def networks(self) -> "Networks":
@@ -206,7 +194,7 @@ class JobChoices(MotionChoices):
         tuple[int, int] | None,
         About(
             "Frames",
-            "First output frame of the session and the one after the last.",
+            "First output frame, and the frame after the last one.",
             minimum=0,
             unset="all frames",
             option="frames",
@@ -215,16 +203,16 @@ class JobChoices(MotionChoices):
     output_rate_hz: Annotated[
         float | None,
         About(
-            "Frame rate of the files, Hz",
-            "Frame rate of the motion in all files, in Hz; metrics are of the session's rate.",
+            "Frame rate of files, Hz",
+            "Frame rate of the motion in all files, in Hz. Metrics keep the capture's rate.",
             minimum=1.0,
             maximum=240.0,
-            unset="the session's rate",
+            unset="the capture's rate",
             option="output-rate",
         ),
     ] = None
     people: Annotated[
-        Annotated[Literal["auto"], Value("everybody")] | int,
+        Annotated[Literal["auto"], Value("everyone")] | int,
         About(
             "Largest number of people",
             "Keep at most this many people (the best seen).",
@@ -237,15 +225,15 @@ class JobChoices(MotionChoices):
         tuple[Export, ...],
         About(
             "Files of each person",
-            "Formats of each person's files, beside `skeletons.json` and `metrics.json`.",
+            "Formats of each person's files. `skeletons.json` and `metrics.json` are always written.",
             group="purpose",
         ),
     ] = ("bvh",)
     preset: Annotated[
         Preset,
         About(
-            "Application for BVH and FBX files",
-            "Application that BVH and FBX files are written for: names, axes, unit and rest pose.",
+            "Target application",
+            "Names, axes, unit and rest pose of BVH and FBX files.",
             group="purpose",
         ),
     ] = "default"
@@ -253,16 +241,15 @@ class JobChoices(MotionChoices):
         Timeline,
         About(
             "Frames of the files",
-            "Frames of each person's files.",
+            "Frames that each person's files cover.",
             group="purpose",
         ),
     ] = "take"
     body: Annotated[
         Body,
         About(
-            "Body of GLB, FBX and USD files",
-            "Body of the people in GLB, FBX and USD files. A human needs `multicap bodies install` where files are "
-            "written.",
+            "Body shape",
+            "Body in GLB, FBX and USD files. Humans need `multicap bodies install` on the service.",
             group="purpose",
         ),
     ] = "capsules"
@@ -270,13 +257,12 @@ class JobChoices(MotionChoices):
         bool,
         About(
             "Report",
-            "Whether `report.html` is made: one file with the motion in 3D, pictures of the cameras and the quality of "
-            "each person.",
+            "One file, `report.html`, with the motion in 3D, pictures and quality figures.",
         ),
     ] = False
     overlay: Annotated[
         bool,
-        About("Overlay videos", "Whether each camera's video is made with the skeletons drawn over it."),
+        About("Overlay videos", "A copy of each camera's video with the skeletons drawn over it."),
     ] = False
     blur_faces: Annotated[
         bool,
@@ -285,8 +271,8 @@ class JobChoices(MotionChoices):
     force: Annotated[
         bool,
         About(
-            "Despite errors",
-            "Whether the session is reconstructed although its check finds errors, which make results wrong.",
+            "Ignore errors",
+            "Reconstruct although the check found errors. The result may be wrong.",
         ),
     ] = False
 
@@ -374,11 +360,9 @@ def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str
     """Warnings about choices for a session of videos or of keypoints, a sentence each."""
     found = []
     if config.method == "clustering" and not (has_videos and config.uses_fields):
-        found.append(
-            "Clustering takes whole bodies for evidence: two joints are connected where one detection has both."
-        )
+        found.append("Clustering has no part affinity fields here. It connects joints that one detection has together.")
     if config.overlay and not has_videos:
-        found.append("Overlay videos are drawn over videos; a session of keypoints has none, so none is made.")
+        found.append("Overlay videos need videos; a capture of keypoints has none.")
     return tuple(found)
 
 
@@ -469,9 +453,7 @@ PURPOSES = (
         ("bvh", "fbx"),
         "unreal",
     ),
-    Purpose(
-        "unity", "Unity", "FBX that Unity maps to a humanoid by itself, and BVH.", ("bvh", "fbx"), "unity-humanoid"
-    ),
+    Purpose("unity", "Unity", "FBX that Unity maps to a humanoid, and BVH.", ("bvh", "fbx"), "unity-humanoid"),
     Purpose(
         "maya",
         "Maya, MotionBuilder",
@@ -482,15 +464,15 @@ PURPOSES = (
     Purpose(
         "character",
         "My own character",
-        "GLB, FBX and BVH of a figure of yours in motion, beside the people's own.",
+        "GLB, FBX and BVH of your character, beside the files of each person.",
         ("bvh", "glb", "fbx"),
     ),
-    Purpose("vrm", "VRM characters", "VRMA, an animation that every VRM character plays.", ("vrma",)),
+    Purpose("vrm", "VRM characters", "VRMA, which every VRM character plays.", ("vrma",)),
     Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
     Purpose(
         "research",
         "Research",
-        "TRC for OpenSim, C3D and CSV with positions of the joints, and joint angles as CSV and MOT.",
+        "Joint positions as TRC, C3D and CSV; joint angles as CSV and MOT.",
         ("trc", "c3d", "csv", "angles", "mot"),
     ),
 )

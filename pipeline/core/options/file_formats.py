@@ -148,7 +148,7 @@ Export = (
     | Annotated[
         Literal["rerun"],
         FileFormat(
-            "Rerun recording of the take",
+            "Rerun, file of the take",
             _BYTES,
             "recording",
             ending="rrd",

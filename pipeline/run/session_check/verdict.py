@@ -1,6 +1,6 @@
 """One verdict on a session: errors of its check refuse it, by whatever way its reconstruction is asked for.
 
-``multicap check`` lists the findings, and the stage *Check the session* refuses a session with errors. Nothing is
+``multicap check`` lists the findings, and the stage *Checking the capture* refuses a session with errors. Nothing is
 refused if the reconstruction is forced, or if its results are there already, as for edits of them. A job that refines
 the calibration is judged by the refined cameras where refinement may mend the error.
 """

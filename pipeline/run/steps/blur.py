@@ -1,7 +1,7 @@
 """Blur heads: find them in the frames of each camera, and make a small blurred copy of its video for browsers.
 
-The output of *Find heads* are ``HeadRegions``, and the output of *Blur videos* is the index of its files. Edits of
-people change nothing: whoever was found or detected once has a head, and the copies of a job are made once.
+The output of *Finding heads* are ``HeadRegions``, and the output of *Blurring videos* is the index of its files. Edits
+of people change nothing: whoever was found or detected once has a head, and the copies of a job are made once.
 """
 
 from typing import TYPE_CHECKING
@@ -79,7 +79,7 @@ def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> boo
 
 HEADS_STAGE = stage.Stage(
     stage.HEADS,
-    "Find heads",
+    "Finding heads",
     find_heads,
     cut="whole",
     # It reads the detections too, whose keys are part of the people's keys. Colours are not read, so that detection
@@ -90,7 +90,7 @@ HEADS_STAGE = stage.Stage(
 )
 BLUR_STAGE = stage.Stage(
     stage.BLUR,
-    "Blur videos",
+    "Blurring videos",
     blur_videos,
     cut="cameras",
     follows=(stage.SYNCHRONIZE, stage.HEADS),

@@ -1,6 +1,7 @@
 """Calibrate cameras: find the board in the videos, then make a calibration from its views or from people.
 
-The output of *Find the board* is a ``BoardViews`` a camera, and the output of *Calibrate cameras* is the calibration.
+The output of *Finding the board* is a ``BoardViews`` a camera, and the output of *Calibrating cameras* is the
+calibration.
 """
 
 import json
@@ -94,7 +95,7 @@ def calibrate(task: Task, context: Context) -> Output:
 
 BOARD_STAGE = Stage(
     FIND_BOARD,
-    "Find the board",
+    "Finding the board",
     find_board,
     cut="cameras",
     follows=(),
@@ -106,7 +107,7 @@ BOARD_STAGE = Stage(
 )
 CALIBRATE_STAGE = Stage(
     CALIBRATE,
-    "Calibrate cameras",
+    "Calibrating cameras",
     calibrate,
     cut="whole",
     follows=(LOOK, DETECT, FIND_BOARD),

@@ -29,7 +29,7 @@ def retarget_character(task: Task, context: Context) -> Output:
 
 STAGE = Stage(
     RETARGET,
-    "Move the character",
+    "Animating the character",
     retarget_character,
     cut="whole",
     follows=TAKE,

@@ -50,7 +50,7 @@ def check_with(task: Task, context: Context, cameras: "Sequence[Camera]") -> "Se
 
 STAGE = Stage(
     CHECK,
-    "Check the session",
+    "Checking the capture",
     check,
     cut="whole",
     follows=(LOOK, DETECT, SYNCHRONIZE),

@@ -1,7 +1,7 @@
 """Find people by clustering: everybody's bones first, then the people at each instant by itself.
 
-The output of *Measure bones* is a ``MeasuredBones``, from frames all over the session, and the output of *Find people*
-a ``Poses3D`` for a range of output frames.
+The output of *Measuring bones* is a ``MeasuredBones``, from frames all over the session, and the output of *Grouping
+joints into people* a ``Poses3D`` for a range of output frames.
 """
 
 from collections.abc import Iterator
@@ -58,7 +58,7 @@ def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
 
 LENGTHS_STAGE = stage.Stage(
     stage.LENGTHS,
-    "Measure bones",
+    "Measuring bones",
     measure_lengths,
     cut="whole",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE),
@@ -68,7 +68,7 @@ LENGTHS_STAGE = stage.Stage(
 )
 POSES_STAGE = stage.Stage(
     stage.POSES,
-    "Find people",
+    "Grouping joints into people",
     find_poses,
     cut="ranges",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS),

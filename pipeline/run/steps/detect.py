@@ -1,9 +1,9 @@
 """Detect people in videos: first how each camera hangs, then the joints of everybody in all frames.
 
-*Scan the videos* tells how a camera hangs and the size of its images, by the people in a few of its frames. Its output
-is a ``CameraLook``, which belongs to the whole video, whatever part of it is wanted. *Detect 2D joints* finds bodies in
-a range of a camera's frames, or the peaks and fields that clustering takes. Its output is a ``Detections`` without
-colours, or a ``PafFields``; its interim output is the colours of the bodies.
+*Scanning the videos* tells how a camera hangs and the size of its images, by the people in a few of its frames. Its
+output is a ``CameraLook``, which belongs to the whole video, whatever part of it is wanted. *Finding people* finds
+bodies in a range of a camera's frames, or the peaks and fields that clustering takes. Its output is a ``Detections``
+without colours, or a ``PafFields``; its interim output is the colours of the bodies.
 """
 
 from dataclasses import replace
@@ -90,7 +90,7 @@ def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:
 
 LOOK_STAGE = Stage(
     LOOK,
-    "Scan the videos",
+    "Scanning the videos",
     look,
     cut="cameras",
     follows=(),
@@ -103,7 +103,7 @@ LOOK_STAGE = Stage(
 )
 DETECT_STAGE = Stage(
     DETECT,
-    "Detect 2D joints",
+    "Finding people",
     detect,
     cut="camera ranges",
     follows=(LOOK,),

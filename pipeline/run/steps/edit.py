@@ -1,6 +1,6 @@
 """Edit people: put together the people changed by edits, and fit each of them by themselves on the take's floor.
 
-The output of *Edit people* is stored people, and the output of a task of *Fit edited people* an ``Animation``.
+The output of *Applying edits* is stored people, and the output of a task of *Solving edited people* an ``Animation``.
 """
 
 from dataclasses import replace
@@ -71,7 +71,7 @@ def _is_edited(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
 
 EDIT_STAGE = stage.Stage(
     stage.EDIT,
-    "Edit people",
+    "Applying edits",
     edit,
     cut="whole",
     follows=(stage.SYNCHRONIZE, stage.IDENTIFY),
@@ -81,7 +81,7 @@ EDIT_STAGE = stage.Stage(
 )
 REFIT_STAGE = stage.Stage(
     stage.REFIT,
-    "Fit edited people",
+    "Solving edited people",
     refit,
     cut="people",
     follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD, stage.EDIT),

@@ -1,6 +1,6 @@
 """Write files: the result files of a job. The output is their index, with the figures of ``metrics.json``.
 
-*Write files of edited people* leaves files of people as pieces, which *Write files* finds again; its output is empty.
+*Writing edited people* leaves files of people as pieces, which *Writing files* finds again; its output is empty.
 """
 
 import json
@@ -102,7 +102,7 @@ def _result_file(path: Path, names: Mapping[str, str]) -> stage.ResultFile:
 
 WRITE_STAGE = stage.Stage(
     stage.WRITE,
-    "Write files of edited people",
+    "Writing edited people",
     write_people,
     cut="people",
     follows=stage.TAKE,
@@ -113,7 +113,7 @@ WRITE_STAGE = stage.Stage(
 )
 EXPORT_STAGE = stage.Stage(
     stage.EXPORT,
-    "Write files",
+    "Writing files",
     export,
     cut="whole",
     follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),

@@ -1,7 +1,7 @@
 """Fit skeletons: one a person, first with free feet, then with feet held on the floor that everybody's feet find.
 
-The output of a task of *Fit skeletons* has the points of the feet of a part of the people, and its interim output the
-state of their fits. The output of a task of *Hold feet* is an ``Animation``.
+The output of a task of *Solving skeletons* has the points of the feet of a part of the people, and its interim output
+the state of their fits. The output of a task of *Holding feet still* is an ``Animation``.
 """
 
 from functools import cache
@@ -81,7 +81,7 @@ def hold_feet(task: Task, context: Context) -> Output:
 
 FIT_STAGE = Stage(
     FIT,
-    "Fit skeletons",
+    "Solving skeletons",
     fit,
     cut="people",
     follows=(SYNCHRONIZE, REFINE, IDENTIFY),
@@ -90,7 +90,7 @@ FIT_STAGE = Stage(
 )
 HOLD_STAGE = Stage(
     HOLD,
-    "Hold feet",
+    "Holding feet still",
     hold_feet,
     cut="people",
     follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),

@@ -36,7 +36,7 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
 
 STAGE = stage.Stage(
     stage.IDENTIFY,
-    "Match people across cameras",
+    "Matching people across cameras",
     identify,
     cut="whole",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE, stage.REDETECT),

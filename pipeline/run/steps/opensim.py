@@ -25,7 +25,7 @@ def run_opensim(task: Task, context: Context) -> Output:
 
 STAGE = Stage(
     OPENSIM,
-    "Run OpenSim",
+    "Running OpenSim",
     run_opensim,
     cut="people",
     frames_a_part=1,  # OpenSim takes much longer than a task without a person

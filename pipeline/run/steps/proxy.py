@@ -18,7 +18,7 @@ def make_proxy(task: Task, context: Context) -> Output:
 
 STAGE = Stage(
     PROXY,
-    "Convert videos for browsers",
+    "Converting videos for browsers",
     make_proxy,
     cut="cameras",
     follows=(),

@@ -1,6 +1,6 @@
 """Detect leaning bodies again where detectors miss them or call left right: expect them, then read them in crops.
 
-The output of *Check unusual poses* is a ``Detections`` a camera, and the output of *Detect unusual poses again* a
+The output of *Checking unusual poses* is a ``Detections`` a camera, and the output of *Detecting unusual poses again* a
 ``Detections`` for a range of a camera's frames.
 """
 
@@ -77,7 +77,7 @@ def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) ->
 
 EXPECT_STAGE = stage.Stage(
     stage.EXPECT,
-    "Check unusual poses",
+    "Checking unusual poses",
     expect_bodies,
     cut="whole",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
@@ -86,7 +86,7 @@ EXPECT_STAGE = stage.Stage(
 )
 REDETECT_STAGE = stage.Stage(
     stage.REDETECT,
-    "Detect unusual poses again",
+    "Detecting unusual poses again",
     redetect,
     cut="camera ranges",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),

@@ -39,7 +39,7 @@ def refine(task: Task, context: Context) -> Output:
 
 STAGE = Stage(
     REFINE,
-    "Refine calibration",
+    "Refining the calibration",
     refine,
     cut="whole",
     follows=(DETECT, SYNCHRONIZE, CHECK),

@@ -22,7 +22,7 @@ def synchronize(task: Task, context: Context) -> Output:
 
 STAGE = Stage(
     SYNCHRONIZE,
-    "Synchronise cameras",
+    "Synchronising cameras",
     synchronize,
     cut="whole",
     follows=(DETECT,),

@@ -32,7 +32,7 @@ def track(task: stage.Task, context: stage.Context) -> stage.Output:
 
 STAGE = stage.Stage(
     stage.ASSOCIATE,
-    "Track people",
+    "Tracking people",
     track,
     cut="whole",
     follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS, stage.POSES),

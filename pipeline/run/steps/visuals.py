@@ -72,7 +72,7 @@ def write_rerun(task: stage.Task, context: stage.Context) -> stage.Output:
 
 OVERLAY_STAGE = stage.Stage(
     stage.OVERLAY,
-    "Draw overlay videos",
+    "Drawing overlay videos",
     draw_overlay,
     cut="cameras",
     follows=(*stage.TAKE, stage.HEADS),
@@ -85,7 +85,7 @@ OVERLAY_STAGE = stage.Stage(
 )
 REPORT_STAGE = stage.Stage(
     stage.REPORT,
-    "Write the report",
+    "Writing the report",
     write_report,
     cut="whole",
     follows=(*stage.TAKE, stage.HEADS),
@@ -96,7 +96,7 @@ REPORT_STAGE = stage.Stage(
 )
 RERUN_STAGE = stage.Stage(
     stage.RECORD,
-    "Write the Rerun recording",
+    "Writing the Rerun file",
     write_rerun,
     cut="whole",
     follows=(stage.DETECT, *stage.TAKE, stage.HEADS),

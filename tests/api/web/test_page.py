@@ -147,7 +147,7 @@ def test_form_has_field_for_every_choice(live: Live) -> None:
         cutoff = page.get_by_label(choices["cutoff_hz"]["label"])
         assert (cutoff.get_attribute("placeholder"), cutoff.get_attribute("max")) == ("6", "1000")
         people = page.get_by_role("group", name=choices["people"]["label"])
-        expect(people.get_by_role("radio", name="everybody")).to_be_checked()
+        expect(people.get_by_role("radio", name="everyone")).to_be_checked()
         exports = page.get_by_role("group", name=choices["exports"]["label"]).get_by_role("checkbox")
         assert exports.evaluate_all("all => all.map(one => one.checked)") == [
             True,
