@@ -328,7 +328,7 @@ the lens again with views near the edges, or with fewer coefficients."""
 
 STREAMS = CodeGroup(
     "Cameras of live captures",
-    "Problems of the cameras of `multicap live`; see [live cameras](../start/live-cameras.md).",
+    "Problems of the cameras of `multicap live`; see [live](../start/live.md).",
 )
 
 CAMERA_SOURCE = STREAMS.code("camera_source", "command")
