@@ -123,7 +123,7 @@ RULES = (
         ((".ci/run", "make check"), ("Makefile", "\t$(MAKE) test\n")),
     ),
     Rule(
-        r"docker compose -f docker/compose\.yml build",
+        r"docker compose --file docker/compose\.yml build",
         "elsewhere",
         "it builds the image, of which `make verify-containers` makes the same from the same file",
         (
@@ -132,13 +132,13 @@ RULES = (
         ),
     ),
     Rule(
-        r"docker compose -f docker/compose\.yml up --detach",
+        r"docker compose --file docker/compose\.yml up --detach",
         "elsewhere",
         "it starts containers, which `make verify-containers` does by podman-compose",
         ((CONTAINERS, "FILE=$ROOT/docker/compose.yml"), (CONTAINERS, "compose up --detach"), (CONTAINERS, "/readyz")),
     ),
     Rule(
-        r"docker compose -f docker/compose\.yml down",
+        r"docker compose --file docker/compose\.yml down",
         "elsewhere",
         "it removes containers, which `make verify-containers` does",
         ((CONTAINERS, "compose down"),),
