@@ -132,7 +132,7 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 wheel: $(VENV)/.installed  ## Build the wheel into dist/
 	$(BIN)/python -P -m hatchling build -t wheel -d dist
 
-docs: api/help/topics.json  ## Build the site of the documentation, which the service serves at /help, into api/help/
+docs: api/portal/help/topics.json  ## Build the site of the documentation, which the service serves at /help, into api/portal/help/
 
 $(WEBSITE)/node_modules/.installed: $(WEBSITE)/package-lock.json $(VENV)/.installed
 	$(PIP_INSTALL) --require-hashes --only-binary :all: -r $(WEBSITE)/requirements.lock
@@ -140,7 +140,7 @@ $(WEBSITE)/node_modules/.installed: $(WEBSITE)/package-lock.json $(VENV)/.instal
 	touch $@
 
 # Broken links and pages that stand nowhere in the navigation are errors.
-api/help/topics.json: $(WEBSITE)/node_modules/.installed openapi/openapi.json \
+api/portal/help/topics.json: $(WEBSITE)/node_modules/.installed openapi/openapi.json \
 		$(shell find docs $(WEBSITE) api multicap pipeline worker -name node_modules -prune -o -name help -prune -o -name __pycache__ -prune -o -type f -name '*.[mpy]*' -print)
 	$(BIN)/python -P -m website.pages
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -P -m mkdocs build --quiet --config-file $(WEBSITE)/mkdocs.yml
@@ -247,4 +247,4 @@ lock:  ## Pin the dependencies again (needs uv)
 
 clean:  ## Remove everything that the targets made
 	git clean -Xfq docs
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules $(WEBSITE)/node_modules api/help build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules $(WEBSITE)/node_modules api/portal/help build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -31,7 +31,7 @@ FROM packages AS build
 COPY hatch_build.py pyproject.toml README.md ./
 COPY api api
 COPY --from=portal /src/api/portal/vendor api/portal/vendor
-COPY --from=website /src/api/help api/help
+COPY --from=website /src/api/portal/help api/portal/help
 COPY multicap multicap
 COPY pipeline pipeline
 COPY --from=portal /src/pipeline/export/report/assets pipeline/export/report/assets

@@ -21,9 +21,11 @@ TEXTS = {
     for page in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")))
     if page not in GENERATED
 } | {page: document() for page, document in GENERATED.items()}
-MAX_README_LINES = 120
+MAX_README_LINES = 90
 MAX_README_ROW = 240
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+MAX_WORDS = 40_000
+MAX_MEAN_SENTENCE, MAX_SENTENCE = 18, 35
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -83,6 +85,34 @@ def test_readme_is_short() -> None:
     assert [line for line in lines if len(line) > MAX_README_ROW] == []
 
 
+def sentences(text: str) -> list[list[str]]:
+    """Words of each sentence of a page: of paragraphs, of items in lists and of cells of tables."""
+    plain = re.sub(r"`[^`]*`", "Code", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", prose(text)))
+    blocks = re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=[|#])|(?<= )\|", plain)
+    parts = [part for block in blocks for part in re.split(r"(?<=[.!?])\s+(?=[A-Z\d\"(])", " ".join(block.split()))]
+    return [words for part in parts if len(words := part.strip("|-* ").split()) > 1 and not part.startswith("#")]
+
+
+BOOK = [page for page in TEXTS if page not in GENERATED and "lab" not in page.relative_to(ROOT).parts]
+
+
+@pytest.mark.parametrize("page", BOOK, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_sentences_are_short(page: Path) -> None:
+    found = sentences(TEXTS[page])
+    assert [" ".join(words) for words in found if len(words) > MAX_SENTENCE] == []
+    assert sum(map(len, found)) <= MAX_MEAN_SENTENCE * len(found)
+
+
+def test_book_is_short() -> None:
+    num_words = {page.name: len(TEXTS[page].split()) for page in BOOK if page.parent != ROOT}
+    assert sum(num_words.values()) <= MAX_WORDS, num_words
+
+
+def test_sentences_and_their_words_are_counted() -> None:
+    text = "# Title\n\nOne two. Three `a b` four five.\n\n| one | two three |\n| --- | --- |\n\n- six seven\n"
+    assert [len(words) for words in sentences(text)] == [2, 4, 2, 2]
+
+
 @pytest.mark.parametrize(
     "page", [page for page in TEXTS if page.parent.parent == ROOT / "docs"], ids=lambda page: page.name
 )
@@ -111,9 +141,6 @@ def test_options_of_readme_exist() -> None:
             continue
         known = option_names(load(command))
         assert set(re.findall(r"--[a-z-]+", options)) <= known | {"--help"}, command
-    common = re.search(r"Common options: (.*?)\. A session", readme, re.DOTALL)
-    assert common is not None
-    assert set(re.findall(r"--[a-z-]+", common[1])) <= option_names(load("reconstruct"))
 
 
 def option_names(command: Any) -> set[str]:

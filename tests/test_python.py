@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import is_typeddict
 
 import pytest
 
@@ -65,7 +66,7 @@ def test_public_name_has_sections_and_example(name: str) -> None:
     needed = {"Examples"}
     is_error = inspect.isclass(thing) and issubclass(thing, Exception) and "__init__" not in vars(thing)
     if not is_error:
-        needed |= {"Parameters"}
+        needed |= {"Attributes" if is_typeddict(thing) else "Parameters"}
     if not inspect.isclass(thing) and not returns_nothing(thing):
         needed |= {"Returns"}
     assert needed <= sections

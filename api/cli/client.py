@@ -42,7 +42,7 @@ class ClientStage(TypedDict):
 class Job(TypedDict):
     """Job as the service describes it. These are the common fields; ``/docs`` of a service has all.
 
-    Parameters
+    Attributes
     ----------
     id, session_id
         Ids of the job and of the session that it reconstructs.

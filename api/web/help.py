@@ -18,7 +18,7 @@ from api.web.errors import ApiError
 from api.web.http.middleware import SAFE_HEADERS
 from pipeline.core.problems.request_codes import NOT_FOUND
 
-FOLDER = Path(__file__).parents[1] / "help"
+FOLDER = Path(__file__).parents[1] / "portal" / "help"
 _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 

@@ -1,1 +1,1 @@
-"""Association method ``clustering``: 3D hypothesis clustering (Chen et al., Computational Visual Media 2020)."""
+"""Association method ``clustering``: 3D hypothesis clustering (Li, Zhou and Liu, Computational Visual Media 2020)."""
