@@ -66,7 +66,7 @@ demo-files: $(VENV)/.installed
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap samples install
 
-serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
+serve: setup docs  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap bodies install
@@ -129,7 +129,7 @@ verify-exports: setup readers $(BLENDER)/.installed $(UFBX)/.installed $(PEERS)/
 		tests/pipeline/export tests/api/blender tests/pipeline/calibration/test_programs.py
 	@echo "Blender's pictures are in build/exports/."
 
-wheel: $(VENV)/.installed  ## Build the wheel into dist/
+wheel: docs  ## Build the wheel into dist/
 	$(BIN)/python -P -m hatchling build -t wheel -d dist
 
 docs: api/portal/help/topics.json  ## Build the site of the documentation, which the service serves at /help, into api/portal/help/
@@ -193,10 +193,10 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -P -m pytest -n 4 --dist loadgrou
 	--timeout 900 --durations 40 --durations-min 5
 DESELECTED := not benchmark and not blender and not soak and not hostile and not load and not accuracy
 
-test: test-data browser ffmpeg readers  ## Run the tests, but for the slow ones (7 to 22 minutes)
+test: test-data browser ffmpeg readers docs  ## Run the tests, but for the slow ones (7 to 22 minutes)
 	$(PYTEST) -m "$(DESELECTED) and not slow"
 
-test-slow: test-data browser ffmpeg readers clients  ## Run the slow tests
+test-slow: test-data browser ffmpeg readers clients docs  ## Run the slow tests
 	$(PYTEST) -m "$(DESELECTED) and slow and not real_time"
 	$(PYTEST) -n 0 -m "real_time and slow" tests/e2e
 

@@ -14,6 +14,7 @@ from typing import Any
 _ROOT = Path(__file__).parents[1]
 _NODE = shutil.which("node", path=Path(sys.executable).parent) or shutil.which("node") or "node"
 _DIAGRAM = re.compile(r"^```mermaid\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_LISTS = {"reference/http-operations.md", "reference/python-names.md"}
 # Files of the repository that the service answers at other addresses
 _SERVED = {"../../openapi/openapi.json": "/openapi.json"}
 
@@ -40,8 +41,10 @@ def _pages(entry: Any, docs: Path) -> list[Any]:
     return [_expanded(entry, docs)]
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Replace each Mermaid diagram of a page by its picture."""
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Replace each Mermaid diagram of a page by its picture; searches find the notebook and long lists last."""
+    if page.file.src_uri.startswith("lab/") or page.file.src_uri in _LISTS:
+        page.meta["search"] = {"boost": 0.2}
     for inside, served in _SERVED.items():
         markdown = markdown.replace(f"({inside})", f"({served})")
     sources = _DIAGRAM.findall(markdown)
@@ -58,6 +61,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def on_post_build(config: Any) -> None:
     """Write the Markdown of all pages and the index of topics."""
     site, docs = Path(config.site_dir), Path(config.docs_dir)
+    shutil.copy(_ROOT / "api/portal/icon.svg", site / "images")
     topics: dict[str, dict[str, str]] = {}
     for page in sorted(docs.rglob("*.md")):
         text = page.read_text(encoding="utf-8")
@@ -71,4 +75,7 @@ def on_post_build(config: Any) -> None:
             "title": title.removeprefix("# "),
         }
         (site / path).write_text(text, encoding="utf-8")
+    # Maps of the theme's sources, and searches in other languages: a quarter of the site.
+    for path in (*site.glob("assets/**/*.map"), *site.glob("assets/javascripts/lunr/**/*.js")):
+        path.unlink()
     (site / "topics.json").write_text(json.dumps(topics, indent=1), encoding="utf-8")
