@@ -66,11 +66,12 @@ demo-files: $(VENV)/.installed
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap samples install
 
-serve: setup docs  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
+serve: setup  ## Run the service at http://127.0.0.1:8000 until Ctrl-C
 	$(BIN)/multicap models install
 	$(BIN)/multicap models install openpose-mobilenet-thin
 	$(BIN)/multicap bodies install
 	$(BIN)/multicap opensim install
+	@$(MAKE) --no-print-directory docs || echo "The documentation can't be built here: the page lacks its help; the rest works."
 	$(BIN)/multicap serve
 
 browser:  ## Install Chromium for the tests of the page (as root, on Debian)
@@ -143,7 +144,7 @@ $(WEBSITE)/node_modules/.installed: $(WEBSITE)/package-lock.json $(VENV)/.instal
 api/portal/help/topics.json: $(WEBSITE)/node_modules/.installed openapi/openapi.json \
 		$(shell find docs $(WEBSITE) api multicap pipeline worker -name node_modules -prune -o -name help -prune -o -name __pycache__ -prune -o -type f -name '*.[mpy]*' -print)
 	$(BIN)/python -P -m website.pages
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -P -m mkdocs build --quiet --config-file $(WEBSITE)/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -P -m mkdocs build --config-file $(WEBSITE)/mkdocs.yml
 
 blender-extension: $(VENV)/.installed  ## Build the extension for Blender into build/
 	$(BIN)/python -P -m api.blender.build build
