@@ -3,8 +3,7 @@
 FROM node:24-bookworm-slim AS portal
 WORKDIR /src
 COPY api/portal api/portal
-COPY website website
-RUN npm ci --prefix api/portal --no-audit --no-fund && npm ci --prefix website --no-audit --no-fund
+RUN npm ci --prefix api/portal --no-audit --no-fund
 
 FROM python:3.11-slim-bookworm AS packages
 WORKDIR /src
@@ -16,8 +15,8 @@ RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --on
 FROM packages AS website
 COPY website/requirements.lock .
 RUN /opt/multicap/bin/pip install --no-cache-dir --no-deps --require-hashes --only-binary :all: -r requirements.lock
-COPY --from=portal /usr/local/bin/node /usr/local/bin/node
-COPY --from=portal /src/website website
+COPY website website
+RUN PATH=/opt/multicap/bin:$PATH npm ci --prefix website --no-audit --no-fund
 COPY api api
 COPY docs docs
 COPY multicap multicap
