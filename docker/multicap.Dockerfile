@@ -46,7 +46,7 @@ RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipos
 # Packages of networks, tests of libraries, and what builds them: a seventh of the image.
 RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packages/onnx/backend/test \
     && /opt/multicap/bin/python -m pip uninstall --quiet --yes setuptools \
-    && find /opt/multicap/lib -type f \( -name '*.h' -o -name '*.pyx' -o -name '*.pxd' \) -delete \
+    && find /opt/multicap/lib -type f -regex '.*\.\(h\|hpp\|c\|cpp\|f90\|px[di]\|pyi\|pyx\)' -delete \
     && find /opt/multicap/lib -type d -name tests -prune -exec rm -rf {} +
 
 FROM python:3.11-slim-bookworm
