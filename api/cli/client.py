@@ -55,7 +55,7 @@ class Job(TypedDict):
     error
         Error of a failed job, with ``code``, ``detail`` and ``hint``; ``None`` for other jobs.
     warnings
-        Sentences about the files, the choices and the result.
+        Warnings about the files, the choices and the result, each with ``code``, ``message`` and ``hint``.
     links
         Paths by name, such as ``self`` and ``results``.
 
@@ -74,7 +74,7 @@ class Job(TypedDict):
     queue_position: int | None
     eta_s: float | None
     error: dict[str, Any] | None
-    warnings: list[str]
+    warnings: list[dict[str, Any]]
     links: dict[str, Any]
 
 

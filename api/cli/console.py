@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -121,9 +121,16 @@ def warn(sentence: str) -> None:
     console.print(Text.assemble(("warning ", "yellow"), sentence), soft_wrap=True)
 
 
-def show_layout(layout: LayoutRead | None, warnings: Collection[str]) -> None:
-    """Print the layout in which keypoints were read, unless a warning of the session states it."""
-    if layout is not None and str(layout) not in warnings:
+def show_session(findings: Sequence[Finding], layout: LayoutRead | None) -> None:
+    """Print the findings of a session as warnings, and the layout of its keypoints; see ``show_layout``."""
+    for finding in findings:
+        warn(finding.message)
+    show_layout(findings, layout)
+
+
+def show_layout(findings: Iterable[Finding], layout: LayoutRead | None) -> None:
+    """Print the layout in which keypoints were read, unless a finding states it."""
+    if layout is not None and all(finding.message != str(layout) for finding in findings):
         console.print(str(layout), soft_wrap=True)
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from api.web.auth import JobViewDep
 from api.web.contract.description import Resource, file_content, problems
-from api.web.contract.schemas import ResponseModel
+from api.web.contract.schemas import FindingOut, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
 from api.web.downloads import Download, Stream, opened
 from api.web.errors import ApiError
@@ -193,7 +193,7 @@ class MotionDescription(ResponseModel):
         description="Figures of the reprojection error, as in `metrics.json`.",
         examples=[{"median": 3.1, "by_camera": {"cam_0": 3.1}}],
     )
-    warnings: tuple[str, ...] = Field(description="Warnings about the take.", examples=[[]])
+    warnings: tuple[FindingOut, ...] = Field(description="Warnings about the take.")
     strips: MotionStrips
 
 

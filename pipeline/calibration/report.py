@@ -11,6 +11,7 @@ from jaxtyping import Float
 from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem, listed
+from pipeline.core.findings import from_problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +82,7 @@ def report_document(calibration: CalibrationResult) -> dict[str, Any]:
         "reprojection_error_px": _number(calibration.reprojection_error_px),
         "has_extrinsics": calibration.has_extrinsics,
         "world": calibration.world,
-        "warnings": [
-            {"code": warning.code, "message": warning.message, "camera": warning.camera, "hint": warning.hint}
-            for warning in listed(calibration.warnings)
-        ],
+        "warnings": [from_problem(warning, "warning").to_json() for warning in listed(calibration.warnings)],
     }
 
 

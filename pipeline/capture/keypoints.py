@@ -87,11 +87,6 @@ class KeypointSession:
     layout: LayoutRead | None = None
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings."""
-        return tuple(finding.message for finding in self.findings)
-
-    @property
     def starts_s(self) -> dict[str, float]:
         """Time 0 of each camera, by camera name: the origin of timestamps and frame numbers."""
         return dict.fromkeys(self.times, 0.0)

@@ -40,7 +40,8 @@ from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_picture
 from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
-from pipeline.core.findings import Finding
+from pipeline.core.findings import Finding, documents
+from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE
 from pipeline.core.runtime.checking import print_answer
@@ -82,7 +83,6 @@ def report(
         ),
         timebase=preflight_record.PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
         stretches=tuple(session.stretches),
-        warnings=tuple(printable(warning) for warning in session.warnings),
         recordings=tuple(preflight_record.PreflightRecording(**asdict(recording)) for recording in recordings),
         units=units or "m",
         up=up,
@@ -170,8 +170,7 @@ def _with_thumbnails(
 
 
 def _with_findings(preflight: preflight_record.Preflight, findings: Sequence[Finding]) -> preflight_record.Preflight:
-    sentences = [printable(finding.message) for finding in findings]
-    return replace(preflight, findings=(*preflight.findings, *findings), warnings=(*preflight.warnings, *sentences))
+    return replace(preflight, findings=(*preflight.findings, *findings))
 
 
 def _no_archive(path: Path) -> Problem:
@@ -222,12 +221,13 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
 def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
     """Read a calibration: its cameras in metres, what the format says, and doubts about the axis that points up."""
     contents = read_contents(arguments.calibration, arguments.units, arguments.up)
-    doubts = [str(finding) for finding in check_places(contents.cameras) if finding.code in UP_AXIS_CODES]
+    notes = [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
+    doubts = [finding for finding in check_places(contents.cameras) if finding.code in UP_AXIS_CODES]
     return {
         "format": printable(contents.format),
         "units": contents.unit or arguments.units or "m",
         "axes": printable(contents.axes),
-        "notes": [printable(note) for note in (*contents.notes, *doubts)],
+        "warnings": documents([*notes, *doubts]),
         "files": encodings(contents.cameras),
     }
 

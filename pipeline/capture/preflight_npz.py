@@ -20,7 +20,6 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
-from pipeline.core.problems.finding_codes import SESSION_WARNING
 from pipeline.core.runtime.npz import decode_arrays, encode_arrays
 from pipeline.video.info import VideoInfo
 
@@ -55,12 +54,6 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
         )
         for k, camera in enumerate(head)
     )
-
-
-def _decode_findings(head: Mapping[str, Any]) -> tuple[Finding, ...]:
-    # Records of earlier versions have sentences only.
-    older = tuple(Finding(SESSION_WARNING, sentence) for sentence in head.get("warnings", ()))
-    return (*older, *map(Finding.from_json, head.get("findings", ())))
 
 
 @functools.singledispatch
@@ -134,7 +127,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
         cameras=cameras,
         videos=tuple(_decode_video(video, arrays, str(k), folder) for k, video in enumerate(head["videos"])),
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
-        findings=_decode_findings(head),
+        findings=tuple(map(Finding.from_json, head["findings"])),
         offset_std_s=head.get("offset_std_s", {}),
     )
 
@@ -176,6 +169,6 @@ def decode_keypoints(content: bytes) -> KeypointSession:
             tuple(head["joints"]["names"]), tuple((first, second) for first, second in head["joints"]["bones"])
         ),
         folders=head["folders"],
-        findings=_decode_findings(head),
+        findings=tuple(map(Finding.from_json, head["findings"])),
         layout=LayoutRead(**head["layout"]) if head.get("layout") else None,
     )

@@ -123,11 +123,9 @@ class Preflight:
     cameras: tuple[PreflightCamera, ...]
     timebase: PreflightTimebase
     stretches: tuple[range, ...]  # Output frames that have to be worked on, ascending; pauses lie between them
-    warnings: tuple[str, ...] = ()  # Sentences of the findings
     recordings: tuple[PreflightRecording, ...] = ()  # Facts about videos that the client stated
     units: str = "m"  # Unit of lengths in the calibration: "m", "cm" or "mm"
-    # Findings about the files, for the client; none in records of earlier versions, which have sentences only
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # Findings about the files, for the client
     clock: Clock = "declared"  # Clock of the videos' starts
     up: str = "z"  # Axis of the calibration that points up, such as "-y"
     # Synchronisation, and frames of the files, of jobs of the session that don't state them
@@ -159,7 +157,6 @@ class Preflight:
                 timebase=timebase,
                 # Older versions worked on all frames.
                 stretches=tuple(range(*stretch) for stretch in document.get("stretches", [[0, timebase.num_frames]])),
-                warnings=tuple(document.get("warnings", ())),
                 recordings=tuple(
                     PreflightRecording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
                     for recording in document.get("recordings", ())
@@ -181,7 +178,6 @@ class Preflight:
             "cameras": [camera.to_json() for camera in self.cameras],
             "timebase": asdict(self.timebase),
             "stretches": [[stretch.start, stretch.stop] for stretch in self.stretches],
-            "warnings": list(self.warnings),
             "recordings": [recording.to_json() for recording in self.recordings],
             "units": self.units,
             "findings": [finding.to_json() for finding in self.findings],

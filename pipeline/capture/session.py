@@ -77,11 +77,6 @@ class CaptureSession:
         return whole if self.frames is None else cut_timebase(whole, self.frames)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences of the findings."""
-        return tuple(finding.message for finding in self.findings)
-
-    @property
     def starts_s(self) -> dict[str, float]:
         """Time of each camera's first frame on the session's clock, by camera name."""
         return {name: float(of_camera.time_s[0]) for name, of_camera in self.times.items()}

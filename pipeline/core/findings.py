@@ -80,12 +80,12 @@ def _shown(value: Any) -> Any:
     return round(value, _DECIMALS) if isinstance(value, float) else value
 
 
-def from_problem(problem: Problem) -> Finding:
-    """Finding of a problem of the input: an error, whose evidence are the file and the field."""
+def from_problem(problem: Problem, severity: Severity = "error") -> Finding:
+    """Finding of a problem of the input, whose evidence are the file and the field."""
     parts = {kind: value for kind, value in (("file", problem.file), ("field", problem.field)) if value}
     where = ", ".join(f"{kind} {value}" for kind, value in parts.items())
     message = f"{where}: {problem.message}" if where else problem.message
-    return Finding(problem.code, message, problem.camera, "error", problem.hint, parts)
+    return Finding(problem.code, message, problem.camera, severity, problem.hint, parts)
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:

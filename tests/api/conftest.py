@@ -69,7 +69,7 @@ if problems:
     print(json.dumps({"problems": problems}))
     sys.exit(2)
 if kind is None:
-    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "notes": [],
+    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "warnings": [],
                       "files": {"multicap": '{"cameras": []}'}}))
     sys.exit(0)
 pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
@@ -84,13 +84,12 @@ if kind == "--videos" and "--thumbnails" in arguments:
         (folder / f"{place}-0.jpg").write_bytes(content)
         digest = hashlib.sha256(content).hexdigest()
         camera["thumbnails"] = [{"time_s": 1.2, "num_bytes": len(content), "sha256": digest}]
-findings = []
+findings = [{"code": "same_place", "message": "The cameras are close together.", "severity": "info"}]
 if videos and videos[0].read_bytes()[:5] == b"MILES":
     findings = [{"code": code, "message": "Check it.", "camera": None, "severity": "error", "hint": "Mend it.",
                  "evidence": {}} for code in ("world_unit", "upside_down")]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
-                  "warnings": ["The cameras are close together."], "findings": findings,
-                  "recordings": recordings}))
+                  "findings": findings, "recordings": recordings}))
 """
 
 # Address without a broker: publishing fails at once, which is allowed.

@@ -132,7 +132,7 @@ def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> No
     assert ended["state"] == "succeeded", ended["error"]
     (detection,) = [stage for stage in ended["stages"] if stage["name"] == "look"]
     assert detection["reused"]
-    found = named(ended["result_warnings"], "cameras_exchanged")
+    found = named(ended["warnings"], "cameras_exchanged")
     assert {camera: evidence["other_camera"] for camera, evidence in found.items()} == exchange
     metrics = served.client.get(f"/v1/jobs/{ended['id']}/results/metrics.json").raise_for_status().json()
     assert metrics["forced"] == ["cameras_exchanged"]
@@ -159,13 +159,13 @@ def test_checks_of_world_are_in_job_and_on_page(served: Served, capture: Calibra
     metrics = served.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").raise_for_status().json()
     checks = {one["code"] for one in metrics["world_checks"]}
     assert "stature_out_of_range" in checks
-    assert checks <= {one["code"] for one in job["result_warnings"]}
+    assert checks <= {one["code"] for one in job["warnings"]}
     with opened(f"{served.client.base_url}#/captures") as page:
         row = page.locator(f"#job-{job['id']}")
         row.wait_for()
         assert "Done, with warnings" in row.inner_text()
         for warning in job["warnings"]:
-            assert warning in row.inner_text()
+            assert warning["message"] in row.inner_text()
 
 
 def test_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     videos = {camera.name: tmp_path / "videos" / f"{camera.name}.mp4" for camera in cameras}
     # A network may find the same in both videos, which are equal.
     job = CalibratedVideos(videos, cameras).reconstruct(served, force=True)
-    (nobody,) = [one for one in job["result_warnings"] if one["code"] == "nobody_found"]
+    (nobody,) = [one for one in job["warnings"] if one["code"] == "nobody_found"]
     assert nobody["evidence"]["reason"] in {"nobody_detected", "same_video"}
     assert nobody["message"].startswith("Nobody was found. ")
     with opened(f"{served.client.base_url}#/captures") as page:

@@ -100,7 +100,7 @@ def test_damaged_frames_are_told_in_job_and_its_results(service: Served, tmp_pat
     job = service.wait_for_end(post(service, capture(tmp_path, "left", range(20, 23)), **spec))
     assert job["state"] == "succeeded", job
     num_frames = 40 if "frame_range" in spec else 60
-    (told,) = [one for one in job["result_warnings"] if one["code"] == "damaged_video"]
+    (told,) = [one for one in job["warnings"] if one["code"] == "damaged_video"]
     assert f"left.mp4 (3 of {num_frames} frames, from 0.8 to 0.9 s)" in told["message"]
     metrics = service.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").json()
     assert {name: told[name] for name in ("code", "message")} in metrics["capture_checks"]

@@ -100,7 +100,7 @@ def test_service_gives_same_files(
     ]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])
     metrics = json.loads((tmp_path / "metrics.json").read_bytes())
-    assert job["warnings"] == [check.message for check in all_checks(metrics)]
+    assert job["warnings"] == [check.to_json() for check in all_checks(metrics)]
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 

@@ -212,7 +212,7 @@ def post(served: Served, jobs: str, frames: list[int]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_result_warnings_are_shown_without_useless_retry(page: Page, served: Served, sample: Sample) -> None:
+def test_warnings_are_shown_without_useless_retry(page: Page, served: Served, sample: Sample) -> None:
     cameras = read_calibration(sample.calibration)[:2]
     videos = [sample.videos[camera.name] for camera in cameras]
     files = [("videos", (path.name, path.read_bytes())) for path in videos]
@@ -221,8 +221,7 @@ def test_result_warnings_are_shown_without_useless_retry(page: Page, served: Ser
     session = served.client.post("/v1/sessions", files=[*files, manifest]).raise_for_status().json()
 
     done = post(served, session["links"]["jobs"], [0, 4])
-    assert done["result_warnings"][0]["code"] == "too_few_cameras"
-    assert done["result_warnings"][0]["message"] in done["warnings"]
+    assert "too_few_cameras" in [warning["code"] for warning in done["warnings"]]
     inputs = served.data_dir / "artifacts" / "sessions" / session["id"] / "inputs"
     for path in inputs.glob("*.mp4"):
         path.write_bytes(b"what a broken disk gives back")

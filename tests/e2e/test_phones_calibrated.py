@@ -108,7 +108,7 @@ def test_calibration_by_phones_serves_until_one_is_moved(
         assert download.value.path().read_text().startswith("HIERARCHY\nROOT Hips")
     assert walked["calibration_id"] is not None
     job = served.wait_for_end(refused["job_id"])
-    said = [*(job["error"] or {"errors": []})["errors"], *job["result_warnings"]]
+    said = [*(job["error"] or {"errors": []})["errors"], *job["warnings"]]
     assert [item["camera"] for item in said if item["code"] == "camera_disagrees"] == [MOVED]
     assert_error(served, used["session_id"], used["job_id"], tmp_path)
 

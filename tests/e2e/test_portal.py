@@ -200,9 +200,8 @@ def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: 
     state = row.locator(".state")
     expect(state).to_have_text("Done: nobody was found")
     expect(state).to_have_attribute("data-tone", "empty")
-    expect(row.get_by_role("list", name="Warnings of Empty room")).to_contain_text(
-        ended["result_warnings"][0]["message"]
-    )
+    warning = ended["warnings"][-1]["message"]
+    expect(row.get_by_role("list", name="Warnings of Empty room")).to_contain_text(warning)
 
 
 def test_incomplete_capture_is_not_sent(page: Page, keypoints: dict[str, Path]) -> None:

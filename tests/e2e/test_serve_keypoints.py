@@ -80,13 +80,13 @@ def test_same_files_as_without_service(
     session = open_keypoints(capture / "keypoints", capture / "calibration.json", capture / "timestamps.csv")
     config = ReconstructionConfig(method=method, smoothing=smoothing, cutoff_hz=5.0)
     write_results(reconstruct(session, config), tmp_path, exports, preset)
-    choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports, "bvh": preset}
+    choices = {"method": method, "smoothing": smoothing, "cutoff_hz": 5.0, "exports": exports, "preset": preset}
     spec = ("spec", (None, json.dumps(choices)))
     answer = served.client.post("/v1/jobs", files=[*files(capture), spec])
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
-    assert any("evidence" in warning for warning in job["warnings"]) == (method == "clustering")
+    assert ("bodies_clustered" in [warning["code"] for warning in job["warnings"]]) == (method == "clustering")
     before = ["check_session", *(["lengths", "poses"] if method == "clustering" else [])]
     assert [stage["name"] for stage in job["stages"]] == [
         *before,
@@ -149,7 +149,7 @@ def test_session_with_measured_clocks_has_same_files(served: Served, tmp_path: P
     job = served.wait_for_end(declared.json()["id"])
     assert job["state"] == "succeeded", job
     assert job["spec"]["sync"] == "declared"
-    (found,) = [one for one in job["result_warnings"] if one["code"] == "clocks_disagree"]
+    (found,) = [one for one in job["warnings"] if one["code"] == "clocks_disagree"]
     assert found["camera"] == late
 
 
@@ -174,7 +174,7 @@ def test_disturbed_calibration_is_refined_with_same_files(served: Served, tmp_pa
         "hold_feet",
         "export",
     ]
-    assert "calibration_refined" in [warning["code"] for warning in job["result_warnings"]]
+    assert "calibration_refined" in [warning["code"] for warning in job["warnings"]]
     assert served.downloads(job["id"]) == digests(results)
     assert (results / "calibration.json").exists()
 

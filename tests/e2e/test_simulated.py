@@ -80,7 +80,7 @@ def test_clustering_from_keypoint_files(tmp_path: Path) -> None:
     command = command_for(simulation, tmp_path, "--method", "clustering")
     said = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=120).stdout)
     assert len(said["tracks"]) == len(simulation.truth_m)
-    assert any("whole bodies" in warning for warning in said["warnings"])
+    assert "bodies_clustered" in [warning["code"] for warning in said["warnings"]]
     assert len(list((tmp_path / "out").glob("person-*.bvh"))) == len(simulation.truth_m)
     refused = subprocess.run([*command, "--tracking", "alpha_3d_m=0.2"], capture_output=True, check=False, timeout=120)
     assert refused.returncode == 2

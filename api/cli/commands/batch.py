@@ -127,7 +127,7 @@ def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) 
         "frames": metrics["num_frames"],
         "rate_hz": metrics["frame_rate_hz"],
         "reprojection_error_px": metrics["reprojection_error_px"]["median"],
-        "warnings": len(list(all_checks(metrics))) + len(session.warnings),
+        "warnings": len(list(all_checks(metrics))) + len(session.findings),
         "message": "",
     }
     files = [path.name for path in written.paths]

@@ -18,7 +18,7 @@ from api.cli.console import (
     print_table,
     reporting,
     require_writable,
-    show_layout,
+    show_session,
     warn,
     writing,
 )
@@ -111,8 +111,8 @@ def from_board(
         with rich_progress.Progress(console=console, disable=as_json, transient=True) as progress:
             if source.videos is not None:
                 session = source.open_videos(intrinsics, keeps_poses=False)
-                for sentence in () if as_json else session.warnings:
-                    warn(sentence)
+                if not as_json:
+                    show_session(session.findings, session.layout)
                 if timestamps is not None:
                     session = timed(session, timestamps)
                 views = list(in_videos(session, found, progress))
@@ -220,10 +220,8 @@ def from_people(
             session = source.open_videos(intrinsics, keeps_poses=False)
             detections = detect_people(session, config, bars.update, has_poses=False)
             joints = detection_joints(config)
-        for sentence in () if as_json else session.warnings:
-            warn(sentence)
         if not as_json:
-            show_layout(session.layout, session.warnings)
+            show_session(session.findings, session.layout)
         made = calibrate_people(
             session.cameras,
             session.times,

@@ -18,7 +18,7 @@ from api.cli.console import (
     print_table,
     reporting,
     show_findings,
-    show_layout,
+    show_session,
     warn,
     writing,
 )
@@ -156,9 +156,13 @@ def _document(contents: CameraFile, units: str | None) -> dict[str, Any]:
         "format": contents.format,
         "units": contents.unit or units or "m",
         "axes": contents.axes,
-        "notes": list(contents.notes),
+        "warnings": documents(_notes(contents)),
         "cameras": camera_documents(contents.cameras),
     }
+
+
+def _notes(contents: CameraFile) -> list[Finding]:
+    return [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
 
 
 @app.command()
@@ -187,7 +191,7 @@ def check(
         else:
             findings = _check(cameras, session, config, bars)
             if session is None:
-                findings += [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
+                findings += _notes(contents)
     if as_json:
         emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
     else:
@@ -201,9 +205,7 @@ def _check(
 ) -> list[Finding]:
     if session is None:
         return check_cameras(cameras)
-    for sentence in session.warnings:
-        warn(sentence)
-    show_layout(session.layout, session.warnings)
+    show_session(session.findings, session.layout)
     # The session has the cameras of the file, at the size of the videos.
     fitted = {camera.name: camera for camera in session.cameras}
     alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])

@@ -84,7 +84,7 @@ def command(
         )
     else:
         show_findings(findings, "Nothing is wrong with the session.")
-        show_layout(layout, [finding.message for finding in findings])
+        show_layout(findings, layout)
         if space is not None:
             console.print(sentence(space))
     if has_error(findings):

@@ -9,13 +9,15 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_layout, users_cache, warn
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, users_cache, warn
 from api.cli.options import ProviderOption, checked, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
 from pipeline.core.options.rules import config_problems, require
+from pipeline.core.problems.finding_codes import NOTHING_BLURRED
 from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.export.character.character_files import DESCRIPTION
 from pipeline.export.character.mapping import read_bone_table
@@ -137,10 +139,8 @@ def command(
             take_provider(provider)
         moved = _character(character, bones)
         session = source.open(calibration)
-        for warning in session.warnings:
-            warn(warning)
         if not as_json:
-            show_layout(session.layout, session.warnings)
+            show_session(session.findings, session.layout)
         sources = (calibration, *([] if source.timestamps is None else [source.timestamps]))
         kept = None if no_cache else cache or users_cache()
         require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
@@ -151,9 +151,11 @@ def command(
         )
     metrics, warnings = written.metrics, method_warnings(config, source.keypoints is None)
     if moved is not None:
-        warnings = (*warnings, *json.loads((out / DESCRIPTION).read_bytes())["notes"])
+        described = json.loads((out / DESCRIPTION).read_bytes())["warnings"]
+        warnings = (*warnings, *map(Finding.from_json, described))
     if config.blur_faces and not (config.overlay or config.report or "rerun" in config.exports):
-        warnings = (*warnings, "Faces are blurred in --overlay, --report and --exports rerun; none was asked for.")
+        message = "Faces are blurred in --overlay, --report and --exports rerun; none was asked for."
+        warnings = (*warnings, Finding(NOTHING_BLURRED, message))
     if as_json:
         emit(
             {
@@ -168,7 +170,7 @@ def command(
                 "space": document(space),
                 "timing_s": {**bars.seconds, "total": time.monotonic() - started_s},
                 "reused": bars.reused,
-                "warnings": [*session.warnings, *warnings],
+                "warnings": [finding.to_json() for finding in (*session.findings, *warnings)],
             }
         )
         return
@@ -176,7 +178,7 @@ def command(
     if forced := metrics.get("forced"):
         warn(f"The check of the session found errors: {', '.join(forced)}. The results may be wrong.")
     for warning in warnings:
-        warn(warning)
+        warn(warning.message)
     if bars.reused:
         parts = (f"{STAGE_BY_NAME[name].label} ({units})" for name, units in bars.reused.items())
         typer.echo(f"Reused from an earlier run: {', '.join(parts)}; --no-cache computes everything again.")

@@ -52,10 +52,8 @@ def command(
         console.require_writable(report and report / _REPORT)
         session = source.open(calibration)
         detections, joints = all_bodies(session, config, bars.update)
-        for sentence in () if as_json else session.warnings:
-            console.warn(sentence)
         if not as_json:
-            console.show_layout(session.layout, session.warnings)
+            console.show_session(session.findings, session.layout)
         found, sound = measured_clocks(session, detections, joints, bars.update)
         document = sync_document(found) | {"sound": sound_document(sound)}
         if report is not None:

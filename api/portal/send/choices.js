@@ -218,7 +218,7 @@ function boneList(character, id) {
         <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
         ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}` : nothing}
     </details>
-    ${character.notes.map((note) => html`<p class="quiet">${note}</p>`)}`;
+    ${character.warnings.map(({ message }) => html`<p class="quiet">${message}</p>`)}`;
 }
 
 function boneField(character, { joint, bone, is_required: isRequired }, id) {

@@ -1,7 +1,7 @@
 // Table of a capture's files: the camera of each, its timing, and how much of it is sent.
 
 import { count, percent, size } from "../shared/format.js";
-import { html, live, nothing, problemBox, repeat, typed, warningList } from "../shared/lit.js";
+import { html, live, nothing, problemBox, repeat, typed } from "../shared/lit.js";
 
 function rowState(row) {
   if (row.isSent) return "sent";
@@ -107,14 +107,12 @@ function buttons({ sending, numTakes, send, failed, change }) {
 
 function checkPart(sending) {
   if (sending.session === null) return nothing;
-  const { preflight } = sending.session;
-  const general = (preflight.findings ?? []).filter(({ camera }) => !sending.rows.some((row) => row.camera === camera && camera));
-  const known = new Set((preflight.findings ?? []).map(({ message }) => message));
-  const isFine = preflight.warnings.length === 0 && !preflight.findings?.length;
+  const { cameras, findings } = sending.session.preflight;
+  const general = findings.filter(({ camera }) => !sending.rows.some((row) => row.camera === camera && camera));
   return html`<div class="checked"><h2>The check</h2>
-    ${isFine ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
-    ${preflight.findings?.length && general.length === 0 ? html`<p>See the findings beside the files.</p>` : nothing}
-    ${findingList(general, preflight.cameras)}${warningList(preflight.warnings.filter((warning) => !known.has(warning)))}</div>`;
+    ${findings.length === 0 ? html`<p>Nothing speaks against a reconstruction.</p>` : nothing}
+    ${findings.length > 0 && general.length === 0 ? html`<p>See the findings beside the files.</p>` : nothing}
+    ${findingList(general, cameras)}</div>`;
 }
 
 // `numTakes` is the number of takes that wait. `send(options)` sends, `failed(problem)` hears of what could not be done,

@@ -398,7 +398,7 @@ class Sending extends EventTarget {
   }
 }
 
-const hasErrors = (session) => (session.preflight.findings ?? []).some(({ severity }) => severity === "error");
+const hasErrors = (session) => session.preflight.findings.some(({ severity }) => severity === "error");
 
 const newKey = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 

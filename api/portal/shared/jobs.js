@@ -14,14 +14,14 @@ export const hasEnded = (job) => ENDED.has(job.state);
 export const hasFiles = (job) => job.results_revision !== null && job.state !== "expired";
 // Whether something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
 export const isAtWork = (job) => !hasEnded(job) || (job.visuals_job !== null && !ENDED.has(job.visuals_job.state));
-const hasWarning = (job, wanted) => job.result_warnings.some(({ code }) => code === wanted);
+const hasWarning = (job, wanted) => job.warnings.some(({ code }) => code === wanted);
 const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
 export function jobState(job) {
   if (job.state === "succeeded" && foundNobody(job)) return { words: "Done: nobody was found", tone: "empty" };
   if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: "Done: the edits leave nobody", tone: "empty" };
-  if (job.state === "succeeded" && job.result_warnings.length) return { words: "Done, with warnings", tone: "warn" };
+  if (job.state === "succeeded" && job.warnings.some(({ severity }) => severity !== "info")) return { words: "Done, with warnings", tone: "warn" };
   const [words, tone] = STATES[job.state] ?? [job.state, "mute"];
   return { words: job.state === "running" ? `${words} ${percent(job.progress)}` : words, tone };
 }

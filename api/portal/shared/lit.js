@@ -80,5 +80,5 @@ export function problemBox(problem) {
 
 export function warningList(warnings, label = "Warnings") {
   if (!warnings?.length) return nothing;
-  return html`<ul class="warnings" aria-label=${label}>${warnings.map((warning) => html`<li>${warning}</li>`)}</ul>`;
+  return html`<ul class="warnings" aria-label=${label}>${warnings.map(({ message }) => html`<li>${message}</li>`)}</ul>`;
 }

@@ -21,7 +21,7 @@ export class FigureTabs {
       ...(gait ? [{ id: "gait", label: "Gait and movement", element: gait }] : []),
       { id: "cameras", label: "Cameras", element: camerasTable(description) },
       ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
-      ...(warnings.length > 0 ? [{ id: "warnings", label: `Warnings (${warnings.length})`, element: el("ul", { class: "look-warnings" }, warnings.map((warning) => el("li", {}, warning))) }] : []),
+      ...(warnings.length > 0 ? [{ id: "warnings", label: `Warnings (${warnings.length})`, element: el("ul", { class: "look-warnings" }, warnings.map(({ message }) => el("li", {}, message))) }] : []),
     ], tab);
   }
 

@@ -6,7 +6,7 @@ import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { count, length, moment, size } from "../shared/format.js";
 import { countCameraFrames, estimateTime, hasEnded } from "../shared/jobs.js";
-import { confirm, html, nothing, problemBox, repeat, warningList } from "../shared/lit.js";
+import { confirm, html, nothing, problemBox, repeat } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
 import { jobRow } from "./job_row.js";
@@ -31,9 +31,8 @@ function thumbnail(camera) {
 }
 
 function cameraTable(view, session) {
-  const { cameras, findings = [], warnings } = session.preflight;
+  const { cameras, findings } = session.preflight;
   const sizes = new Map(session.files.map(({ name, num_bytes: bytes }) => [name, bytes]));
-  const known = new Set(findings.map(({ message }) => message));
   // Pictures are loaded once they are seen.
   const isOpen = view.shown.has(session.id);
   const toggle = (event) => {
@@ -41,7 +40,7 @@ function cameraTable(view, session) {
     view.draw();
   };
   return html`<details class="cameras" @toggle=${toggle}>
-    <summary>Cameras${findings.length || warnings.length ? html` <span class="badge" data-tone="warn">${count(findings.length || warnings.length, "finding")}</span>` : nothing}</summary>
+    <summary>Cameras${findings.length ? html` <span class="badge" data-tone="warn">${count(findings.length, "finding")}</span>` : nothing}</summary>
     <div class="scroll" role="group" aria-label="Cameras of ${session.name}" tabindex="0"><table>
       <thead><tr><th scope="col">Camera</th><th scope="col">File</th><th scope="col">Picture</th><th scope="col">Rate</th><th scope="col">Frames</th><th scope="col">Starts at</th><th scope="col">Size</th></tr></thead>
       <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
@@ -50,7 +49,6 @@ function cameraTable(view, session) {
         ${findingList(findings.filter((finding) => finding.camera === camera.name), cameras, (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
     </table></div>
     ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)), cameras)}
-    ${warningList(warnings.filter((warning) => !known.has(warning)), `Warnings about the files of ${session.name}`)}
   </details>`;
 }
 

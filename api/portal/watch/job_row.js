@@ -38,7 +38,7 @@ export function errorBox(job) {
 // Outage that a job waits for; it continues by itself.
 export function waitingBox(job) {
   const outage = job.waiting_for;
-  return outage ? warningList([`${outage.detail} ${outage.hint}`], "Waiting") : nothing;
+  return outage ? warningList([{ message: `${outage.detail} ${outage.hint}` }], "Waiting") : nothing;
 }
 
 // `number`: place of the job among its capture's jobs, from 1; null if it is the only one.

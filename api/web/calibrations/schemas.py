@@ -8,7 +8,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from api.web.jobs.schemas import JobError
 from api.web.sessions.schemas import CameraManifest, Up
@@ -204,7 +204,7 @@ class CalibrationOut(ResponseModel):
         description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job.",
         examples=[{"file": "Calib.toml", "format": "TOML", "units": "m"}],
     )
-    warnings: tuple[str, ...] = Field(description="Warnings about the file, or of the report.", examples=[[]])
+    warnings: tuple[FindingOut, ...] = Field(description="Warnings about the file, or of the report.")
     cameras: tuple[CalibratedCamera, ...] = Field(description="Cameras; none until the calibration is ready.")
     sha256: str | None = Field(
         description="SHA-256 of the file in Multicap's format: calibrations with equal cameras have equal ones. Null "
@@ -222,14 +222,13 @@ class CalibrationOut(ResponseModel):
         """Build the response from a calibration."""
         address = f"/v1/calibrations/{calibration.id}"
         is_ready, has_job = calibration.files is not None, calibration.job_state is not None
-        notes = calibration.source.get("notes", ())
         text = None if calibration.files is None else calibration.files["multicap"]
-        found = (calibration.report or {}).get("warnings", ())
+        warnings = (calibration.report or calibration.source).get("warnings", ())
         return cls.from_record(
             calibration,
             state="ready" if is_ready else _STATES[calibration.job_state],
-            source={name: value for name, value in calibration.source.items() if name != "notes"},
-            warnings=(*notes, *(warning["message"] for warning in found)),
+            source={name: value for name, value in calibration.source.items() if name != "warnings"},
+            warnings=tuple(map(FindingOut.model_validate, warnings)),
             cameras=() if text is None else _cameras(text),
             sha256=None if text is None else hashlib.sha256(text.encode()).hexdigest(),
             error=calibration.problem,

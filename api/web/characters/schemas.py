@@ -6,7 +6,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
 from worker.store.model.character_records import Character, CharacterSummary
 
@@ -141,8 +141,8 @@ class CharacterOut(CharacterSummaryOut):
     at_rest: tuple[str, ...] = Field(
         description="Bones without a counterpart, which stay at rest.", examples=[["tail"]]
     )
-    notes: tuple[str, ...] = Field(
-        description="Sentences about hands and feet that hang elsewhere than on their limbs.", examples=[[]]
+    warnings: tuple[FindingOut, ...] = Field(
+        description="Warnings about hands and feet that hang elsewhere than on their limbs."
     )
     skeleton: tuple[BoneOut, ...] = Field(description="All bones, parents before their children.")
     corrections: dict[str, str | None] = Field(

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
-from api.web.contract.examples import ID, TIME, WARNING
+from api.web.contract.examples import ID, TIME
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
 from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.code_group import Code
@@ -106,10 +106,6 @@ class AttemptList(ResponseModel):
     attempts: tuple[AttemptOut, ...]
 
 
-class WarningOut(FindingOut):
-    """Warning about a result."""
-
-
 class JobLinks(ResponseModel):
     """Paths of a job and of everything that belongs to it."""
 
@@ -197,11 +193,8 @@ class JobOut(ResponseModel):
         description="Outage that the job waits for, such as `artifacts_unavailable`: a part of the service does not "
         "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
     )
-    warnings: tuple[str, ...] = Field(
-        description="Warnings about the files, the choices and, once finished, the result.", examples=[[WARNING]]
-    )
-    result_warnings: tuple[WarningOut, ...] = Field(
-        description="Warnings about the result with codes, such as `nobody_found`; `/help/problems` lists all codes."
+    warnings: tuple[FindingOut, ...] = Field(
+        description="Warnings about the files, the choices and, once finished, the result, such as `nobody_found`."
     )
     space: SpaceOut | None = Field(
         default=None,
@@ -262,7 +255,7 @@ class EndedJob(ResponseModel):
     session_id: Id
     state: JobState = Field(description="State of the job at its end.", examples=["succeeded"])
     attempt: int = Field(description="Number of the attempt that ended.")
-    warnings: tuple[str, ...] = Field(description="Warnings of the job.", examples=[[WARNING]])
+    warnings: tuple[FindingOut, ...] = Field(description="Warnings of the job.")
 
 
 class JobEnded(ResponseModel):

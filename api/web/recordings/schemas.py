@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from api.web.calibrations.schemas import BOARD_PATTERN
 from api.web.contract.examples import ID
-from api.web.contract.schemas import Id, NextCursor, ResponseModel, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.core.problems.request_codes import WRONG_FORMAT
@@ -249,7 +249,6 @@ class TakeSessionOut(ResponseModel):
         description="Declared offset of each camera's first frame from the start of the take, in seconds.",
         examples=[{"Phone 1": 0.0124, "Phone 2": 0.0311}],
     )
-    left_out: tuple[str, ...] = Field(
-        description="Sentences about phones without a clip, and about parts that are not in the session.",
-        examples=[["Phone 3 has sent no clip of this take."]],
+    warnings: tuple[FindingOut, ...] = Field(
+        description="Warnings about phones without a clip, and about parts that are not in the session."
     )

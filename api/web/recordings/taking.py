@@ -10,6 +10,7 @@ from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 
 from api.web.calibrations import intake
+from api.web.contract.schemas import FindingOut
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.field_places import NO_PLACES
@@ -27,6 +28,8 @@ from api.web.sessions.schemas import (
     UploadedCapture,
     UploadedSession,
 )
+from pipeline.core.findings import Finding
+from pipeline.core.problems.finding_codes import CLIP_NOT_SENT, CLIP_OUTSIDE_TAKE, CLIP_PART_LEFT_OUT
 from pipeline.core.problems.request_codes import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import ClipFile, RecordingSession, RecordingTake, TakeState
@@ -46,14 +49,14 @@ class TakeVideos:
         Part of a clip of each camera that is used, by the name of its phone.
     names
         Names of the files, by the name of the phone.
-    left_out
-        Sentences about what is not used.
+    warnings
+        Findings about clips that are not used.
     """
 
     files: Mapping[str, ClipFile]
     names: Mapping[str, str]
     offsets_s: Mapping[str, float]
-    left_out: tuple[str, ...]
+    warnings: tuple[Finding, ...]
 
     def cameras(self) -> tuple[CameraManifest, ...]:
         """Cameras with the offsets of their first frames."""
@@ -73,28 +76,29 @@ def take_videos(recording: RecordingSession, take: RecordingTake) -> TakeVideos:
 
     Raises ``ApiError`` if no phone has sent a clip of the take.
     """
-    files, names, left_out = dict[str, ClipFile](), dict[str, str](), list[str]()
+    files, names, warnings = dict[str, ClipFile](), dict[str, str](), list[Finding]()
     for phone in recording.phones:
         clip = take.clip(phone.number)
         if clip is None or clip.longest is None:
             if clip is not None or not phone.is_removed:
-                left_out.append(f"{phone.name} has sent no clip of this take.")
+                warnings.append(Finding(CLIP_NOT_SENT, f"{phone.name} has sent no clip of this take.", phone.name))
             continue
         if not -_MAX_BESIDE_S <= clip.longest.first_frame_s - take.start_s <= take.duration_s + _MAX_BESIDE_S:
-            left_out.append(f"{phone.name}: its first frame is not within the take; its clock is wrong.")
+            message = f"{phone.name}: its first frame is not within the take; its clock is wrong."
+            warnings.append(Finding(CLIP_OUTSIDE_TAKE, message, phone.name))
             continue
         used = files[phone.name] = clip.longest
         names[phone.name] = f"phone-{phone.number}{_ending(used)}"
-        left_out += [
-            f"{phone.name}: part {file.part} with {file.duration_s:.1f} s is left out; part {used.part} is longer."
-            for file in clip.files
-            if file is not used
-        ]
+        for file in clip.files:
+            if file is not used:
+                message = f"part {file.part} with {file.duration_s:.1f} s is left out; part {used.part} is longer."
+                warnings.append(Finding(CLIP_PART_LEFT_OUT, f"{phone.name}: {message}", phone.name))
     if not files:
         hint = "Ask the phones for it by `upload`, and wait until they have sent it."
-        raise ApiError(CLIPS_MISSING, " ".join(["There is no clip of this take.", *left_out]), hint=hint)
+        reasons = (warning.message for warning in warnings)
+        raise ApiError(CLIPS_MISSING, " ".join(["There is no clip of this take.", *reasons]), hint=hint)
     offsets_s = {phone: round(file.first_frame_s - take.start_s, 6) for phone, file in files.items()}
-    return TakeVideos(files, names, offsets_s, tuple(left_out))
+    return TakeVideos(files, names, offsets_s, tuple(warnings))
 
 
 def used_take(recording: RecordingSession, number: int, now_s: float) -> RecordingTake:
@@ -281,7 +285,7 @@ def _made(session_id: str, job_id: str | None, checked: CheckedSession, videos: 
         session_id=session_id,
         job_id=job_id,
         cameras={recording.camera: recording.offset_s for recording in checked.preflight.recordings},
-        left_out=() if videos is None else videos.left_out,
+        warnings=() if videos is None else tuple(map(FindingOut.from_record, videos.warnings)),
     )
     return Answer(201, {"Location": f"/v1/sessions/{session_id}"}, body.model_dump_json())
 

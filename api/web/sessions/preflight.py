@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from api.web.errors import ApiError, ErrorItem
 from api.web.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.core.findings import Finding
 from pipeline.core.problems.request_codes import PREFLIGHT_FAILED, PREFLIGHT_TIMEOUT
 from pipeline.core.runtime.resources import lower_priority
 
@@ -116,7 +117,7 @@ class CharacterBones(BaseModel):
     neck: tuple[str, ...]
     twists: dict[str, str]
     at_rest: tuple[str, ...]
-    notes: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     skeleton: tuple[SkeletonBone, ...]
 
 
@@ -129,8 +130,10 @@ class CalibrationContents(BaseModel):
 
     Parameters
     ----------
-    format, units, axes, notes
+    format, units, axes
         See ``pipeline.calibration.contents.CameraFile``.
+    warnings
+        Findings about the file.
     files
         The calibration in metres: text by format.
     """
@@ -140,7 +143,7 @@ class CalibrationContents(BaseModel):
     format: str
     units: str
     axes: str
-    notes: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     files: dict[str, str]
 
 

@@ -9,7 +9,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from api.web.contract.examples import ID, SHA256, WARNING
+from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, printable_name
 from api.web.http.bodies import form_kinds
 from pipeline.capture.preflight_record import Clock
@@ -322,10 +322,7 @@ class PreflightOut(ResponseModel):
 
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
     timebase: TimebaseOut = Field(description="Clock of the output frames.")
-    warnings: tuple[str, ...] = Field(description="Sentences of the findings.", examples=[[WARNING]])
-    findings: tuple[FindingOut, ...] = Field(
-        default=(), description="Findings of the check; none for sessions of versions that had sentences only."
-    )
+    findings: tuple[FindingOut, ...] = Field(description="Findings of the check.")
     layout: LayoutOut | None = Field(
         default=None, description="Layout of keypoints whose files do not name their points; null for others."
     )

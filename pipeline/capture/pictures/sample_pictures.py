@@ -119,8 +119,7 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
         listed = () if is_left_out else error.problems
         # Detection allows for some damaged frames, which these may be.
         severity: Severity = "warning" if figures else "error"
-        found = (from_problem(replace(problem, camera=camera)) for problem in listed)
-        problems += [replace(finding, severity=severity) for finding in found]
+        problems += [from_problem(replace(problem, camera=camera), severity) for problem in listed]
     except ChildError:
         # The decoder was ended from outside, such as for lack of memory: no reason to refuse the session.
         is_left_out = True

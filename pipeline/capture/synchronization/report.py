@@ -8,7 +8,8 @@ from typing import Any
 
 from pipeline.capture.synchronization.sound_offsets import SoundOffsets
 from pipeline.core.data.cameras import CameraClock, ClockEvidence, Synchronization
-from pipeline.core.errors import Problem, listed
+from pipeline.core.errors import listed
+from pipeline.core.findings import from_problem
 
 
 def sync_document(synchronization: Synchronization) -> dict[str, Any]:
@@ -21,8 +22,8 @@ def sync_document(synchronization: Synchronization) -> dict[str, Any]:
         },
         "rates": {clock.camera: round(clock.rate, 9) for clock in clocks},
         "certain": synchronization.is_certain,
-        "refusals": _problems(synchronization.refusals),
-        "warnings": _problems(synchronization.warnings),
+        "refusals": [from_problem(refusal).to_json() for refusal in listed(synchronization.refusals)],
+        "warnings": [from_problem(warning, "warning").to_json() for warning in listed(synchronization.warnings)],
         "evidence": {
             pair.camera: {
                 "offsets_s": [round(value, 4) for value in pair.offsets_s],
@@ -40,13 +41,6 @@ def sound_document(sound: SoundOffsets) -> dict[str, Any]:
         "uncertainty_s": {name: round(value, 6) for name, value in sound.sigma_s.items()},
         "reasons": dict(sound.reasons),
     }
-
-
-def _problems(problems: Sequence[Problem]) -> list[dict[str, Any]]:
-    return [
-        {"code": problem.code, "message": problem.message, "camera": problem.camera, "hint": problem.hint}
-        for problem in listed(problems)
-    ]
 
 
 _WIDTH, _HEIGHT, _MARGIN = 640, 240, 36

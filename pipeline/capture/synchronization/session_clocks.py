@@ -160,7 +160,7 @@ def on_measured_clocks(session: Session, synchronization: Synchronization) -> Se
 def clock_findings(synchronization: Synchronization) -> Iterator[Finding]:
     """Findings of a synchronisation: why the clocks are not certain, or what they are."""
     yield from map(from_problem, synchronization.refusals)
-    yield from (replace(from_problem(warning), severity="warning") for warning in synchronization.warnings)
+    yield from (from_problem(warning, "warning") for warning in synchronization.warnings)
     for clock in synchronization.clocks if synchronization.is_certain else ():
         message = f"The camera's own time 0 is {clock.offset_s:+.4f} s of the session's time, as measured."
         hint = "Reconstruct with sync: auto, which measures the same, or declare this offset."

@@ -8,7 +8,7 @@ from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Refinement, Synchronization, Timebase
 from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import Doubt, Observations, PersonLoss, Track3D
-from pipeline.core.findings import SessionCheck
+from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.joints import JointOffsets, JointSet
 from pipeline.core.options.providers import ProviderName
 
@@ -28,7 +28,7 @@ class Reconstruction:
     animation
         Final tracks and skeletons, in the same order.
     warnings
-        Sentences for the user.
+        Findings about the files and the choices.
     num_approximate_frames
         Number of output frames that exceeded a limit of the exact methods of association.
     damaged
@@ -67,7 +67,7 @@ class Reconstruction:
     located: Sequence[Track3D]
     observations: Sequence[Observations]
     animation: Animation
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[Finding, ...] = ()
     num_approximate_frames: int = 0
     damaged: tuple[DamagedVideo, ...] = ()
     doubts: Sequence[Sequence[Doubt]] = ()

@@ -10,10 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Literal, cast, get_args
 
+from pipeline.core.findings import Finding
 from pipeline.core.options.choices import About, Network, OtherNames, Value, declared_choices, named_values
 from pipeline.core.options.edits import PeopleEdit, without_names
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.core.problems.finding_codes import BODIES_CLUSTERED, OVERLAY_WITHOUT_VIDEOS
 
 MAX_OUTPUT_FRAMES = 1_000_000
 """Frames of a session, and of the motion in result files: duration x frame rate. More than two hours at 120 Hz."""
@@ -356,13 +358,15 @@ class ReconstructionConfig(JobChoices):
         return self.is_of_people and self.method == "tracking" and self.appearance == "on"
 
 
-def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[str, ...]:
-    """Warnings about choices for a session of videos or of keypoints, a sentence each."""
+def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[Finding, ...]:
+    """Warnings about choices for a session of videos or of keypoints."""
     found = []
     if config.method == "clustering" and not (has_videos and config.uses_fields):
-        found.append("Clustering has no part affinity fields here. It connects joints that one detection has together.")
+        message = "Clustering has no part affinity fields here. It connects joints that one detection has together."
+        found.append(Finding(BODIES_CLUSTERED, message))
     if config.overlay and not has_videos:
-        found.append("Overlay videos need videos; a capture of keypoints has none.")
+        message = "Overlay videos need videos; a capture of keypoints has none."
+        found.append(Finding(OVERLAY_WITHOUT_VIDEOS, message))
     return tuple(found)
 
 

@@ -71,8 +71,13 @@ leave the camera out."""
 PICTURES_LEFT_OUT = FILES.code("pictures_left_out", "finding")
 """The service had no time or memory to look at all pictures. | Send the session again when the service is less busy to
 have all pictures looked at."""
-SESSION_WARNING = FILES.code("session_warning", "finding")
-"""A warning of a version that had sentences only. | Read `message`."""
+CLIP_NOT_SENT = FILES.code("clip_not_sent", "finding")
+"""A phone has sent no clip of a take, which is made without it. | Ask the phone for its clip, then make the session
+again."""
+CLIP_OUTSIDE_TAKE = FILES.code("clip_outside_take", "finding")
+"""The first frame of a phone's clip is not within the take. | Check the clock of the phone."""
+CLIP_PART_LEFT_OUT = FILES.code("clip_part_left_out", "finding")
+"""A phone's clip has several parts, of which the longest is used. | Record the take again if a missing part matters."""
 
 PEOPLE = CodeGroup(
     "Findings about people",
@@ -165,7 +170,7 @@ PIPELINE_ERROR = JOBS.code("pipeline_error", "job", "command")
 
 WARNINGS = CodeGroup(
     "Warnings of a result",
-    "Codes of `result_warnings` of a job, and of `capture_checks` and `world_checks` in `metrics.json`. The "
+    "Codes of `warnings` of a job, and of `capture_checks` and `world_checks` in `metrics.json`. The "
     "result files exist, but the capture or the calibration may be wrong.",
 )
 
@@ -174,6 +179,14 @@ NOBODY_FOUND = WARNINGS.code("nobody_found", "warning", "finding")
 same time."""
 EVERYBODY_REMOVED = WARNINGS.code("everybody_removed", "warning")
 """Edits removed everybody who was found. | Undo an edit: `PATCH /v1/jobs/{id}/people` with the list without it."""
+BODIES_CLUSTERED = WARNINGS.code("bodies_clustered", "warning", "command")
+"""Clustering got whole bodies, in which it connects joints of one detection only. | Use a
+detector of part affinity fields with videos, or `method: tracking`."""
+OVERLAY_WITHOUT_VIDEOS = WARNINGS.code("overlay_without_videos", "warning", "command")
+"""Overlay videos were asked for, and the session has keypoints alone. | Send the videos, or omit `overlay`."""
+BONE_HANGS_ELSEWHERE = WARNINGS.code("bone_hangs_elsewhere", "warning", "command")
+"""A hand or a foot of the character is not below its limb in the file. Its place is animated too. | Look at the motion
+of this hand or foot."""
 TAKE_TOO_LARGE = WARNINGS.code("take_too_large", "warning")
 """A file with the whole take would be larger than its format allows; the files of the people are there. | Ask for fewer
 frames by `frame_range`, or for a lower `output_rate_hz`."""
@@ -371,6 +384,9 @@ PARAMETER_RANGE = COMMANDS.code("parameter_range", "command")
 """The value of the parameter is not allowed. | Use an allowed value."""
 PARAMETER_UNREADABLE = COMMANDS.code("parameter_unreadable", "command")
 """The option is not NAME=NUMBER, or not WIDTHxHEIGHT. | Write it as in the hint."""
+NOTHING_BLURRED = COMMANDS.code("nothing_blurred", "command")
+"""Blurred faces were asked for, without files that show faces. | Add `--overlay`, `--report` or `--exports rerun`, or
+omit `--blur-faces`."""
 NO_REFINEMENT = COMMANDS.code("no_refinement", "command")
 """The evaluation refines calibrations from whole bodies only. | Use `--evidence bodies`, or omit `--turn`, `--shift`
 and `--refine-calibration`."""

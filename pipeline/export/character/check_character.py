@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.findings import documents
 from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
 from pipeline.core.runtime.checking import print_answer
 from pipeline.export.character.bone_names import REQUIRED
@@ -78,7 +79,7 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         "neck": list(mapping.neck),
         "twists": dict(mapping.twists),
         "at_rest": list(mapping.at_rest),
-        "notes": list(mapping.notes),
+        "warnings": documents(mapping.warnings),
         "skeleton": _skeleton(figure),
     }
 

@@ -16,7 +16,9 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.core.errors import InputError, Problem, listed_names, printable
+from pipeline.core.findings import Finding, documents
 from pipeline.core.parsing import UnreadableError, read_json
+from pipeline.core.problems.finding_codes import BONE_HANGS_ELSEWHERE
 from pipeline.core.problems.session_codes import BONES_INVALID, CHARACTER_BONES
 from pipeline.export.character import bone_names
 from pipeline.export.character.bone_shapes import joints_by_shape
@@ -47,7 +49,7 @@ class BoneMapping:
     twists: Mapping[str, str]  # Bones that share the twist of a limb, with the joint at the end of the limb
     missing: tuple[str, ...]  # Joints without a bone
     at_rest: tuple[str, ...]  # Bones that stay at rest
-    notes: tuple[str, ...]  # Sentences about hands and feet that hang elsewhere than on their limbs
+    warnings: tuple[Finding, ...]  # About hands and feet that hang elsewhere than on their limbs
 
     def document(self) -> dict[str, Any]:
         """Mapping as JSON; ``bones`` is a table that ``read_bone_table`` reads, null for joints without a bone."""
@@ -60,7 +62,7 @@ class BoneMapping:
             "twists": dict(self.twists),
             "missing": list(self.missing),
             "at_rest": list(self.at_rest),
-            "notes": list(self.notes),
+            "warnings": documents(self.warnings),
         }
 
 
@@ -232,18 +234,19 @@ def _completed(
         {rig.names[node]: joint for node, joint in twists.items()},
         tuple(joint for joint in bone_names.OPTIONAL if joint not in of_joints),
         tuple(rig.names[node] for node in rig.bones if node not in used),
-        tuple(_note(own, rig, joints[joint]) for joint in moved),
+        tuple(_hangs_elsewhere(own, rig, joints[joint]) for joint in moved),
     )
 
 
-def _note(own: CharacterRig, rig: CharacterRig, node: int) -> str:
-    """Sentence about an end of a limb that hangs elsewhere in the file."""
+def _hangs_elsewhere(own: CharacterRig, rig: CharacterRig, node: int) -> Finding:
+    """Finding about an end of a limb that hangs elsewhere in the file."""
     above = int(own.parents[node])
     place = "at the top of the file" if above < 0 else f"on {printable(own.names[above])}"
     end, limb = (printable(rig.names[bone]) for bone in (node, rig.parents[node]))
-    return (
+    message = (
         f"The bone {end} is not below {limb}: it hangs {place}. Its place is animated too, so that it follows the limb."
     )
+    return Finding(BONE_HANGS_ELSEWHERE, message, severity="info")
 
 
 def _twists(rig: CharacterRig, joints: Mapping[str, int]) -> dict[int, str]:

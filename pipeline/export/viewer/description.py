@@ -191,8 +191,9 @@ class ViewerMotion:
             },
             "reprojection_error_px": self._report["reprojection_error_px"],
             "warnings": [
-                *take.warnings,
-                *(check["message"] for check in (*self._report["capture_checks"], *self._report["world_checks"])),
+                *(finding.to_json() for finding in take.warnings),
+                *self._report["capture_checks"],
+                *self._report["world_checks"],
             ],
             "strips": {
                 "frames_per_bucket": frames_a_bucket(take.timebase.num_frames),

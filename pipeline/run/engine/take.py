@@ -45,7 +45,7 @@ def assemble(context: stage.Context) -> Reconstruction:
         located=people.tracks,
         observations=people.observations,
         animation=animation,
-        warnings=session.warnings,
+        warnings=tuple(session.findings),
         num_approximate_frames=people.num_approximate_frames,
         damaged=identified.damaged,
         doubts=people.doubts,

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 
 from pipeline.core.errors import PipelineError, listed
-from pipeline.core.findings import Finding
+from pipeline.core.findings import Finding, from_problem
 from pipeline.core.options.job_choices import BOARD_FRAMES, CalibrationChoices
 from pipeline.run.engine.stage import CALIBRATE, DETECT, FIND_BOARD, LOOK, Context, Output, ResultFile, Stage, Task
 
@@ -85,10 +85,7 @@ def calibrate(task: Task, context: Context) -> Output:
         path.write_text(content, encoding="utf-8")
         kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
         files.append(ResultFile(name, kind, None, _MEDIA_TYPES[path.suffix], path))
-    warnings = tuple(
-        Finding(problem.code, str(problem), problem.camera, hint=problem.hint)
-        for problem in listed(calibration.warnings)
-    )
+    warnings = tuple(from_problem(problem, "warning") for problem in listed(calibration.warnings))
     made = {"files": texts, "report": report}
     return Output(texts["multicap"].encode(), tuple(files), (*warnings, *hanging), calibration=made)
 

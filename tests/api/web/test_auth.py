@@ -109,7 +109,7 @@ def character_of(live: Live, records: TenantRecords) -> str:
         "neck": [],
         "twists": {},
         "at_rest": [],
-        "notes": [],
+        "warnings": [],
         "skeleton": [],
     }
     character_id = records.characters.reserve_id()

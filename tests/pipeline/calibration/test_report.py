@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.calibration.report import CalibrationResult, CameraReport, report_document
 from pipeline.core.errors import Problem
+from pipeline.core.findings import from_problem
 from pipeline.core.problems.finding_codes import FEW_VIEWS
 
 
@@ -17,6 +18,4 @@ def test_report_as_json_has_no_number_that_is_not_finite() -> None:
     assert document["reprojection_error_px"] is None
     assert document["cameras"][0]["focal_px"] == 1012.5
     assert document["cameras"][0]["position_sigma_mm"] is None
-    assert document["warnings"] == [
-        {"code": "few_views", "message": "30 views of 8 cameras.", "camera": "cam_1", "hint": "Film the corners."}
-    ]
+    assert document["warnings"] == [from_problem(doubt, "warning").to_json()]

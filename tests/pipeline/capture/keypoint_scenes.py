@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
+from pipeline.capture.session import Session
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError
 from pipeline.validation.simulation.scenes import Simulation
@@ -21,6 +22,10 @@ def problems_of(scene: Path, timed: bool = True, frame_rate_hz: float | None = N
     with pytest.raises(InputError) as raised:
         opened(scene, timed, frame_rate_hz)
     return {problem.code: str(problem) for problem in raised.value.problems}
+
+
+def messages(session: Session) -> list[str]:
+    return [finding.message for finding in session.findings]
 
 
 def split_frames(scene: Path, camera: int = 0) -> list[Path]:

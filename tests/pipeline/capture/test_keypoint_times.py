@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.core.errors import InputError
 from pipeline.validation.simulation.scenes import Simulation
-from tests.pipeline.capture.keypoint_scenes import opened, problems_of, split_frames
+from tests.pipeline.capture.keypoint_scenes import messages, opened, problems_of, split_frames
 
 
 @pytest.mark.parametrize(
@@ -200,5 +200,5 @@ def test_open_keypoints_refuses_times_since_1970(scene: Path) -> None:
 
 def test_open_keypoints_reports_milliseconds_as_numbers(scene: Path) -> None:
     renumbered(scene, lambda number: 40 * number)
-    (warning,) = opened(scene, timed=False, frame_rate_hz=25.0).warnings
+    (warning,) = messages(opened(scene, timed=False, frame_rate_hz=25.0))
     assert warning == "Frame numbers are at least 40 apart, which is 1.6 s at 25 Hz."

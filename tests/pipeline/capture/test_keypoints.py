@@ -15,13 +15,13 @@ from pipeline.capture.preflight_npz import encode_record
 from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, COCO_17, COCO_18
 from pipeline.validation.simulation.scenes import Simulation
-from tests.pipeline.capture.keypoint_scenes import edit, frame_with_people, opened, problems_of, split_frames
+from tests.pipeline.capture.keypoint_scenes import edit, frame_with_people, messages, opened, problems_of, split_frames
 
 
 def test_simulated_truth_comes_back(scene: Path, simulation: Simulation) -> None:
     session = opened(scene)
     assert session.joints == COCO_17
-    assert session.warnings == ()
+    assert session.findings == ()
     assert session.timebase.start_time_s == 0.0
     for camera in simulation.cameras:
         ours, theirs = simulation.detections[camera.name], session.detections[camera.name]
@@ -104,14 +104,14 @@ def test_camera_that_saw_nobody_is_said(scene: Path) -> None:
         path.write_text('{"people": []}')
     session = opened(scene)
     camera = split_frames(scene)[0].parent.name
-    assert session.warnings == (f"Camera {camera} saw nobody.",)
+    assert messages(session) == [f"Camera {camera} saw nobody."]
     assert len(session.detections[camera].frame) == 0
 
 
 def test_other_files_are_ignored_and_said(scene: Path) -> None:
     (split_frames(scene)[0].parent / "notes.txt").write_text("hello")
     (scene / "keypoints" / "readme.md").write_text("hello")
-    warnings = opened(scene).warnings
+    warnings = messages(opened(scene))
     assert any("notes.txt" in warning for warning in warnings)
     assert any("readme.md" in warning for warning in warnings)
 
@@ -165,7 +165,7 @@ def test_folders_of_other_names_are_paired_in_order(scene: Path, simulation: Sim
         folder.rename(folder.with_name(f"view{k}"))
     assert "pairing_unknown" in problems_of(scene)
     session = open_keypoints(scene / "keypoints", scene / "calibration.json", frame_rate_hz=25.0, pair_by_order=True)
-    assert any("by the order of their names" in warning for warning in session.warnings)
+    assert any("by the order of their names" in warning for warning in messages(session))
     assert set(session.detections) == {camera.name for camera in simulation.cameras}
 
 
@@ -187,7 +187,7 @@ def test_cameras_without_folder_are_left_out(scene: Path) -> None:
     session = opened(scene, timed=False, frame_rate_hz=25.0)
     assert "ceiling" not in {camera.name for camera in session.cameras}
     assert len(session.cameras) == len(session.detections) == len(rig["cameras"]) - 1
-    assert any("ceiling" in warning for warning in session.warnings)
+    assert any("ceiling" in warning for warning in messages(session))
 
 
 def test_calibration_without_sizes_is_refused(scene: Path) -> None:
@@ -230,7 +230,7 @@ def test_people_without_joint_are_left_out(scene: Path, simulation: Simulation) 
 def test_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
     for path in (scene / "keypoints").rglob("*.json"):
         with_people(path, 3, [0.0] * 51)
-    assert [warning for warning in opened(scene).warnings if "saw nobody" in warning]
+    assert [warning for warning in messages(opened(scene)) if "saw nobody" in warning]
 
 
 def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:
@@ -321,8 +321,8 @@ def test_open_keypoints_uses_files_beside_folders(scene: Path) -> None:
     (scene / "keypoints" / "other.csv").write_text("")
     folder = scene / "keypoints"
     session = open_keypoints(folder, folder / "calibration.json", folder / "timestamps.csv")
-    assert session.warnings == ("other.csv is ignored: it is not a folder.",)
+    assert messages(session) == ["other.csv is ignored: it is not a folder."]
     copied = open_keypoints(folder, folder / "calibration.json", copy(folder / "timestamps.csv", scene))
-    assert copied.warnings == session.warnings
+    assert copied.findings == session.findings
     unread = open_keypoints(folder, folder / "calibration.json", frame_rate_hz=25.0)
-    assert any("timestamps.csv are not used: state the file" in warning for warning in unread.warnings)
+    assert any("timestamps.csv are not used: state the file" in warning for warning in messages(unread))

@@ -14,7 +14,7 @@ PRINTED = (
     '"frame_rate_hz": 29.97002997002997, "num_frames": 1, "start_time_s": 0.0, "media_type": null, '
     '"media_start_s": 0.0}], '
     '"timebase": {"start_time_s": 0.04, "frame_rate_hz": 29.97002997002997, "num_frames": 300}, '
-    '"stretches": [[0, 100], [200, 300]], "warnings": ["The clocks drift."], '
+    '"stretches": [[0, 100], [200, 300]], '
     '"recordings": [{"camera": "cam_0", "file": null, "offset_s": 0.48, "frame_rate_hz": null}], "units": "mm", '
     '"findings": [{"code": "clock_drift", "message": "The clocks drift.", "camera": null, "severity": "warning", '
     '"hint": null, "evidence": {"drift_ppm": 100.0}}]}'

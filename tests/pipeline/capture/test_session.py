@@ -18,6 +18,7 @@ from pipeline.capture.preflight_npz import decode_session, encode_session
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
+from tests.pipeline.capture.keypoint_scenes import messages
 from tests.pipeline.media import rewrite_packets, write_audio, write_video
 from tests.pipeline.video.corpus import write_clip
 from tests.pipeline.video.images.test_images import as_folder, as_zip, image
@@ -74,7 +75,7 @@ def test_frames_that_repeat_time_are_said(folder: Path, tmp_path: Path) -> None:
     rewrite_packets(good, folder / "a.mkv", repeat)
     shutil.copy(good, folder / "b.mkv")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
-    left_out, missing = session.warnings
+    left_out, missing = messages(session)
     assert left_out == "a.mkv: 1 frame is left out, because another frame has the same timestamp."
     assert "1 frame is missing, at 0.24 s" in missing
 
@@ -94,9 +95,9 @@ def test_pixels_that_are_not_square_and_fields_are_said(tmp_path: Path) -> None:
     for camera in session.cameras:
         assert camera.size_px == (128, 64)
         np.testing.assert_allclose(camera.matrix, shown["matrix"])
-    assert [warning.partition(":")[0] for warning in session.warnings] == ["b", "file a.mp4", "file b.mp4"]
-    assert "stretched" in session.warnings[0]
-    assert "not square (4:3): the pictures are scaled from 96 to 128 columns" in session.warnings[1]
+    assert [warning.partition(":")[0] for warning in messages(session)] == ["b", "file a.mp4", "file b.mp4"]
+    assert "stretched" in messages(session)[0]
+    assert "not square (4:3): the pictures are scaled from 96 to 128 columns" in messages(session)[1]
     assert next(decode(session.videos[0], 5, 6))[1].shape == (64, 128, 3)
 
 
@@ -137,7 +138,7 @@ def test_videos_match_cameras_by_name_in_calibrations_order(folder: Path, tmp_pa
     assert [camera.name for camera in session.cameras] == ["b", "a"]
     assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
     assert len(session.times["a"].time_s) == 10
-    assert session.warnings == ()
+    assert session.findings == ()
 
 
 def test_paths_may_be_texts(folder: Path, tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_order_decides_only_if_it_is_asked_for_and_is_said(folder: Path, tmp_pat
     session = open_session(folder, cameras, pair_by_order=True)
     pairs = {camera.name: video.path.name for camera, video in zip(session.cameras, session.videos, strict=True)}
     assert pairs == {"left": "a.mp4", "right": "b.mp4"}
-    (warning,) = session.warnings
+    (warning,) = messages(session)
     assert "left: a, right: b" in warning
 
 
@@ -172,7 +173,7 @@ def test_calibration_with_camera_too_few_or_too_many(folder: Path, tmp_path: Pat
     assert problems_of(folder, calibration(tmp_path / "c.json", ["a"])) == {("video_without_camera", "b")}
     session = open_session(folder, calibration(tmp_path / "c.json", ["c", "a", "b"]))
     assert [camera.name for camera in session.cameras] == ["a", "b"]
-    assert session.warnings == ("The camera c of the calibration has no video: it is left out.",)
+    assert messages(session) == ["The camera c of the calibration has no video: it is left out."]
 
 
 def test_camera_with_recording_is_not_left_out(folder: Path, tmp_path: Path) -> None:
@@ -185,7 +186,7 @@ def test_camera_with_recording_is_not_left_out(folder: Path, tmp_path: Path) -> 
 def test_other_files_in_folder_are_ignored_and_said(folder: Path, tmp_path: Path) -> None:
     (folder / "notes.txt").write_text("hello")
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"]))
-    assert session.warnings == ("notes.txt is ignored: it is not a video.",)
+    assert messages(session) == ["notes.txt is ignored: it is not a video."]
 
 
 def test_no_video_and_one_video(folder: Path, tmp_path: Path) -> None:
@@ -217,10 +218,10 @@ def test_video_and_calibration_of_different_size(folder: Path, tmp_path: Path) -
 
 def test_calibration_of_another_size_is_adapted_with_warning(folder: Path, tmp_path: Path) -> None:
     session = open_session(folder, calibration(tmp_path / "c.json", ["a", "b"], size_px=(128, 96)))
-    assert session.warnings == (
+    assert messages(session) == [
         "a: the video has 64 x 48 pixels, the calibration 128 x 96; the calibration is scaled by 0.5.",
         "b: the video has 64 x 48 pixels, the calibration 128 x 96; the calibration is scaled by 0.5.",
-    )
+    ]
     for camera in session.cameras:
         assert camera.size_px == (64, 48)
         np.testing.assert_allclose(camera.matrix, [[25.0, 0.0, 15.5], [0.0, 25.0, 11.5], [0.0, 0.0, 1.0]])
@@ -245,7 +246,7 @@ def test_calibration_without_sizes_takes_those_of_videos(folder: Path, tmp_path:
     cameras.write_text(json.dumps({"a": voxelpose(31.5), "b": voxelpose(30.0)}))
     session = open_session(folder, cameras)
     assert [camera.size_px for camera in session.cameras] == [(64, 48)] * 2
-    assert session.warnings[0] == (
+    assert messages(session)[0] == (
         "a: the video has 64 x 48 pixels, the calibration does not contain a size; the video's size is taken."
     )
     cameras.write_text(json.dumps({"a": voxelpose(31.5), "b": voxelpose(960.0)}))
@@ -321,7 +322,7 @@ class TestRecordings:
         cameras = calibration(tmp_path / "c.json", ["left", "right"])
         session = open_session(folder, cameras, [Recording("left", "b.mp4"), Recording("right", "a.mp4")])
         assert [video.path.name for video in session.videos] == ["b.mp4", "a.mp4"]
-        assert session.warnings == ()
+        assert session.findings == ()
         paths = [Recording("left", str(folder / "b.mp4")), Recording("right", str(folder / "a.mp4"))]
         assert open_session(folder, cameras, paths).camera_videos["left"].path.name == "b.mp4"
         some = calibration(tmp_path / "d.json", ["a", "right"])

@@ -19,6 +19,7 @@ from pipeline.core.errors import InputError
 from pipeline.video.info import Timecode, VideoInfo
 from pipeline.video.probe import probe
 from pipeline.video.properties.container_clocks import read_timecode
+from tests.pipeline.capture.keypoint_scenes import messages
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
 from tests.pipeline.video.properties.test_container_clocks import NTSC, write
@@ -99,14 +100,14 @@ def test_rates_of_cameras_meet_on_timecode(tmp_path: Path) -> None:
     assert starts["c"] == pytest.approx(6 * 1001 / 60_000 + 0.01, abs=1e-6)
     np.testing.assert_allclose(np.diff(session.times["c"].time_s), 1001 / 60_000, atol=1e-6)
     assert session.timebase.frame_rate_hz == float(Fraction(60000, 1001))
-    assert session.warnings == ()
+    assert session.findings == ()
 
 
 def test_times_of_creation_are_said_to_be_coarse(tmp_path: Path) -> None:
     cameras = calibration(tmp_path / "c.json", ["a", "b", "c"])
     session = open_session(videos(tmp_path), cameras, clock="creation_time")
     assert {float(times.time_s[0]) for times in session.times.values()} == {0.0}
-    (warning,) = session.warnings
+    (warning,) = messages(session)
     assert "may be off from each other by a second" in warning
 
 

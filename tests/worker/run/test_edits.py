@@ -233,9 +233,9 @@ def test_warnings_of_last_revision_stay_until_next_succeeds(bench: RunnerBench) 
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
     bench.runner().work(60.0)
-    assert edit(bench, bench.store.jobs.get(job.id), FIRST).result_warnings == (doubt,)
+    assert edit(bench, bench.store.jobs.get(job.id), FIRST).warnings == (doubt,)
     bench.runner().work(60.0)
-    assert bench.store.jobs.get(job.id).result_warnings == ()
+    assert bench.store.jobs.get(job.id).warnings == ()
 
 
 def test_people_must_have_been_found(bench: RunnerBench) -> None:

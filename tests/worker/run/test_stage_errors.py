@@ -105,9 +105,9 @@ def test_warnings_of_last_stage_are_in_job_and_webhook(bench: RunnerBench) -> No
     spec = JobSpec(callback_url="https://example.com/hook")
     job = bench.store.jobs.add(bench.session.id, spec, plan_job(bench.session, spec))
     bench.runner().work(60.0)
-    assert bench.store.jobs.get(job.id).result_warnings == (warning,)
+    assert bench.store.jobs.get(job.id).warnings == (warning,)
     (delivery,) = bench.store.webhooks.pending()
-    assert json.loads(delivery.body)["data"]["warnings"] == ["Nobody was found."]
+    assert json.loads(delivery.body)["data"]["warnings"] == [warning.to_json()]
 
 
 def test_chunk_beyond_memory_limit_ends_its_job_with_reason(bench: RunnerBench) -> None:

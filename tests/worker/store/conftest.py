@@ -15,6 +15,8 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
+from pipeline.core.findings import Finding
+from pipeline.core.problems.finding_codes import CLOCKS_DISAGREE
 from tests.postgres import POSTGRES_VARIABLE, running_postgres
 from worker.store.database.tables import metadata
 from worker.store.model.job_records import JobRecord, Result
@@ -33,7 +35,7 @@ PREFLIGHT = Preflight(
     cameras=(PreflightCamera("cam one", "cam one.mp4", (640, 480), 25.0, 60),),
     timebase=PreflightTimebase(0.0, 25.0, 60),
     stretches=(range(60),),
-    warnings=("The clocks drift.",),
+    findings=(Finding(CLOCKS_DISAGREE, "The clocks drift."),),
 )
 
 

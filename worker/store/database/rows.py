@@ -115,7 +115,6 @@ def _job(
     config = job_config(spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = any(stage.name == DETECT for stage in stages)
-    found = tuple(Finding(**warning) for warning in row.warnings)
     making, character = read_making(row.kind, row.making), read_job_character(row.character)
     return read(
         JobRecord,
@@ -130,12 +129,7 @@ def _job(
         eta_s=_eta_s(row, stages),
         problem=read_problem(row.problem),
         waiting_for=read_problem(row.waiting_for),
-        warnings=(
-            *preflight.warnings,
-            *method_warnings(config, has_videos),
-            *(warning.message for warning in found),
-        ),
-        result_warnings=found,
+        warnings=(*preflight.findings, *method_warnings(config, has_videos), *map(Finding.from_json, row.warnings)),
         making=making,
         edits=read_edits(row.edits),
         people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),

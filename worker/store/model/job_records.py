@@ -121,8 +121,8 @@ class JobRecord:
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
     units took as long as the finished ones; ``None`` before any is finished. ``waiting_for`` is the outage that keeps
-    its work waiting. ``warnings`` are sentences, with the messages of ``result_warnings``. ``making`` has the choices
-    of a calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
+    its work waiting. ``warnings`` are about the files, the choices and the results. ``making`` has the choices of a
+    calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
     ``revision`` the number of their changes, and ``people`` the reconstructed people before any edit; ``None`` until
     the first results are written. ``results_revision`` is the revision whose files can be read, while newer files are
     made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of an earlier
@@ -150,8 +150,7 @@ class JobRecord:
     eta_s: float | None
     problem: JobProblem | None
     waiting_for: JobProblem | None
-    warnings: tuple[str, ...]
-    result_warnings: tuple[Finding, ...]
+    warnings: tuple[Finding, ...]
     making: Making | None = None
     edits: tuple[PeopleEdit, ...] = ()
     revision: int = 0

@@ -45,7 +45,7 @@ def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None
             "session_id": job.session_id,
             "state": state,
             "attempt": job.attempt,
-            "warnings": list(job.warnings),
+            "warnings": [warning.to_json() for warning in job.warnings],
         },
     }
     connection.execute(

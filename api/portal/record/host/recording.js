@@ -19,7 +19,7 @@ export class HostedRecording extends EventTarget {
   #isRefused = false; // for now: it is asked again
   clock = new ServerClock();
   state = null; // last message `state` of the service
-  leftOut = new Map(); // sentences about clips that are in no capture, by the numbers of their takes
+  warnings = new Map(); // about clips that are in no capture, by the numbers of their takes
   pictures = new Map(); // addresses of the phones' last pictures, by their numbers
   problem = null;
   sendsAtOnce = true; // whether phones are asked for each take as soon as it is recorded
@@ -105,7 +105,7 @@ export class HostedRecording extends EventTarget {
     return this.#act(async () => {
       const body = { calibration_id: calibrationId, job };
       const made = await call(`${this.path}/takes/${take.number}/session`, { method: "POST", body });
-      this.leftOut.set(take.number, made.left_out);
+      this.warnings.set(take.number, made.warnings);
       await feed.refresh();
       announce(`${take.name} is being reconstructed.`);
       return made;

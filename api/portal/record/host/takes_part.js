@@ -72,7 +72,7 @@ function jobPart(jobId, sessionName) {
   const { words, tone } = jobState(job);
   return html`<p class="record-job"><span class="state" data-tone=${tone}>${words}</span> <a href=${address("jobs", jobId)} aria-label="Look at ${sessionName}">Look</a></p>
     ${errorBox(job)}
-    ${warningList(job.result_warnings?.map(({ message }) => message), `Warnings of ${sessionName}`)}`;
+    ${warningList(job.warnings, `Warnings of ${sessionName}`)}`;
 }
 
 function calibrationJob(view, take) {
@@ -135,7 +135,7 @@ function takeCard(view, recording, take) {
     ${sessionId && clips.length === 0 ? nothing : html`<ul class="record-clips" aria-label="Clips of ${name}">${clips.map((clip) => clipRow(take, clip, phones))}</ul>`}
     ${calibrationId ? calibrationJob(view, take) : nothing}
     ${jobId ? jobPart(jobId, name) : nothing}
-    ${warningList(recording.leftOut.get(number), `Left out of ${name}`)}
+    ${warningList(recording.warnings.get(number), `Left out of ${name}`)}
     <div class="actions">
       ${isRecorded && !isWanted ? html`<button type="button" class="button small" aria-label="Ask for the clips of ${name}" @click=${() => recording.send({ type: "upload", take: number })}>Ask for the clips</button>` : nothing}
       ${sessionId ? nothing : html`<button type="button" class="button small primary" ?disabled=${!canUse} aria-label="Reconstruct ${name}" @click=${() => view.show(number, "reconstruct")}>Reconstruct</button>`}

@@ -120,8 +120,8 @@ def test_axis_that_points_up_is_asked_for_and_turned(strict: Live) -> None:
     cameras = [upright, upright | {"name": "cam_1", "translation_m": [3.0, 1.5, 4.0]}]
     content = json.dumps({"schema_version": 1, "cameras": cameras}).encode()
     (warning,) = send(strict, content).json()["warnings"]
-    assert "the calibration's up axis may be -Y" in warning
-    assert "`up`" in warning
+    assert "the calibration's up axis may be -Y" in warning["message"]
+    assert "`up`" in warning["hint"]
     turned = send(strict, content, up="-y").json()
     assert (turned["warnings"], turned["source"]["axes"]) == ([], "-Y up, as stated: turned to Z up")
     assert [camera["position_m"] for camera in turned["cameras"]] == [[0.0, -4.0, 1.5], [-3.0, -4.0, 1.5]]

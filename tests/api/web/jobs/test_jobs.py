@@ -351,12 +351,12 @@ def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
 def test_warnings_of_result_are_wherever_job_is(live: Live) -> None:
     job_id = live.job_id()
     before = live.client.get(f"/v1/jobs/{job_id}").json()
-    assert (before["warnings"], before["result_warnings"]) == (["The cameras are close together."], [])
-    live.finish(job_id, warnings=[Finding(NOBODY_FOUND, "Nobody was found.")])
+    assert [warning["message"] for warning in before["warnings"]] == ["The cameras are close together."]
+    nobody = Finding(NOBODY_FOUND, "Nobody was found.")
+    live.finish(job_id, warnings=[nobody])
     listed = live.client.get("/v1/jobs").json()["jobs"][0]
     with live.client.stream("GET", f"/v1/jobs/{job_id}/events") as stream:
         (data,) = [line.removeprefix("data: ") for line in stream.iter_lines() if line.startswith("data: ")]
     for job in (live.client.get(f"/v1/jobs/{job_id}").json(), listed, json.loads(data)):
         assert job["state"] == "succeeded"
-        assert job["warnings"] == ["The cameras are close together.", "Nobody was found."]
-        assert job["result_warnings"] == [Finding(NOBODY_FOUND, "Nobody was found.").to_json()]
+        assert job["warnings"] == [*before["warnings"], nobody.to_json()]

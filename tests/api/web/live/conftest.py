@@ -27,7 +27,7 @@ def calibration(arguments):
                    "field": "cameras", "hint": None}
         print(json.dumps({"problems": [problem]}))
         return 2
-    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "notes": [],
+    print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "warnings": [],
                       "files": {"multicap": json.dumps({"cameras": cameras})}}))
     return 0
 

@@ -76,7 +76,7 @@ def test_take_becomes_session_with_declared_offsets(
     made = answer.json()
     assert answer.headers["location"] == f"/v1/sessions/{made['session_id']}"
     assert made["job_id"] is None
-    assert made["left_out"] == []
+    assert made["warnings"] == []
     assert made["cameras"] == pytest.approx({"Left": STARTED_LATE_S, "Right": 0.25 + STARTED_LATE_S})
     session = studio.services.store.sessions.get(made["session_id"])
     assert session.name == "Recording, Take 1"
@@ -126,7 +126,7 @@ def test_phones_are_told_to_forget_what_is_in_session(studio: Live) -> None:
         spec = {"calibration_id": calibration_of(studio)}
         made = studio.client.post(f"/v1/recordings/{recording.id}/takes/1/session", json=spec)
         assert made.status_code == 201, made.text
-        assert made.json()["left_out"] == ["Right has sent no clip of this take."]
+        assert [(one["code"], one["camera"]) for one in made.json()["warnings"]] == [("clip_not_sent", "Right")]
         assert left.next("delete")["take"] == 1
         left.send(
             "file", take=1, upload_id=left.upload(b"late!"), num_bytes=5, first_frame_s=1.0, std_s=0.0, duration_s=1.0
@@ -143,7 +143,7 @@ def test_longest_part_of_cut_clip_is_used(studio: Live) -> None:
         host.state(lambda state: num_files(state) == [2])
         spec = {"calibration_id": calibration_of(studio)}
         made = studio.client.post(f"/v1/recordings/{recording.id}/takes/1/session", json=spec).json()
-    assert made["left_out"] == ["Left: part 1 with 1.0 s is left out; part 2 is longer."]
+    assert [one["message"] for one in made["warnings"]] == ["Left: part 1 with 1.0 s is left out; part 2 is longer."]
     assert made["cameras"] == pytest.approx({"Left": 3.0 + STARTED_LATE_S})
 
 
@@ -162,7 +162,7 @@ def test_clip_of_wrong_clock_is_left_out_and_spoils_nothing(studio: Live) -> Non
         made = studio.client.post(address, json=spec)
         assert made.status_code == 201, made.text
         assert made.json()["cameras"] == pytest.approx({"<img src=x>": STARTED_LATE_S})
-        assert made.json()["left_out"] == ["Wrong: its first frame is not within the take; its clock is wrong."]
+        assert [(one["code"], one["camera"]) for one in made.json()["warnings"]] == [("clip_outside_take", "Wrong")]
 
 
 def test_missing_clips_are_named(studio: Live) -> None:

@@ -47,7 +47,16 @@ def test_session_says_what_was_found(live: Live) -> None:
         "video_link": f"/v1/sessions/{session['id']}/videos/cam_1",
         "thumbnails": [{"time_s": 1.2, "link": f"/v1/sessions/{session['id']}/thumbnails/cam_1/0"}], "more_files": [],
     }  # fmt: skip
-    assert session["preflight"]["warnings"] == ["The cameras are close together."]
+    assert session["preflight"]["findings"] == [
+        {
+            "code": "same_place",
+            "message": "The cameras are close together.",
+            "camera": None,
+            "severity": "info",
+            "hint": None,
+            "evidence": {},
+        }
+    ]
     assert live.client.get(session["links"]["self"]).json() == session
 
 

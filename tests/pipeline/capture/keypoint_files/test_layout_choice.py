@@ -17,6 +17,7 @@ from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, finger_joints
 from pipeline.core.layouts import FILE_LAYOUTS
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
+from tests.pipeline.capture.keypoint_scenes import messages
 
 RATE_HZ = 25.0
 # Points that are no joints, by their places: shares of the way from the middle of a part to the middle of another one.
@@ -197,7 +198,7 @@ def test_coco_annotations_that_name_their_points_keep_them(room: Simulation, tmp
     is_seen = spine_px.any(1)
     nose_px = session.detections[camera].keypoints_px[:, session.joints.index("nose")]
     np.testing.assert_allclose(nose_px[is_seen], spine_px[is_seen])
-    assert any("human36m-17 is not used" in warning for warning in session.warnings)
+    assert any("human36m-17 is not used" in warning for warning in messages(session))
 
 
 @pytest.mark.parametrize("layout", ["coco-17", "body-25b", "human36m-17"])

@@ -150,7 +150,7 @@ def test_ends_of_limbs_that_hang_elsewhere_keep_their_names(ends: tuple[str, ...
     mapping = map_bones(read(ik_bones(dict.fromkeys(ends, top))))
     assert mapping.method == "names"
     assert mapping.bones == map_bones(read(bones_of("default"))).bones
-    assert [note.split(":")[0] for note in mapping.notes] == [
+    assert [warning.message.split(":")[0] for warning in mapping.warnings] == [
         f"The bone {end} is not below {'lowerleg01' if 'foot' in end else 'lowerarm01'}{end[-2:]}" for end in ends
     ]
 
@@ -198,7 +198,7 @@ def test_robot_with_feet_on_root_and_palms_is_retargeted() -> None:
         f"{name}R" for name in ("UpperArm", "LowerArm", "Palm2", "UpperLeg", "LowerLeg", "Foot")
     ]
     assert (mapping.bones["Hips"], mapping.spine) == ("Trunk", ("Hips", "Abdomen", "Torso"))
-    assert [note.split(".")[0] for note in mapping.notes] == [
+    assert [warning.message.split(".")[0] for warning in mapping.warnings] == [
         f"The bone Foot{side} is not below LowerLeg{side}: it hangs on Bone" for side in "LR"
     ]
 

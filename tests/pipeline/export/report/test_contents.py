@@ -69,4 +69,4 @@ def test_nothing_is_made_that_is_not_asked_for(tmp_path: Path, is_wanted: bool) 
         return
     found = reconstruct(session, config)
     assert not (tmp_path / "out").exists()
-    assert any("Overlay videos" in warning for warning in found.warnings)
+    assert "overlay_without_videos" in [warning.code for warning in found.warnings]

@@ -105,7 +105,7 @@ def test_job_new_has_first_stage_ready(jobs: StoreBench) -> None:
         ("detect", ChunkState.READY, 0, 4 * UNITS),
         ("export", ChunkState.WAITING, 0, UNITS),
     ]
-    assert job.warnings == ("The clocks drift.",)
+    assert job.warnings == PREFLIGHT.findings
     assert (job.started_at, job.finished_at, job.problem) == (None, None, None)
     assert jobs.store.jobs.get(job.id) == job == jobs.store.jobs.page()[0]
 
@@ -347,8 +347,7 @@ def test_job_finished_has_warnings_of_results(jobs: StoreBench) -> None:
         claim.chunk_id, claim.lease_token, "5" * 64, 7, results=[result(job_id)], warnings=[warning]
     )
     job = jobs.store.jobs.get(job_id)
-    assert (job.state, job.result_warnings) == (JobState.SUCCEEDED, (warning,))
-    assert job.warnings == ("The clocks drift.", warning.message)
+    assert (job.state, job.warnings) == (JobState.SUCCEEDED, (*PREFLIGHT.findings, warning))
 
 
 def test_retry_drops_warnings_of_earlier_results(jobs: StoreBench) -> None:
@@ -356,5 +355,5 @@ def test_retry_drops_warnings_of_earlier_results(jobs: StoreBench) -> None:
     claim = jobs.claim()
     jobs.store.leases.fail(claim.chunk_id, claim.lease_token, JobProblem(Code("broken"), "It is broken."))
     jobs.execute(sa.update(tables.jobs).values(warnings=[{"code": "few_views", "message": "Few."}]))
-    assert jobs.store.jobs.get(job_id).result_warnings
-    assert jobs.store.jobs.retry(job_id, stages(1)).result_warnings == ()
+    assert [warning.code for warning in jobs.store.jobs.get(job_id).warnings] == ["clocks_disagree", "few_views"]
+    assert jobs.store.jobs.retry(job_id, stages(1)).warnings == PREFLIGHT.findings
