@@ -56,8 +56,8 @@ class Job(TypedDict):
         Error of a failed job, with ``code``, ``detail`` and ``hint``; ``None`` for other jobs.
     warnings
         Warnings about the files, the choices and the result, each with ``code``, ``message`` and ``hint``.
-    links
-        Paths by name, such as ``self`` and ``results``.
+    urls
+        URLs by name, such as ``self`` and ``results``.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class Job(TypedDict):
     eta_s: float | None
     error: dict[str, Any] | None
     warnings: list[dict[str, Any]]
-    links: dict[str, Any]
+    urls: dict[str, Any]
 
 
 class ServiceError(PipelineError):
@@ -219,16 +219,16 @@ class Client:
         return _job(self._call("POST", "/v1/jobs", files=[*files, ("spec", (None, json.dumps(spec)))]))
 
     def get(self, path: str) -> Json:
-        """Read a path of the service, such as ``job["links"]["self"]``."""
+        """Read a path of the service, such as ``job["urls"]["self"]``."""
         return self._call("GET", path)
 
     def cancel(self, job: Json) -> None:
         """Cancel a job."""
-        self._call("POST", job["links"]["cancel"])
+        self._call("POST", job["urls"]["cancel"])
 
     def delete_session(self, job: Json) -> None:
         """Delete a job's session."""
-        self._call("DELETE", job["links"]["session"])
+        self._call("DELETE", job["urls"]["session"])
 
     def follow(self, job: Json, on_job: Callable[[Job], None] = lambda _: None, timeout_s: float | None = None) -> Job:
         """Wait until a job succeeds.
@@ -253,7 +253,7 @@ class Client:
                     f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and continues."
                 )
             time.sleep(_POLL_S)
-            now = _job(self._get_patiently(now["links"]["self"]))
+            now = _job(self._get_patiently(now["urls"]["self"]))
             on_job(now)
         if now["state"] != "succeeded":
             raise ServiceError(f"The job {_ENDS[now['state']]}. {_sentences(now['error'] or {})}".strip())
@@ -269,7 +269,7 @@ class Client:
         """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        return [self._save(result, folder) for result in self._get_patiently(job["links"]["results"])["results"]]
+        return [self._save(result, folder) for result in self._get_patiently(job["urls"]["results"])["results"]]
 
     def _save(self, result: Json, folder: Path) -> Path:
         path = folder / result["name"]
@@ -296,7 +296,7 @@ class Client:
         start = file.tell()
         headers = {"Range": f"bytes={start}-", "If-Range": f'"{result["sha256"]}"'} if start else {}
         try:
-            with self.http.stream("GET", result["link"], headers=headers, follow_redirects=True) as answer:
+            with self.http.stream("GET", result["url"], headers=headers, follow_redirects=True) as answer:
                 if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE:
                     return False
                 if answer.is_error:

@@ -157,7 +157,7 @@ class SampleFileOut(ResponseModel):
     name: str = Field(description="Name of the file.", examples=["cam01.mp4"])
     media_type: str = Field(description="Content type of the file.", examples=["video/mp4"])
     num_bytes: int = Field(description="Size of the file.", examples=[950_272])
-    link: str = Field(description="Path of the file.", examples=["/v1/sample/cam01.mp4"])
+    url: str = Field(description="Path of the file.", examples=["/v1/sample/cam01.mp4"])
 
 
 class SampleOut(ResponseModel):
@@ -241,7 +241,7 @@ def get_sample(_: RecordsDep) -> SampleOut:
                 name=path.name,
                 media_type=_media_type(path),
                 num_bytes=path.stat().st_size,
-                link=f"/v1/sample/{quote(path.name)}",
+                url=f"/v1/sample/{quote(path.name)}",
             )
             for path in paths
         ),

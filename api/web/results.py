@@ -45,7 +45,7 @@ class ResultOut(ResponseModel):
         description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.", examples=[SHA256]
     )
     revision: int = Field(description="Revision of the edits that the file shows.")
-    link: str = Field(description="Path of the file.", examples=[f"/v1/jobs/{ID}/results/person-1.bvh"])
+    url: str = Field(description="Path of the file.", examples=[f"/v1/jobs/{ID}/results/person-1.bvh"])
 
     @classmethod
     def from_result(cls, job: JobRecord, result: Result) -> Self:
@@ -56,7 +56,7 @@ class ResultOut(ResponseModel):
             format=result.kind if form is not None else None,
             preset=job.spec.preset if form is not None and form.has_presets else None,
             download_name=result_name(job.session_name, result.name, result.revision, result.person_name),
-            link=f"/v1/jobs/{job.id}/results/{result.name}",
+            url=f"/v1/jobs/{job.id}/results/{result.name}",
         )
 
 

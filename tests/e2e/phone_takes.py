@@ -95,7 +95,7 @@ def videos_of(served: Served, session_id: str, folder: Path) -> dict[str, Path]:
     found = {}
     for camera in session["preflight"]["cameras"]:
         found[camera["name"]] = folder / camera["file"]
-        found[camera["name"]].write_bytes(served.client.get(camera["video_link"]).raise_for_status().content)
+        found[camera["name"]].write_bytes(served.client.get(camera["video_url"]).raise_for_status().content)
     return found
 
 

@@ -99,7 +99,7 @@ def test_restored_service_goes_on_with_everything(capture: Path, tmp_path: Path)
         done = first.client.post("/v1/jobs", files=parts).raise_for_status().json()
         assert first.wait_for_end(done["id"])["state"] == "succeeded"
         before = first.downloads(done["id"])
-        session = done["links"]["session"]
+        session = done["urls"]["session"]
         uploads = {name: begin_upload(first.client, name, content, len(content) // 2) for _, (name, content) in parts}
         ids = [first.client.post(f"{session}/jobs", json=spec).raise_for_status().json()["id"] for spec in SPECS]
         wait_for(lambda: any(first.job(job_id)["state"] == "running" for job_id in ids))
@@ -136,5 +136,5 @@ def test_restored_service_goes_on_with_everything(capture: Path, tmp_path: Path)
         job = second.client.post("/v1/jobs", json=sent).raise_for_status().json()
         assert second.wait_for_end(job["id"])["state"] == "succeeded"
         assert second.downloads(job["id"]) == before
-        listed = second.client.get(job["links"]["session"]).raise_for_status().json()["files"]
+        listed = second.client.get(job["urls"]["session"]).raise_for_status().json()["files"]
         assert {one["sha256"] for one in listed} == {hashlib.sha256(content).hexdigest() for _, (_, content) in parts}

@@ -45,7 +45,7 @@ def test_stored_character_moves_as_everybody(served: Served, take: Path) -> None
     assert set(read.rig.names) >= set(bones_of("mixamo"))
     described = served.client.get(f"/v1/jobs/{job_id}/results/character.json").json()
     assert (described["file"], described["missing"]) == ("robot.glb", ["LeftToeBase"])
-    served.client.delete(made["links"]["self"]).raise_for_status()
+    served.client.delete(made["urls"]["self"]).raise_for_status()
     link = served.client.post(f"/v1/jobs/{job_id}/links", json={"scope": "job"}).raise_for_status().json()
     edits = [{"action": "rename", "person": 1, "name": "Anna"}]
     with opened(f"{served.client.base_url}#/jobs/{job_id}") as page:
@@ -84,7 +84,7 @@ def test_form_takes_character_and_corrects_its_bones(served: Served, take: Path,
     (tmp_path / "cube.glb").write_bytes(b"solid cube")
     manifest = ("manifest", (None, json.dumps({"name": "A walk"}).encode()))
     session = served.client.post("/v1/sessions", files=[*files(take), manifest]).raise_for_status().json()
-    first = served.client.post(session["links"]["jobs"], json={"frame_range": [0, 10]}).raise_for_status().json()
+    first = served.client.post(session["urls"]["jobs"], json={"frame_range": [0, 10]}).raise_for_status().json()
     assert served.wait_for_end(first["id"])["state"] == "succeeded"
     with opened(f"{served.client.base_url}#/captures", allowed=("422",)) as page:
         page.get_by_role("button", name="Run again: A walk").click()
@@ -108,7 +108,7 @@ def test_form_takes_character_and_corrects_its_bones(served: Served, take: Path,
         assert served.wait_for_end(job["id"])["state"] == "succeeded"
         page.get_by_role("button", name="Run again: A walk").click()
         expect(form.get_by_label("Stored character")).to_have_value(sent["id"])
-        served.client.delete(sent["links"]["self"]).raise_for_status()
+        served.client.delete(sent["urls"]["self"]).raise_for_status()
         page.reload()
         page.get_by_role("button", name="Run again: A walk").click()
         expect(form.get_by_label("Stored character")).to_have_value("")

@@ -50,7 +50,7 @@ class CalibratedVideos:
 
     def run(self, served: Served, **choices: Any) -> dict[str, Any]:
         """Send the capture and reconstruct it; return the job at its end."""
-        job = served.client.post(self.send(served)["links"]["jobs"], json=SPEC | choices).raise_for_status().json()
+        job = served.client.post(self.send(served)["urls"]["jobs"], json=SPEC | choices).raise_for_status().json()
         return served.wait_for_end(job["id"])
 
     def reconstruct(self, served: Served, **choices: Any) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def test_one_video_twice(served: Served, capture: CalibratedVideos, tmp_path: Pa
     assert named(session["preflight"]["findings"], "same_video")["cam03"]["other_camera"] == "cam01"
     (thumbnails,) = [camera["thumbnails"] for camera in session["preflight"]["cameras"] if camera["name"] == "cam03"]
     (picture,) = named(session["preflight"]["findings"], "same_video")["cam03"]["pictures"]
-    assert served.client.get(thumbnails[picture]["link"]).content.startswith(b"\xff\xd8\xff")
+    assert served.client.get(thumbnails[picture]["url"]).content.startswith(b"\xff\xd8\xff")
 
 
 def test_wrong_units(served: Served, capture: CalibratedVideos) -> None:
@@ -125,7 +125,7 @@ def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> No
             assert error["message"] in row.inner_text()
         row.get_by_role("button", name="all the same").click()
         page.get_by_text("Ignore errors").first.wait_for()
-    jobs = served.client.get(job["links"]["session"] + "/jobs").raise_for_status().json()["jobs"]
+    jobs = served.client.get(job["urls"]["session"] + "/jobs").raise_for_status().json()["jobs"]
     (forced,) = [other for other in jobs if other["id"] != job["id"]]
     assert forced["spec"] == job["spec"] | {"force": True}
     ended = served.wait_for_end(forced["id"])

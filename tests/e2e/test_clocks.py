@@ -49,7 +49,7 @@ def reconstruct(served: Served, parts: Parts, **spec: Any) -> tuple[dict[str, An
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded", job
-    session = served.client.get(answer.json()["links"]["session"]).json()
+    session = served.client.get(answer.json()["urls"]["session"]).json()
     return session["preflight"], job
 
 

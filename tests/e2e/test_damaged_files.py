@@ -86,8 +86,8 @@ def test_damaged_input_ends_job_with_its_name(
     assert job["error"]["detail"].startswith(name)
     assert job["error"]["hint"].startswith("Send the session again.")
     assert not job["error"]["retryable"]
-    assert job["links"]["retry"] is None
-    (attempt,) = served.client.get(job["links"]["attempts"]).json()["attempts"]
+    assert job["urls"]["retry"] is None
+    (attempt,) = served.client.get(job["urls"]["attempts"]).json()["attempts"]
     assert len(attempt["failures"]) == 1
     # An operator with a copy can restore the file.
     path.write_bytes(content)

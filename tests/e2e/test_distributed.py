@@ -87,8 +87,8 @@ class Distributed:
     def downloads(self, job: Mapping[str, Any]) -> dict[str, str]:
         """SHA-256 of each result, downloaded from the bucket itself."""
         found = {}
-        for one in self.client.get(job["links"]["results"]).json()["results"]:
-            answer = self.client.get(one["link"])
+        for one in self.client.get(job["urls"]["results"]).json()["results"]:
+            answer = self.client.get(one["url"])
             assert answer.status_code == 307
             assert answer.headers["location"].startswith(self.s3.endpoint)
             content = httpx2.get(answer.headers["location"], trust_env=False).raise_for_status().content
@@ -178,7 +178,7 @@ def test_keypoints(distributed: Distributed, tmp_path: Path, archive_bytes: int)
     print(f"{time.monotonic() - started_s:.0f} s, API {peak_bytes(distributed.api) / MIB:.0f} MiB")  # noqa: T201
     assert distributed.downloads(job) == digests(tmp_path / "results")
     assert peak_bytes(distributed.api) < 250 * MIB
-    assert distributed.client.delete(job["links"]["session"]).status_code == 204
+    assert distributed.client.delete(job["urls"]["session"]).status_code == 204
     for path in archives:
         path.unlink()
 
@@ -204,10 +204,10 @@ def test_videos(
     session = open_session(list(sample.videos.values()), sample.calibration)
     write_results(reconstruct(session, config), tmp_path)
     spec = {"frame_range": [5, 15], "people": 1}
-    part = distributed.wait_for(distributed.client.post(f"{job['links']['session']}/jobs", json=spec))
+    part = distributed.wait_for(distributed.client.post(f"{job['urls']['session']}/jobs", json=spec))
     assert distributed.downloads(part) == digests(tmp_path)
     assert not (distributed.folder / "api" / "artifacts").exists()
     assert not (distributed.folder / "api" / "multicap.db").exists()
-    assert distributed.client.delete(job["links"]["session"]).status_code == 204
+    assert distributed.client.delete(job["urls"]["session"]).status_code == 204
     answer = httpx2.get(f"{distributed.s3.endpoint}/{distributed.s3.bucket}?list-type=2", trust_env=False)
     assert "<KeyCount>0</KeyCount>" in answer.text

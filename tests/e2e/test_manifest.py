@@ -42,7 +42,7 @@ def test_offsets(served: Served, sample: Sample, tmp_path: Path) -> None:
     assert answer.status_code == 202, answer.text
     assert served.wait_for_end(answer.json()["id"])["state"] == "succeeded"
     assert served.downloads(answer.json()["id"]) == digests(tmp_path)
-    preflight = served.client.get(answer.json()["links"]["session"]).json()["preflight"]
+    preflight = served.client.get(answer.json()["urls"]["session"]).json()["preflight"]
     assert [camera["start_time_s"] for camera in preflight["cameras"]] == [0.0, 0.04, -0.08, 0.0]
     assert preflight["timebase"]["start_time_s"] == -0.08
 
@@ -69,7 +69,7 @@ def test_recording_in_parts_gives_same_files_as_whole(served: Served, sample: Sa
     assert answer.status_code == 202, answer.text
     job = served.wait_for_end(answer.json()["id"])
     assert job["state"] == "succeeded"
-    preflight = served.client.get(answer.json()["links"]["session"]).json()["preflight"]
+    preflight = served.client.get(answer.json()["urls"]["session"]).json()["preflight"]
     (camera,) = [camera for camera in preflight["cameras"] if camera["name"] == "cam02"]
     assert [camera["file"], *camera["more_files"]] == [path.name for path in parts]
     assert [finding["camera"] for finding in preflight["findings"] if finding["code"] == "parts_joined"] == ["cam02"]
@@ -88,7 +88,7 @@ def test_client_of_python_states_manifest(served: Served, tmp_path: Path) -> Non
     manifest = {"pair_by_order": True, "cameras": [{"name": "b", "rate": 50.0}]}
     with Client.connect(str(served.client.base_url)) as client:
         job = client.submit("Stated", videos, rig, SPEC | {"frame_range": None}, manifest)
-    session = served.client.get(job["links"]["session"]).json()
+    session = served.client.get(job["urls"]["session"]).json()
     assert session["name"] == "Stated"
     cameras = {camera["name"]: (camera["file"], camera["frame_rate_hz"]) for camera in session["preflight"]["cameras"]}
     assert cameras == {"a": ("view 9.mp4", 25.0), "b": ("view 10.mp4", 50.0)}

@@ -34,8 +34,8 @@ def job(served: Served, tmp_path_factory: pytest.TempPathFactory) -> dict[str, A
     made = post_session(served, folder, "Offline")
     spec = ("spec", (None, json.dumps({"method": "file", "name": "Rig offline"}).encode(), "application/json"))
     served.client.post("/v1/calibrations", files=[spec, ("calibration", ("rig.json", content))]).raise_for_status()
-    job = served.client.post(made["links"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
-    return served.wait_for_end(job["id"]) | {"folder": folder, "jobs": made["links"]["jobs"]}
+    job = served.client.post(made["urls"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
+    return served.wait_for_end(job["id"]) | {"folder": folder, "jobs": made["urls"]["jobs"]}
 
 
 def post_session(served: Served, folder: Path, name: str) -> dict[str, Any]:

@@ -90,7 +90,7 @@ def test_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp
     choose(page, paths["left.mp4"], paths["right.mp4"])
     with page.expect_response("**/v1/sessions/*/jobs", timeout=120_000) as answer:
         page.get_by_role("button", name="Send and reconstruct").click()
-    files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]
+    files = served.client.get(answer.value.json()["urls"]["session"]).json()["files"]
     assert [one["name"][:12] for one in files if one["kind"] == "calibration"] == ["calibration-"]
     served.client.post(f"/v1/jobs/{answer.value.json()['id']}/cancel")
     page.get_by_role("link", name="Calibrations", exact=True).click()
@@ -199,7 +199,7 @@ def test_upload_continues_after_reload(page: Page, served: Served, sample: Sampl
     assert max(offsets) > 0, "every file was sent from its start"
     assert sum(offsets) < sum(path.stat().st_size for path in sample.videos.values())
     assert (job["session_name"], job["spec"]["preset"]) == ("Cut and gone on", "blender")
-    session = served.client.get(job["links"]["session"]).json()
+    session = served.client.get(job["urls"]["session"]).json()
     starts = {one["name"]: one["start_time_s"] for one in session["preflight"]["cameras"]}
     assert starts["cam03"] - starts["cam01"] == pytest.approx(0.25, abs=1e-3)
     sizes = {one["name"]: one["num_bytes"] for one in session["files"] if one["kind"] == "video"}
@@ -220,13 +220,13 @@ def test_warnings_are_shown_without_useless_retry(page: Page, served: Served, sa
     manifest = ("manifest", (None, json.dumps({"name": "Two cameras"}).encode()))
     session = served.client.post("/v1/sessions", files=[*files, manifest]).raise_for_status().json()
 
-    done = post(served, session["links"]["jobs"], [0, 4])
+    done = post(served, session["urls"]["jobs"], [0, 4])
     assert "too_few_cameras" in [warning["code"] for warning in done["warnings"]]
     inputs = served.data_dir / "artifacts" / "sessions" / session["id"] / "inputs"
     for path in inputs.glob("*.mp4"):
         path.write_bytes(b"what a broken disk gives back")
-    failed = post(served, session["links"]["jobs"], [20, 24])
-    assert (failed["state"], failed["error"]["retryable"], failed["links"]["retry"]) == ("failed", False, None)
+    failed = post(served, session["urls"]["jobs"], [20, 24])
+    assert (failed["state"], failed["error"]["retryable"], failed["urls"]["retry"]) == ("failed", False, None)
 
     page.get_by_role("link", name="Captures", exact=True).click()
     card = capture(page, "Two cameras")

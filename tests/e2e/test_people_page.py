@@ -335,7 +335,7 @@ def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Serv
 
 
 def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> None:
-    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
+    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["urls"]["session"]
     job = portal.client.post(f"{session}/jobs", json={"report": True}).raise_for_status().json()
     with_report = replace(portal, job_id=job["id"])
     with_report.wait()
@@ -415,7 +415,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
 
 
 def test_another_job_is_compared_on_same_clock(page: Page, portal: ServedPeople) -> None:
-    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["links"]["session"]
+    session = portal.client.get(f"/v1/jobs/{portal.job_id}").json()["urls"]["session"]
     for job in portal.client.get("/v1/jobs").raise_for_status().json()["jobs"]:
         if job["id"] != portal.job_id:
             portal.client.delete(f"/v1/jobs/{job['id']}").raise_for_status()

@@ -106,7 +106,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
 @pytest.mark.slow
 def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     session = post_session(served, keypoints, "Twice")
-    first = served.client.post(session["links"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
+    first = served.client.post(session["urls"]["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
     uploads: list[Request] = []
     page.on("request", lambda request: uploads.append(request) if "/uploads" in request.url else None)
     page.get_by_role("link", name="Captures", exact=True).click()
@@ -181,7 +181,7 @@ def test_videos_are_deleted_and_results_stay(page: Page, served: Served, tmp_pat
     assert (session["videos_deleted_at"] is not None, session["shows_blurred"]) == (True, True)
     # The viewer shows the blurred copies.
     camera = session["preflight"]["cameras"][0]
-    assert served.client.get(camera["video_link"]).raise_for_status().headers["content-type"] == "video/mp4"
+    assert served.client.get(camera["video_url"]).raise_for_status().headers["content-type"] == "video/mp4"
     page.goto(f"{served.client.base_url}#/jobs/{job['id']}")
     files_shown = page.get_by_role("region", name="Files")
     expect(files_shown.get_by_text("Video with blurred heads").first).to_be_visible()
@@ -270,8 +270,8 @@ def one_job(served: Served, keypoints: dict[str, Path]) -> dict[str, Any]:
     done = served.client.get("/v1/jobs?state=succeeded").json()["jobs"]
     if done:
         return dict(done[0])
-    links = post_session(served, keypoints, "Accessible")["links"]
-    job = served.client.post(links["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
+    urls = post_session(served, keypoints, "Accessible")["urls"]
+    job = served.client.post(urls["jobs"], json={"frame_range": [0, 20]}).raise_for_status().json()
     return served.wait_for_end(job["id"])
 
 

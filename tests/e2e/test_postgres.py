@@ -50,7 +50,7 @@ def test_same_bytes_also_when_server_is_restarted(
         time.sleep(0.2)
     assert answer.json()["state"] == "succeeded", answer.text
     assert on_postgres.downloads(job_id) == digests(tmp_path)
-    assert on_postgres.client.delete(answer.json()["links"]["session"]).status_code == 204
+    assert on_postgres.client.delete(answer.json()["urls"]["session"]).status_code == 204
 
 
 def test_tables_are_in_postgresql(on_postgres: Served, postgres: Postgres) -> None:

@@ -61,7 +61,7 @@ def test_report_and_overlays_follow_edit(served: Served, sample: Sample) -> None
     assert (job["state"], job["results_revision"]) == ("succeeded", 1)
     assert not {"draw_overlay", "write_report"} & {stage["name"] for stage in job["stages"]}
     assert downloaded(served, job_id) == first
-    visuals = served.client.post(job["links"]["visuals"]).raise_for_status().json()
+    visuals = served.client.post(job["urls"]["visuals"]).raise_for_status().json()
     assert served.wait_for_end(visuals["id"])["state"] == "succeeded"
     second = downloaded(served, job_id)
     assert set(second) == set(first)

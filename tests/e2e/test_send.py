@@ -201,7 +201,7 @@ def test_refused_file_is_replaced_by_same_name(
     expect(offset).to_have_value("0.02")
     with page.expect_response("**/v1/sessions/*/jobs", timeout=180_000) as answer:
         send(page).click()
-    files = served.client.get(answer.value.json()["links"]["session"]).json()["files"]
+    files = served.client.get(answer.value.json()["urls"]["session"]).json()["files"]
     sizes = {one["name"]: one["num_bytes"] for one in files}
     assert sizes["left.mp4"] == videos["left.mp4"].stat().st_size
 
@@ -240,7 +240,7 @@ def test_keypoints_without_timestamps_need_frame_rate(page: Page, served: Served
     with page.expect_response("**/v1/sessions", timeout=180_000) as answer:
         page.get_by_role("button", name="Send and check only").click()
     assert answer.value.json()["preflight"]["timebase"]["frame_rate_hz"] == 25
-    assert served.client.get(session["links"]["self"]).status_code == 404
+    assert served.client.get(session["urls"]["self"]).status_code == 404
     page.get_by_role("button", name="Discard the capture").click()
 
 

@@ -145,7 +145,7 @@ def test_session_with_measured_clocks_has_same_files(served: Served, tmp_path: P
     first, second, third = (offsets_s[camera.name] for camera in simulation.cameras)
     assert second - first == pytest.approx(-0.48, abs=0.01)
     assert third - first == pytest.approx(0.0, abs=0.01)
-    declared = served.client.post(job["links"]["session"] + "/jobs", json={"sync": "declared"})
+    declared = served.client.post(job["urls"]["session"] + "/jobs", json={"sync": "declared"})
     job = served.wait_for_end(declared.json()["id"])
     assert job["state"] == "succeeded", job
     assert job["spec"]["sync"] == "declared"

@@ -102,7 +102,7 @@ def test_ten_people_and_ten_thousand_frames(body: Body, tmp_path: Path) -> None:
 def test_sample_is_shown_with_its_videos(tmp_path: Path, sample: Sample) -> None:
     with serving(tmp_path / "data") as served:
         job = served.wait_for_end(served.post(sample))
-        session = served.client.get(job["links"]["session"]).json()
+        session = served.client.get(job["urls"]["session"]).json()
         with opened(str(served.client.base_url)) as page:
             cameras = session["preflight"]["cameras"]
             found = page.evaluate(WITH_VIDEOS, {"job": job["id"], "cameras": cameras})

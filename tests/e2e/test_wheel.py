@@ -177,7 +177,7 @@ def post_session(client: httpx2.Client, sample: Sample) -> str:
     with ExitStack() as opened:
         parts = [("videos", path) for path in sample.videos.values()] + [("calibration", sample.calibration)]
         files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
-        return str(client.post("/v1/sessions", files=files).raise_for_status().json()["links"]["jobs"])
+        return str(client.post("/v1/sessions", files=files).raise_for_status().json()["urls"]["jobs"])
 
 
 def wait_until_ready(client: httpx2.Client) -> list[str]:
@@ -208,7 +208,7 @@ def first_start(
         said = wait_until_ready(client)
         kernels_before = kernel_files(folder / "home")
         answer = client.post(jobs, json={"frame_range": [0, 4]}).raise_for_status().json()
-        wait_for(lambda: client.get(answer["links"]["self"]).json()["state"] == "succeeded")
+        wait_for(lambda: client.get(answer["urls"]["self"]).json()["state"] == "succeeded")
         assert process.stdout is not None
         assert process.stdout.readline().startswith(READY)
         lines = (folder / "data" / "logs" / "worker.log").read_text().splitlines()

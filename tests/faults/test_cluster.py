@@ -165,7 +165,7 @@ def one_run(
         time.sleep(0.2)
     assert job["state"] == "succeeded", job
     results = cluster.call("GET", f"/v1/jobs/{job_id}/results").json()["results"]
-    found = {file["name"]: hashlib.sha256(cluster.download(file["link"])).hexdigest() for file in results}
+    found = {file["name"]: hashlib.sha256(cluster.download(file["url"])).hexdigest() for file in results}
     assert found == expected
     assert [listed["id"] for listed in cluster.call("GET", "/v1/jobs").json()["jobs"]] == [job_id]
     assert [listed["id"] for listed in cluster.call("GET", "/v1/sessions").json()["sessions"]] == [session_id]

@@ -162,7 +162,7 @@ def one_session(service: SeveralMachines, take: Path, expected: list[dict[str, s
         assert len(attempts) == 1
         failures += len(attempts[0]["failures"])
         results = service.call("GET", f"/v1/jobs/{job_id}/results").json()["results"]
-        found = {file["name"]: hashlib.sha256(service.download(file["link"])).hexdigest() for file in results}
+        found = {file["name"]: hashlib.sha256(service.download(file["url"])).hexdigest() for file in results}
         assert found == wanted
     assert service.call("DELETE", f"/v1/sessions/{session_id}").status_code in {204, 404}
     return failures

@@ -42,6 +42,6 @@ def test_damaged_characters_are_answered(tmp_path: Path) -> None:
         assert statuses[422] > NUM_FILES // 2
         while characters := live.client.get("/v1/characters", params={"limit": 200}).json()["characters"]:
             for character in characters:
-                assert live.client.get(character["links"]["self"]).status_code == 200
-                assert live.client.delete(character["links"]["self"]).status_code == 204
+                assert live.client.get(character["urls"]["self"]).status_code == 200
+                assert live.client.delete(character["urls"]["self"]).status_code == 204
         assert live.kept() == []

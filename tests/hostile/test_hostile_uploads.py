@@ -86,11 +86,11 @@ def send_alone(live: Live, spoilt: Iterable[tuple[str, bytes]]) -> Counter[int]:
         answer = post(live, [("calibration", (name, content))], "/v1/calibrations")
         codes[answer.status_code] += 1
         if answer.status_code == 201:
-            links = answer.json()["links"]
-            assert live.client.get(links["self"]).status_code == 200
+            urls = answer.json()["urls"]
+            assert live.client.get(urls["self"]).status_code == 200
             for file_format in ("multicap", "anipose", "caliscope", "opencv"):
                 # A format may be unable to hold a calibration: 404.
-                download = live.client.get(links["file"], params={"format": file_format})
+                download = live.client.get(urls["file"], params={"format": file_format})
                 assert download.status_code in {200, 404}
     return codes
 

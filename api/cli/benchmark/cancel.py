@@ -124,7 +124,7 @@ def _cancel(client: Client, job: Json) -> float:
     """Cancel a job; return the seconds until no process works on it."""
 
     def is_canceled() -> bool:
-        return bool(client.get(job["links"]["self"])["state"] == "canceled")
+        return bool(client.get(job["urls"]["self"])["state"] == "canceled")
 
     processes = worker_processes()
     asked_s = time.monotonic()
@@ -139,9 +139,9 @@ def _stage_after(client: Client, job: Json, then_s: float) -> str | None:
         if time.monotonic() > deadline_s:
             raise ServiceError("The workers do not begin.")
         time.sleep(_LOOK_S)
-        job = client.get(job["links"]["self"])
+        job = client.get(job["urls"]["self"])
     time.sleep(then_s)
-    job = client.get(job["links"]["self"])
+    job = client.get(job["urls"]["self"])
     if job["state"] != "running":
         return None
     return next((stage["name"] for stage in job["stages"] if stage["state"] == "running"), "between stages")

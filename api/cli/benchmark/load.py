@@ -144,14 +144,14 @@ def _upload_as(
 
 def _wait_until_running(client: Client, job: Json) -> None:
     deadline_s = time.monotonic() + _START_S
-    while client.get(job["links"]["self"])["progress"] == 0:
+    while client.get(job["urls"]["self"])["progress"] == 0:
         if time.monotonic() > deadline_s:
             raise ServiceError("The workers do not begin.")
         time.sleep(0.1)
 
 
 def _units_done(client: Client, jobs: Sequence[Json]) -> int:
-    return sum(stage["done"] for job in jobs for stage in client.get(job["links"]["self"])["stages"])
+    return sum(stage["done"] for job in jobs for stage in client.get(job["urls"]["self"])["stages"])
 
 
 def measure(
@@ -167,7 +167,7 @@ def measure(
         ]
         _wait_until_running(client, jobs[0])
         before = _units_done(client, jobs)
-        paths = [job["links"]["self"] for job in jobs]
+        paths = [job["urls"]["self"] for job in jobs]
         uploads = pool.submit(upload, client.url, videos, sample.calibration, uploading, duration_s, mbit_per_s)
         polls = pool.submit(poll, client.url, paths, polling, duration_s).result()
         sent = uploads.result()

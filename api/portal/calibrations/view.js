@@ -54,7 +54,7 @@ export function open(place, route, caller) {
     const text = `${copies}Captures that use it keep their copy.`;
     if (!await confirm({ title: `Delete the calibration ${name}?`, text, action: "Delete the calibration" })) return;
     await act(id, async () => {
-      for (const { links } of all) await call(links.self, { method: "DELETE" });
+      for (const { urls } of all) await call(urls.self, { method: "DELETE" });
       announce(`The calibration ${name} is deleted.`);
       await load();
       place.querySelector("#calibrations-title").focus();
@@ -67,7 +67,7 @@ export function open(place, route, caller) {
     place.querySelector(".rename input").select();
   }
 
-  function renameForm({ id, name, links }) {
+  function renameForm({ id, name, urls }) {
     const end = () => {
       renamed = null;
       draw();
@@ -78,7 +78,7 @@ export function open(place, route, caller) {
       const wanted = event.target.elements.name.value.trim();
       if (!wanted || wanted === name) return end();
       return act(id, async () => {
-        await call(links.self, { method: "PATCH", body: { name: wanted } });
+        await call(urls.self, { method: "PATCH", body: { name: wanted } });
         await load();
         end();
         announce(`Renamed to ${wanted}.`);
@@ -118,7 +118,7 @@ export function open(place, route, caller) {
       ${warningList(calibration.warnings, `Warnings of ${calibration.name}`)}
       ${calibration.cameras.length ? cameraTable(calibration) : nothing}
       <div class="actions">
-        ${calibration.links.file ? FORMATS.map(([format, label]) => html`<a class="button small" download href="${calibration.links.file}?format=${format}" aria-label="${calibration.name} as ${label}">${label}</a>`) : nothing}
+        ${calibration.urls.file ? FORMATS.map(([format, label]) => html`<a class="button small" download href="${calibration.urls.file}?format=${format}" aria-label="${calibration.name} as ${label}">${label}</a>`) : nothing}
         ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label="Rename ${calibration.name}" @click=${() => beginRename(calibration.id)}>Rename</button>
           <button type="button" class="button small danger-quiet" aria-label="Delete ${calibration.name}" @click=${() => remove(group)}>Delete</button>` : nothing}
       </div></li>`;

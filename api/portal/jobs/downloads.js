@@ -35,7 +35,7 @@ function fileWords({ kind, format, preset, person }, options) {
 }
 
 function fileLink(result, options) {
-  return html`<li><a href=${addressed(result.link)} download>
+  return html`<li><a href=${addressed(result.url)} download>
     <span class="what">${fileWords(result, options)}</span>
     <span class="name">${result.download_name}</span> <span class="quiet">${size(result.num_bytes)}</span></a></li>`;
 }
@@ -57,7 +57,7 @@ export function downloads(job, results, options, makeVisuals, { hasVideos = true
   const isShown = ({ kind }) => kind in VISUALS || kind === "blurred";
   return html`<section class="panel downloads" aria-labelledby="files-title">
     <div class="head"><h2 id="files-title" tabindex="-1">Files</h2>
-      <a class="button small primary" href=${addressed(job.links.results_zip)} download>All as ZIP</a></div>
+      <a class="button small primary" href=${addressed(job.urls.results_zip)} download>All as ZIP</a></div>
     ${revisionNote(job)}
     ${visualsNote(job, ofAll.filter(isVisual), makeVisuals, hasVideos)}
     ${group("To show", ofAll.filter(isShown), options)}
@@ -90,7 +90,7 @@ function visualsNote(job, visuals, makeVisuals, hasVideos) {
 }
 
 function visualsBox(job, words, action = null, makeVisuals = null) {
-  const canMake = action !== null && makeVisuals !== null && job.links.visuals !== null;
+  const canMake = action !== null && makeVisuals !== null && job.urls.visuals !== null;
   return html`<div class="notice visuals"><p>${words}</p>
     ${canMake ? html`<button type="button" class="button small" @click=${makeVisuals}>${action}</button>` : nothing}</div>`;
 }

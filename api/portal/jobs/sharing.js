@@ -16,7 +16,7 @@ export class Sharing {
   #timer = 0;
 
   constructor(place, job) {
-    Object.assign(this, { place, job, path: `${job.links.self}/links` });
+    Object.assign(this, { place, job, path: `${job.urls.self}/links` });
     this.#load().catch((problem) => this.#fail(problem));
   }
 

@@ -49,7 +49,7 @@ class JobView {
     await this.#persist(async () => {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
       document.title = `${this.job.session_name} · Multicap`;
-      [this.session, this.options] = await Promise.all([call(this.job.links.session), this.caller.isGuest ? null : readOptions()]);
+      [this.session, this.options] = await Promise.all([call(this.job.urls.session), this.caller.isGuest ? null : readOptions()]);
       await this.#showResults();
     });
   }
@@ -86,7 +86,7 @@ class JobView {
 
   async #showResults() {
     const { job } = this;
-    const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.links.people !== null;
+    const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.urls.people !== null;
     if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
     await this.#panel?.follow(job);
     // The files of an earlier revision can be read until the files of the present one are there.
@@ -98,7 +98,7 @@ class JobView {
     try {
       if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
       // Blurred videos are there since the job has succeeded.
-      if (job.spec.blur_faces) this.session = await call(job.links.session);
+      if (job.spec.blur_faces) this.session = await call(job.urls.session);
       await this.motion.open(job, this.session, { isGuest: this.caller.isGuest });
       this.#showPeople();
     } catch (problem) {
@@ -111,7 +111,7 @@ class JobView {
   async #list(job) {
     const listed = `${job.results_revision} ${job.visuals_job?.id} ${job.visuals_job?.state}`;
     if (this.#listed === listed) return;
-    this.results = (await call(job.links.results)).results;
+    this.results = (await call(job.urls.results)).results;
     this.#listed = listed;
     this.draw();
   }
@@ -127,7 +127,7 @@ class JobView {
 
   async #makeVisuals() {
     await this.#persist(async () => {
-      await call(this.job.links.visuals, { method: "POST" });
+      await call(this.job.urls.visuals, { method: "POST" });
       announce("What shows the take is being made.");
       await feed.refresh();
       this.below.querySelector("#files-title").focus(); // the button is gone

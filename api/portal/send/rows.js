@@ -142,7 +142,7 @@ const OF_LOAD = ["pictures_left_out"];
 export function cameraPicture(camera) {
   const { thumbnails = [] } = camera ?? {};
   if (thumbnails.length === 0) return nothing;
-  return html`<img class="thumb" src=${thumbnails[Math.floor(thumbnails.length / 2)].link} alt="" loading="lazy">`;
+  return html`<img class="thumb" src=${thumbnails[Math.floor(thumbnails.length / 2)].url} alt="" loading="lazy">`;
 }
 
 // Pictures that a finding names, with their cameras and times; beside a copy the camera that it repeats.
@@ -150,11 +150,11 @@ function describeEvidence({ code, camera, evidence }, cameras) {
   const names = code === "same_video" ? [camera, evidence?.other_camera] : [camera];
   const shown = names.flatMap((name) => {
     const { thumbnails = [] } = cameras.find((camera) => camera.name === name) ?? {};
-    return (evidence?.pictures ?? []).map((number) => ({ name, ...thumbnails[number] })).filter(({ link }) => link);
+    return (evidence?.pictures ?? []).map((number) => ({ name, ...thumbnails[number] })).filter(({ url }) => url);
   });
   if (shown.length === 0) return nothing;
-  return html`<div class="pictures">${shown.map(({ name, link, time_s: time }) => html`<figure>
-    <img class="evidence" src=${link} alt="Picture of ${name} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${name}, ${time.toFixed(1)} s</figcaption>
+  return html`<div class="pictures">${shown.map(({ name, url, time_s: time }) => html`<figure>
+    <img class="evidence" src=${url} alt="Picture of ${name} at ${time.toFixed(1)} s" loading="lazy"><figcaption>${name}, ${time.toFixed(1)} s</figcaption>
   </figure>`)}</div>`;
 }
 

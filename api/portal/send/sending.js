@@ -331,7 +331,7 @@ class Sending extends EventTarget {
     this.#go("starting");
     try {
       if (!this.options) await this.loadOptions();
-      const job = await this.#answered(this.session.links.jobs, jobBody(this.capture), newKey());
+      const job = await this.#answered(this.session.urls.jobs, jobBody(this.capture), newKey());
       feed.put(job);
       for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
       this.#begin();
@@ -357,13 +357,13 @@ class Sending extends EventTarget {
   }
 
   async discardSession() {
-    await call(this.session.links.self, { method: "DELETE" });
+    await call(this.session.urls.self, { method: "DELETE" });
     this.clear();
   }
 
   // Go back from a checked capture to its files, which are sent again.
   async reopen() {
-    await call(this.session.links.self, { method: "DELETE" });
+    await call(this.session.urls.self, { method: "DELETE" });
     for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
     Object.assign(this.draft, { sessionId: null, wasSending: false });
     this.session = this.problem = null;

@@ -240,8 +240,8 @@ function recentJobs(feed) {
 
 let isSampleLoading = false;
 
-async function fetchFile({ name, link, media_type: type }) {
-  const response = await fetch(link);
+async function fetchFile({ name, url, media_type: type }) {
+  const response = await fetch(url);
   if (!response.ok) throw new RequestProblem(await response.json().catch(() => null), response.status);
   return new File([await response.blob()], name, { type, lastModified: 0 });
 }

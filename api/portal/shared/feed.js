@@ -121,7 +121,7 @@ class Feed extends EventTarget {
   }
 
   #open(job) {
-    const stream = new EventSource(addressed(job.links.events));
+    const stream = new EventSource(addressed(job.urls.events));
     stream.addEventListener("job", ({ data }) => this.put(JSON.parse(data)));
     stream.addEventListener("gone", () => this.remove(job.id));
     // Without the stream the job is polled; the browser tries again by itself unless the service refused.

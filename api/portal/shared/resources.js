@@ -105,8 +105,8 @@ class CharacterShelf extends EventTarget {
   }
 
   // Bone of a joint as somebody knows better; null: the joint has none.
-  async correct({ links, corrections }, joint, bone) {
-    const changed = await this.#try(() => call(links.self, { method: "PATCH", body: { bones: { ...corrections, [joint]: bone } } }));
+  async correct({ urls, corrections }, joint, bone) {
+    const changed = await this.#try(() => call(urls.self, { method: "PATCH", body: { bones: { ...corrections, [joint]: bone } } }));
     if (changed) this.opened.set(changed.id, changed);
     this.#changed();
   }

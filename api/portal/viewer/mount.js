@@ -87,7 +87,7 @@ export class ApiSource {
   #hasCharacter;
 
   /**
-   * `cameras` are the session's cameras, which link their videos; `addressed` completes addresses, as by the secret of a link;
+   * `cameras` are the session's cameras, with the URLs of their videos; `addressed` completes addresses, as by the secret of a link;
    * `hasCharacter`: the job moves a character.
    */
   constructor(jobId, cameras = [], addressed = (address) => address, { hasCharacter = false } = {}) {
@@ -95,7 +95,7 @@ export class ApiSource {
     this.address = `${this.job}/motion`;
     this.addressed = addressed;
     this.#hasCharacter = hasCharacter;
-    this.#videos = new Map(cameras.map(({ name, video_link: url, media_start_s: startS }) => [name, url ? { url: addressed(url), startS: startS ?? 0 } : null]));
+    this.#videos = new Map(cameras.map(({ name, video_url: url, media_start_s: startS }) => [name, url ? { url: addressed(url), startS: startS ?? 0 } : null]));
   }
 
   async video(camera) {
@@ -114,9 +114,9 @@ export class ApiSource {
     if (!this.#hasCharacter) return [];
     const { results } = await (await get(this.addressed(`${this.job}/results`), signal)).json();
     const isShown = ({ kind, person, media_type: type }) => kind === "character" && person !== null && type === "model/gltf-binary";
-    return results.filter(isShown).map(({ person, name, link, num_bytes: numBytes }) => {
+    return results.filter(isShown).map(({ person, name, url, num_bytes: numBytes }) => {
       // The page may ask its own service alone, not a store of files.
-      const address = this.addressed(`${link}?redirect=false`);
+      const address = this.addressed(`${url}?redirect=false`);
       return { id: Number(person.split("-").at(-1)), name, numBytes, read: (from, to, how) => part(address, from, to, how) };
     });
   }

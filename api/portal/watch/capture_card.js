@@ -26,8 +26,8 @@ function captureFacts(session) {
 
 function thumbnail(camera) {
   if (camera.thumbnails?.length) return cameraPicture(camera);
-  if (!camera.video_link) return nothing;
-  return html`<video class="thumb" src="${camera.video_link}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>`;
+  if (!camera.video_url) return nothing;
+  return html`<video class="thumb" src="${camera.video_url}#t=0.1" preload="metadata" muted playsinline aria-hidden="true" tabindex="-1"></video>`;
 }
 
 function cameraTable(view, session) {
@@ -56,8 +56,8 @@ function cameraTable(view, session) {
 function pictureOfCapture({ name, preflight }) {
   const camera = preflight.cameras.find(({ thumbnails }) => thumbnails?.length);
   if (!camera) return nothing;
-  const { link } = camera.thumbnails[Math.floor(camera.thumbnails.length / 2)];
-  return html`<img class="cover" src=${link} alt="${name}, seen by ${camera.name}" loading="lazy">`;
+  const { url } = camera.thumbnails[Math.floor(camera.thumbnails.length / 2)];
+  return html`<img class="cover" src=${url} alt="${name}, seen by ${camera.name}" loading="lazy">`;
 }
 
 function beginRename(view, session) {
@@ -79,7 +79,7 @@ function renameForm(view, session) {
     const name = event.target.elements.name.value.trim();
     if (!name || name === session.name) return end();
     return view.act(session.id, async () => {
-      const renamed = await call(session.links.self, { method: "PATCH", body: { name } });
+      const renamed = await call(session.urls.self, { method: "PATCH", body: { name } });
       view.sessions = view.sessions.map((other) => (other.id === session.id ? renamed : other));
       end();
       announce(`Renamed to ${name}.`);
@@ -106,7 +106,7 @@ export function captureCard(view, session) {
     };
     if (!await confirm(question)) return;
     await view.act(session.id, async () => {
-      await call(session.links.self, { method: "DELETE" });
+      await call(session.urls.self, { method: "DELETE" });
       for (const job of jobs) feed.remove(job.id);
       view.sessions = view.sessions.filter(({ id }) => id !== session.id);
       view.draw();
@@ -124,8 +124,8 @@ export function captureCard(view, session) {
     };
     if (!await confirm(question)) return;
     await view.act(session.id, async () => {
-      await call(`${session.links.self}/videos`, { method: "DELETE" });
-      const changed = await call(session.links.self);
+      await call(`${session.urls.self}/videos`, { method: "DELETE" });
+      const changed = await call(session.urls.self);
       view.sessions = view.sessions.map((other) => (other.id === session.id ? changed : other));
       view.draw();
       announce(`The videos of ${session.name} are deleted.`);
@@ -205,7 +205,7 @@ function runAgainForm(view, session) {
     // What the form shows counts, also against what the session states.
     const usual = Object.fromEntries(view.options.choices.filter(({ name }) => OF_SESSION.includes(name)).map((choice) => [choice.name, choice.default]));
     return view.act(session.id, async () => {
-      const job = await call(session.links.jobs, { method: "POST", body: { ...usual, ...spec } });
+      const job = await call(session.urls.jobs, { method: "POST", body: { ...usual, ...spec } });
       feed.put(job);
       close();
       announce(`Another job of ${session.name} waits.`);

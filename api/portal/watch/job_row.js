@@ -31,7 +31,7 @@ export function errorBox(job) {
     const hint = "Correct the capture and send it again, or reconstruct it all the same.";
     return problemBox({ message: "The check found errors, with which a reconstruction would be wrong.", hint, items: job.error.errors });
   }
-  const advice = job.error.hint ?? (job.links.retry ? "Retry it." : null);
+  const advice = job.error.hint ?? (job.urls.retry ? "Retry it." : null);
   return problemBox({ message: where ? `${job.error.detail} (${where})` : job.error.detail, hint: advice });
 }
 
@@ -54,10 +54,10 @@ export function jobRow(view, job, number) {
   });
   const remove = async () => {
     const question = { title: `Delete this job of ${name}?`, text: "Its results are deleted for good. The videos stay.", action: "Delete the job" };
-    if (await confirm(question)) await act(job.links.self, "DELETE", `The job of ${name} is deleted.`);
+    if (await confirm(question)) await act(job.urls.self, "DELETE", `The job of ${name} is deleted.`);
   };
   const force = () => view.act(job.id, async () => {
-    feed.put(await call(`${job.links.session}/jobs`, { method: "POST", body: { ...job.spec, force: true } }));
+    feed.put(await call(`${job.urls.session}/jobs`, { method: "POST", body: { ...job.spec, force: true } }));
     announce(`Another job of ${job.session_name} waits.`);
   });
   const isOpenable = job.kind === "reconstruction";
@@ -69,10 +69,10 @@ export function jobRow(view, job, number) {
       <p class="quiet facts">${jobFacts(job).map((fact) => html`<span>${fact}</span>`)}</p>
       <div class="actions">
         ${isOpenable && hasFiles(job) ? html`<a class="button small primary" href=${address("jobs", job.id)} aria-label="Look at ${name}">Look</a>
-          <a class="button small" href=${job.links.results_zip} download aria-label="All as ZIP: ${name}">All as ZIP</a>` : nothing}
+          <a class="button small" href=${job.urls.results_zip} download aria-label="All as ZIP: ${name}">All as ZIP</a>` : nothing}
         ${isOpenable && !hasFiles(job) ? html`<a class="button small" href=${address("jobs", job.id)} aria-label="Details of ${name}">Details</a>` : nothing}
-        ${view.canWrite && job.links.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.links.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
-        ${view.canWrite && job.links.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.links.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
+        ${view.canWrite && job.urls.cancel ? html`<button type="button" class="button small" aria-label="Cancel ${name}" @click=${() => act(job.urls.cancel, "POST", `${name} is being canceled.`)}>Cancel</button>` : nothing}
+        ${view.canWrite && job.urls.retry ? html`<button type="button" class="button small" aria-label="Retry ${name}" @click=${() => act(job.urls.retry, "POST", `${name} waits for another attempt.`)}>Retry</button>` : nothing}
         ${view.canWrite && job.error?.errors.length ? html`<button type="button" class="button small" aria-label="Reconstruct ${name} all the same" @click=${force}>Reconstruct all the same</button>` : nothing}
         ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label="Delete job of ${name}" @click=${remove}>Delete job</button>` : nothing}
       </div>

@@ -100,7 +100,7 @@ class Captures {
   // Jobs that are older than the feed's.
   async #loadJobs(session) {
     if (this.#asked.has(session.id) || feed.ofSession(session.id).length >= session.num_jobs) return;
-    const { jobs } = await call(session.links.jobs);
+    const { jobs } = await call(session.urls.jobs);
     this.#asked.add(session.id);
     feed.put(...jobs);
   }

@@ -179,7 +179,7 @@ class CalibratedCamera(ResponseModel):
     )
 
 
-class CalibrationLinks(ResponseModel):
+class CalibrationUrls(ResponseModel):
     """Paths of a calibration and of what belongs to it."""
 
     self: str = Field(description="Path of the calibration.", examples=[f"/v1/calibrations/{ID}"])
@@ -215,7 +215,7 @@ class CalibrationOut(ResponseModel):
         description="Report of a calibration that was made: errors and views by camera, the world, warnings."
     )
     error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
-    links: CalibrationLinks
+    urls: CalibrationUrls
 
     @classmethod
     def from_calibration(cls, calibration: Calibration) -> Self:
@@ -232,7 +232,7 @@ class CalibrationOut(ResponseModel):
             cameras=() if text is None else _cameras(text),
             sha256=None if text is None else hashlib.sha256(text.encode()).hexdigest(),
             error=calibration.problem,
-            links=CalibrationLinks(
+            urls=CalibrationUrls(
                 self=address,
                 file=f"{address}/file" if is_ready else None,
                 job=f"/v1/jobs/{calibration.id}" if has_job else None,

@@ -62,7 +62,7 @@ class CharacterChanges(BaseModel):
     )
 
 
-class CharacterLinks(ResponseModel):
+class CharacterUrls(ResponseModel):
     """Paths of a character and of its file."""
 
     self: str = Field(description="Path of the character.", examples=[f"/v1/characters/{ID}"])
@@ -89,13 +89,13 @@ class CharacterSummaryOut(ResponseModel):
     num_vertices: int = Field(
         description="Number of vertices that bones move; those in compressed form don't count.", examples=[12_480]
     )
-    links: CharacterLinks
+    urls: CharacterUrls
 
     @classmethod
     def from_character(cls, character: CharacterSummary, **more: Any) -> Self:
         """Build the response from a character; ``more`` are the fields of its bones."""
         address, file = f"/v1/characters/{character.id}", character.file
-        links = CharacterLinks(self=address, file=f"{address}/file")
+        urls = CharacterUrls(self=address, file=f"{address}/file")
         return cls(
             id=character.id,
             name=character.name,
@@ -103,7 +103,7 @@ class CharacterSummaryOut(ResponseModel):
             file=file.name,
             num_bytes=file.num_bytes,
             sha256=file.sha256,
-            links=links,
+            urls=urls,
             **character.facts,
             **more,
         )

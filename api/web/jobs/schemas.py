@@ -106,7 +106,7 @@ class AttemptList(ResponseModel):
     attempts: tuple[AttemptOut, ...]
 
 
-class JobLinks(ResponseModel):
+class JobUrls(ResponseModel):
     """Paths of a job and of everything that belongs to it."""
 
     self: str = Field(description="Path of the job.", examples=[f"/v1/jobs/{ID}"])
@@ -200,7 +200,7 @@ class JobOut(ResponseModel):
         default=None,
         description="Space that the reconstruction was foreseen to need before it started; null of other jobs.",
     )
-    links: JobLinks
+    urls: JobUrls
 
     @classmethod
     def from_job(cls, job: job_records.JobRecord) -> Self:
@@ -214,7 +214,7 @@ class JobOut(ResponseModel):
             provider=provider_name(job.provider) if runs_networks else None,
             stages=tuple(map(StageOut.from_stage, job.stages)),
             error=job.problem,
-            links=JobLinks(
+            urls=JobUrls(
                 self=address,
                 session=f"/v1/sessions/{job.session_id}",
                 attempts=f"{address}/attempts",
@@ -230,8 +230,8 @@ class JobOut(ResponseModel):
 
     def for_link(self) -> Self:
         """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
-        links = self.links.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
-        return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "links": links})
+        urls = self.urls.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
+        return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "urls": urls})
 
 
 def _may_make_visuals(job: job_records.JobRecord) -> bool:

@@ -241,7 +241,7 @@ class ThumbnailOut(ResponseModel):
     """Small copy of a picture of a video."""
 
     time_s: float = Field(description="Time of the picture on the session's clock.")
-    link: str = Field(description="Path of the JPEG, whose longer side is at most 320 pixels.")
+    url: str = Field(description="Path of the JPEG, whose longer side is at most 320 pixels.")
 
 
 class CameraOut(ResponseModel):
@@ -260,13 +260,13 @@ class CameraOut(ResponseModel):
     num_frames: int = Field(description="Number of frames in the file.", examples=[300])
     start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.", examples=[0.0])
     plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.", examples=[True])
-    video_link: str | None = Field(
+    video_url: str | None = Field(
         description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
         "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made.",
         examples=[f"/v1/sessions/{ID}/videos/cam_0"],
     )
     media_start_s: float = Field(
-        description="Time of the first frame on the clock of the video at `video_link`.", examples=[0.0]
+        description="Time of the first frame on the clock of the video at `video_url`.", examples=[0.0]
     )
     thumbnails: tuple[ThumbnailOut, ...] = Field(
         default=(),
@@ -289,10 +289,10 @@ class CameraOut(ResponseModel):
         return cls.from_record(
             camera,
             plays_in_browsers=plays,
-            video_link=path if is_sent_shown or is_copy_made else None,
+            video_url=path if is_sent_shown or is_copy_made else None,
             media_start_s=camera.media_start_s if is_sent_shown else 0.0,
             thumbnails=tuple(
-                ThumbnailOut(time_s=thumbnail.time_s, link=f"{session}/thumbnails/{name}/{number}")
+                ThumbnailOut(time_s=thumbnail.time_s, url=f"{session}/thumbnails/{name}/{number}")
                 for number, thumbnail in enumerate(camera.thumbnails if is_there and not capture.is_blurred else ())
             ),
         )
@@ -335,7 +335,7 @@ class PreflightOut(ResponseModel):
         return cls.from_record(preflight, cameras=cameras)
 
 
-class SessionLinks(ResponseModel):
+class SessionUrls(ResponseModel):
     """Paths of a session and of its jobs."""
 
     self: str = Field(description="Path of the session.", examples=[f"/v1/sessions/{ID}"])
@@ -392,7 +392,7 @@ class SessionOut(ResponseModel):
         "a session that was sent for a calibration.",
     )
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
-    links: SessionLinks
+    urls: SessionUrls
 
     @classmethod
     def from_capture(cls, capture: Capture) -> Self:
@@ -415,7 +415,7 @@ class SessionOut(ResponseModel):
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,
             space=foreseen_space(session.preflight, JobSpec().config) if is_whole else None,
-            links=SessionLinks(self=address, jobs=f"{address}/jobs"),
+            urls=SessionUrls(self=address, jobs=f"{address}/jobs"),
         )
 
     def for_link(self) -> Self:

@@ -95,7 +95,7 @@ def _blurred(records: TenantRecords, session: Session, number: int) -> Download:
         number,
         records.results.blurred(session.id, blurred_name(number)),
         "A job of this session blurs faces, and the blurred video of this camera is not there.",
-        hint="Read the session until the camera has a video_link. If no job with blur_faces succeeds, start another.",
+        hint="Read the session until the camera has a video_url. If no job with blur_faces succeeds, start another.",
         remedy="Start another job with blur_faces.",
     )
 
@@ -107,7 +107,7 @@ def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
         number,
         records.results.proxy(session.id, proxy_name(number)),
         "Browsers can't play the video of this camera, and a copy that they play is not made yet.",
-        hint="Read the session until the camera has a video_link; its proxies_job says how far it is.",
+        hint="Read the session until the camera has a video_url; its proxies_job says how far it is.",
         remedy="Retry the session's proxies_job, or send the session again.",
     )
 

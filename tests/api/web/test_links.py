@@ -198,7 +198,7 @@ def test_rights_of_link_count_even_with_key(studio: Studio) -> None:
 def test_link_to_job_shows_nothing_else_of_tenant(studio: Studio) -> None:
     token = studio.token("job")
     job = studio.open(f"/v1/jobs/{studio.job_id}", token).json()
-    assert (job["state"], job["spec"]["callback_url"], job["links"]["retry"]) == ("succeeded", None, None)
+    assert (job["state"], job["spec"]["callback_url"], job["urls"]["retry"]) == ("succeeded", None, None)
     session = studio.open(f"/v1/sessions/{studio.session_id}", token).json()
     assert (session["metadata"], session["newest_job"]) == ({}, None)
     assert session["preflight"]["cameras"][0]["name"] == "cam_0"

@@ -36,7 +36,7 @@ def edit(live: Live, job_id: str, *edits: object, **headers: str) -> Any:
 
 
 def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["people"] == f"/v1/jobs/{job_id}/people"
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["people"] == f"/v1/jobs/{job_id}/people"
     before = people(live, job_id)
     assert (before["revision"], before["edits"], before["num_frames"]) == (0, [], 60)
     assert [person["name"] for person in before["people"]] == ["person-1", "person-2"]
@@ -178,7 +178,7 @@ def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: st
 def test_downloads_name_revision_of_edits(live: Live, job_id: str) -> None:
     def names() -> list[str]:
         (listed,) = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
-        sent = [live.client.get(path).headers["content-disposition"] for path in (listed["link"], zipped)]
+        sent = [live.client.get(path).headers["content-disposition"] for path in (listed["url"], zipped)]
         return [listed["download_name"], *(header.partition('"')[2].partition('"')[0] for header in sent)]
 
     zipped = f"/v1/jobs/{job_id}/results.zip"
@@ -196,7 +196,7 @@ def test_visuals_are_made_on_request(live: Live) -> None:
     job_id = str(answer.json()["id"])
     address = f"/v1/jobs/{job_id}/visuals"
     live.finish(job_id, people=FOUND, overlays={"overlay-cam_0.mp4": b"video"})
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["visuals"] is None
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["visuals"] is None
     problem_of(live.client.post(address), 409, "conflict")
 
     assert edit(live, job_id, ANNA).status_code == 202
@@ -210,7 +210,7 @@ def test_visuals_are_made_on_request(live: Live) -> None:
     with zipfile.ZipFile(io.BytesIO(zipped.content)) as archive:
         kept = {name.rpartition("/")[2] for name in archive.namelist()}
     assert kept == {one["download_name"] for one in listed}
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["links"]["visuals"] == address
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["visuals"] == address
 
     answer = live.client.post(address)
     assert answer.status_code == 202, answer.text
@@ -221,7 +221,7 @@ def test_visuals_are_made_on_request(live: Live) -> None:
     assert live.client.post(address).json()["id"] == visuals["id"]
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     assert job["visuals_job"] == {"id": visuals["id"], "state": "queued"}
-    assert job["links"]["visuals"] is None
+    assert job["urls"]["visuals"] is None
     assert [one["id"] for one in live.client.get("/v1/jobs", params={"kind": "visuals"}).json()["jobs"]] == [
         visuals["id"]
     ]

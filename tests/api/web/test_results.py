@@ -58,7 +58,7 @@ def test_list(live: Live, job_id: str, path: str) -> None:
                 "num_bytes": len(RESULT),
                 "sha256": ETAG.strip('"'),
                 "revision": 0,
-                "link": path,
+                "url": path,
             }
         ]
     }
@@ -127,7 +127,7 @@ def test_if_none_match(live: Live, path: str) -> None:
 
 
 def test_all_as_one_archive(live: Live, job_id: str) -> None:
-    address = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["results_zip"]
+    address = live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["results_zip"]
     answer = live.client.get(address)
     assert answer.headers["Content-Type"] == "application/zip"
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
@@ -136,7 +136,7 @@ def test_all_as_one_archive(live: Live, job_id: str) -> None:
     listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
     assert [result["person"] for result in listed] == ["person-1"]
     assert packed == {
-        f"person-1/{result['download_name']}": live.client.get(result["link"]).content for result in listed
+        f"person-1/{result['download_name']}": live.client.get(result["url"]).content for result in listed
     }
 
 
@@ -148,7 +148,7 @@ def test_videos_are_in_folder_of_archive_as_they_are(live: Live) -> None:
         one for one in live.client.get(f"/v1/jobs/{job_id}/results").json()["results"] if one["kind"] == "overlay"
     )
     assert (listed["person"], listed["format"], listed["media_type"]) == (None, None, "video/mp4")
-    sent = live.client.get(listed["link"])
+    sent = live.client.get(listed["url"])
     assert (sent.content, sent.headers["content-type"]) == (video, "video/mp4")
     with zipfile.ZipFile(io.BytesIO(live.client.get(f"/v1/jobs/{job_id}/results.zip").content)) as archive:
         assert archive.testzip() is None
@@ -165,7 +165,7 @@ def test_file_of_take_has_no_person(live: Live) -> None:
         if result["name"] == "take.glb"
     )
     assert (listed["kind"], listed["format"], listed["person"], listed["preset"]) == ("glb", "glb", None, None)
-    assert live.client.get(listed["link"]).headers["content-type"] == "model/gltf-binary"
+    assert live.client.get(listed["url"]).headers["content-type"] == "model/gltf-binary"
     with zipfile.ZipFile(io.BytesIO(live.client.get(f"/v1/jobs/{job_id}/results.zip").content)) as archive:
         assert archive.read(listed["download_name"]) == b"glTF"
 

@@ -127,7 +127,7 @@ export class EditQueue extends EventTarget {
   async #send(edits, words) {
     const request = { method: "PATCH", body: { edits }, headers: { "If-Match": this.#etag } };
     const isOver = () => this.#isClosed;
-    const job = await persistently(() => call(this.job.links.people, request), { isOver });
+    const job = await persistently(() => call(this.job.urls.people, request), { isOver });
     this.#own.add(job.revision);
     await persistently(() => this.#read(), { isOver });
     this.#waiting.shift();
@@ -174,7 +174,7 @@ export class EditQueue extends EventTarget {
 
   async #read() {
     const known = this.people;
-    ({ record: this.people, etag: this.#etag } = await readTagged(this.job.links.people));
+    ({ record: this.people, etag: this.#etag } = await readTagged(this.job.urls.people));
     this.#earlier.set(this.people.revision, this.people);
     if (known === null || this.people.revision === known.revision || this.#own.has(this.people.revision)) return;
     this.#undone = [];

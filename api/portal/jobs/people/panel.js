@@ -110,7 +110,7 @@ export class PeoplePanel {
       ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>You deleted everybody.</p>
         ${this.button("Undo", () => editing.undo(), { name: "Undo, so that people come back" })}</div>` : nothing}
       ${isBroken ? html`<div class="problem" role="alert"><p>The files of these edits were not made. Retry, or undo the last edit.</p>
-        ${job.links.retry ? html`<div class="actions">${this.button("Retry", () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
+        ${job.urls.retry ? html`<div class="actions">${this.button("Retry", () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
   }
 
   #list() {
@@ -144,7 +144,7 @@ export class PeoplePanel {
   }
 
   async #retry() {
-    feed.put(await call(this.editing.job.links.retry, { method: "POST" }));
+    feed.put(await call(this.editing.job.urls.retry, { method: "POST" }));
   }
 
   #key(event) {

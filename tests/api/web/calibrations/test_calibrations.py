@@ -42,11 +42,11 @@ def test_file_is_read_and_kept(strict: Live) -> None:
     answer = send(strict)
     assert answer.status_code == 201, answer.text
     calibration = answer.json()
-    assert answer.headers["location"] == calibration["links"]["self"]
+    assert answer.headers["location"] == calibration["urls"]["self"]
     assert (calibration["name"], calibration["method"], calibration["state"]) == ("studio.json", "file", "ready")
     assert calibration["source"]["format"] == "Multicap JSON"
     assert calibration["cameras"][0] == CAMERA | {"lens": "standard", "position_m": [-0.25, -4.0, 1.5]}
-    assert strict.client.get(calibration["links"]["self"]).json() == calibration
+    assert strict.client.get(calibration["urls"]["self"]).json() == calibration
     assert strict.client.get("/v1/calibrations").json()["calibrations"][0] == calibration
 
 
@@ -54,35 +54,35 @@ def test_equal_files_have_equal_digests(strict: Live) -> None:
     other = json.dumps({"schema_version": 1, "cameras": [CAMERA, CAMERA | {"name": "cam_2"}]}).encode()
     first, again, different = (send(strict, content).json() for content in (CALIBRATION, CALIBRATION, other))
     assert first["sha256"] == again["sha256"] != different["sha256"]
-    assert first["sha256"] == hashlib.sha256(strict.client.get(first["links"]["file"]).content).hexdigest()
+    assert first["sha256"] == hashlib.sha256(strict.client.get(first["urls"]["file"]).content).hexdigest()
 
 
 def test_rename(strict: Live) -> None:
-    path = send(strict).json()["links"]["self"]
+    path = send(strict).json()["urls"]["self"]
     before = strict.client.get(path)
     answer = strict.client.patch(path, json={"name": "Studio é"}, headers={"If-Match": before.headers["etag"]})
     assert answer.status_code == 200, answer.text
     assert answer.json() == before.json() | {"name": "Studio é"} == strict.client.get(path).json()
     stale = strict.client.patch(path, json={"name": "Hall"}, headers={"If-Match": before.headers["etag"]})
     problem_of(stale, 412, "changed_meanwhile")
-    download = strict.client.get(answer.json()["links"]["file"]).headers["content-disposition"]
+    download = strict.client.get(answer.json()["urls"]["file"]).headers["content-disposition"]
     assert download == "attachment; filename*=utf-8''Studio%20%C3%A9.json"
     problem_of(strict.client.patch(path, json={"name": ""}), 422, "invalid_request")
     problem_of(strict.client.patch(f"/v1/calibrations/{uuid4()}", json={"name": "x"}), 404, "not_found")
 
 
 def test_it_is_downloaded_in_other_formats(strict: Live) -> None:
-    links = send(strict, name="studio \u00e9.json").json()["links"]
-    own = strict.client.get(links["file"])
+    urls = send(strict, name="studio \u00e9.json").json()["urls"]
+    own = strict.client.get(urls["file"])
     assert own.json()["cameras"][1]["name"] == "cam_1"
     assert own.headers["content-disposition"] == "attachment; filename*=utf-8''studio%20%C3%A9.json.json"
-    toml = strict.client.get(links["file"], params={"format": "caliscope"})
+    toml = strict.client.get(urls["file"], params={"format": "caliscope"})
     assert toml.headers["content-type"].startswith("application/toml")
     assert tomllib.loads(toml.text)["cameras"]["0"]["matrix"] == CAMERA["matrix"]
-    anipose = strict.client.get(links["file"], params={"format": "anipose"})
+    anipose = strict.client.get(urls["file"], params={"format": "anipose"})
     assert tomllib.loads(anipose.text)["cam_0"]["matrix"] == CAMERA["matrix"]
-    assert strict.client.get(links["file"], params={"format": "opencv"}).text.startswith("%YAML:1.0")
-    problem_of(strict.client.get(links["file"], params={"format": "pickle"}), 422, "invalid_request")
+    assert strict.client.get(urls["file"], params={"format": "opencv"}).text.startswith("%YAML:1.0")
+    problem_of(strict.client.get(urls["file"], params={"format": "pickle"}), 422, "invalid_request")
 
 
 def test_fisheye_stays_one(strict: Live) -> None:
@@ -90,7 +90,7 @@ def test_fisheye_stays_one(strict: Live) -> None:
     calibration = send(strict, json.dumps({"schema_version": 1, "cameras": [fisheye]}).encode()).json()
     assert calibration["cameras"][0]["lens"] == "fisheye"
     for file_format, ending in ENDINGS.items():
-        answer = strict.client.get(calibration["links"]["file"], params={"format": file_format})
+        answer = strict.client.get(calibration["urls"]["file"], params={"format": file_format})
         again = send(strict, answer.content, f"rig.{ending}")
         (camera,) = again.json()["cameras"]
         assert (camera["lens"], camera["distortion"]) == ("fisheye", CAMERA["distortion"])
@@ -185,7 +185,7 @@ def test_deleted_calibration_is_gone_and_its_sessions_stay(live: Live) -> None:
     assert live.client.delete(address).status_code == 204
     problem_of(live.client.get(address), 404, "not_found")
     problem_of(live.client.delete(address), 404, "not_found")
-    assert live.client.get(session["links"]["self"]).status_code == 200
+    assert live.client.get(session["urls"]["self"]).status_code == 200
 
 
 def test_calibrations_come_in_pages(live: Live) -> None:

@@ -89,7 +89,7 @@ def test_job_makes_calibration_from_board(making: Live, videos: list[Path]) -> N
     answer = send(making, videos, method="board", board=SPEC, name="Studio B")
     assert answer.status_code == 202, answer.text
     job = answer.json()
-    assert answer.headers["location"] == job["links"]["self"]
+    assert answer.headers["location"] == job["urls"]["self"]
     assert (job["kind"], job["calibration_id"]) == ("calibration", job["id"])
     assert [stage["name"] for stage in job["stages"]] == ["find_board", "make_calibration"]
     address = f"/v1/calibrations/{job['id']}"
@@ -97,28 +97,28 @@ def test_job_makes_calibration_from_board(making: Live, videos: list[Path]) -> N
     problem_of(making.client.get(f"{address}/file"), 409, "not_finished")
     problem_of(making.client.delete(address), 409, "conflict")
     # Its videos are no capture: they can't be reconstructed, and are not listed.
-    problem_of(making.client.post(f"{job['links']['session']}/jobs", json={}), 409, "conflict")
+    problem_of(making.client.post(f"{job['urls']['session']}/jobs", json={}), 409, "conflict")
     assert making.client.get("/v1/sessions").json()["sessions"] == []
 
     work(making)
     calibration = making.client.get(address).json()
-    assert calibration["state"] == "ready", making.client.get(job["links"]["self"]).json()["error"]
+    assert calibration["state"] == "ready", making.client.get(job["urls"]["self"]).json()["error"]
     assert (calibration["name"], calibration["method"], calibration["error"]) == ("Studio B", "board", None)
     assert [camera["name"] for camera in calibration["cameras"]] == [path.stem for path in videos]
     assert all(1.5 < camera["position_m"][2] < 2.5 for camera in calibration["cameras"])
     assert calibration["report"]["reprojection_error_px"] < 0.5
-    names = {one["name"] for one in making.client.get(job["links"]["results"]).json()["results"]}
+    names = {one["name"] for one in making.client.get(job["urls"]["results"]).json()["results"]}
     assert names == {"calibration.json", "report.json", *(f"coverage_{path.stem}.svg" for path in videos)}
 
     # The same videos as a session with the calibration's id; a second one after the calibration's job is deleted.
     parts: list[tuple[str, Any]] = [("videos", (path.name, path.read_bytes())) for path in videos]
     parts.append(("calibration_id", (None, job["id"].encode())))
     assert making.client.post("/v1/sessions", files=parts).status_code == 201
-    assert making.client.delete(job["links"]["self"]).status_code == 204
+    assert making.client.delete(job["urls"]["self"]).status_code == 204
     assert making.client.post("/v1/sessions", files=parts).status_code == 201
     assert making.client.get(address).json()["state"] == "ready"
     assert making.client.delete(address).status_code == 204
-    problem_of(making.client.get(job["links"]["session"]), 404, "not_found")
+    problem_of(making.client.get(job["urls"]["session"]), 404, "not_found")
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_photographs_of_board_give_intrinsics(making: Live, photographs: list[Pa
     assert answer.status_code == 202, answer.text
     work(making)
     calibration = making.client.get(f"/v1/calibrations/{answer.json()['id']}").json()
-    assert calibration["state"] == "ready", making.client.get(answer.json()["links"]["self"]).json()["error"]
+    assert calibration["state"] == "ready", making.client.get(answer.json()["urls"]["self"]).json()["error"]
     assert calibration["report"]["has_extrinsics"] is False
     truth = build_cameras(RIG, np.random.default_rng(0))
     for found, camera in zip(calibration["cameras"], truth, strict=False):
@@ -218,9 +218,9 @@ def test_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path
     answer = send(making, videos[:1], method="board", board=SPEC)
     assert answer.status_code == 202, answer.text
     job = answer.json()
-    assert making.client.post(job["links"]["cancel"]).status_code == 202
+    assert making.client.post(job["urls"]["cancel"]).status_code == 202
     assert making.client.get(f"/v1/calibrations/{job['id']}").json()["state"] == "canceled"
-    retried = making.client.post(f"{job['links']['self']}/retry").json()
+    retried = making.client.post(f"{job['urls']['self']}/retry").json()
     assert (retried["kind"], retried["attempt"]) == ("calibration", 2)
     work(making)
     calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
@@ -233,8 +233,8 @@ def test_canceled_calibration_can_be_tried_again(making: Live, videos: list[Path
 
 def test_deleted_job_takes_calibration_that_it_did_not_make(making: Live, videos: list[Path]) -> None:
     job = send(making, videos[:1], method="board", board=SPEC).json()
-    making.client.post(job["links"]["cancel"])
-    assert making.client.delete(job["links"]["self"]).status_code == 204
+    making.client.post(job["urls"]["cancel"])
+    assert making.client.delete(job["urls"]["self"]).status_code == 204
     problem_of(making.client.get(f"/v1/calibrations/{job['id']}"), 404, "not_found")
 
 
@@ -291,7 +291,7 @@ def test_people_of_session_calibrate_its_cameras(making: Live, walk: Simulation)
     assert calibration["report"]["reprojection_error_px"] < 5.0
     # The capture stays when the calibration goes.
     assert making.client.delete(f"/v1/calibrations/{job['id']}").status_code == 204
-    assert making.client.get(session["links"]["self"]).status_code == 200
+    assert making.client.get(session["urls"]["self"]).status_code == 200
 
 
 @pytest.mark.slow
@@ -303,7 +303,7 @@ def test_footage_of_calibration_is_reconstructed_without_resend(making: Live, vi
     assert answer.status_code == 201, answer.text
     session = answer.json()
     assert (session["name"], session["id"] != job["session_id"]) == ("The take itself", True)
-    sent = making.client.get(job["links"]["session"]).json()["files"]
+    sent = making.client.get(job["urls"]["session"]).json()["files"]
     kinds = [(one["kind"], one["name"], one["sha256"]) for one in session["files"]]
     assert [one for one in kinds if one[0] == "video"] == [
         (one["kind"], one["name"], one["sha256"]) for one in sent if one["kind"] == "video"
@@ -311,12 +311,12 @@ def test_footage_of_calibration_is_reconstructed_without_resend(making: Live, vi
     assert [one[1] for one in kinds if one[0] == "calibration"] == [f"calibration-{job['id']}.json"]
     # Each has files of its own: the calibration goes with its session, and the new session stays whole.
     assert making.client.delete(f"/v1/calibrations/{job['id']}").status_code == 204
-    problem_of(making.client.get(job["links"]["session"]), 404, "not_found")
+    problem_of(making.client.get(job["urls"]["session"]), 404, "not_found")
     artifacts, stored = making.services.artifacts, making.services.store.sessions.get(session["id"])
     for file in stored.files:
         with artifacts.open(file.key, file.sha256) as content:
             assert len(content.read()) == file.num_bytes
-    assert making.client.delete(session["links"]["self"]).status_code == 204
+    assert making.client.delete(session["urls"]["self"]).status_code == 204
     assert not any(artifacts.exists(file.key) for file in stored.files)
 
 
@@ -329,15 +329,15 @@ def test_keypoints_are_reconstructed_with_calibration_from_them(making: Live, wa
     answer = making.client.post("/v1/jobs", json=body)
     assert answer.status_code == 202, answer.text
     job = answer.json()
-    other = making.client.get(job["links"]["session"]).json()
+    other = making.client.get(job["urls"]["session"]).json()
     assert other["preflight"]["timebase"] == session["preflight"]["timebase"]
     assert {one["kind"] for one in other["files"]} == {"keypoints", "timestamps", "calibration"}
     # The first session goes before the job of the second one begins.
-    assert making.client.delete(session["links"]["self"]).status_code == 204
+    assert making.client.delete(session["urls"]["self"]).status_code == 204
     work(making)
-    done = making.client.get(job["links"]["self"]).json()
+    done = making.client.get(job["urls"]["self"]).json()
     assert (done["state"], done["error"]) == ("succeeded", None)
-    metrics = making.client.get(f"{job['links']['results']}/metrics.json").json()
+    metrics = making.client.get(f"{job['urls']['results']}/metrics.json").json()
     assert len(metrics["people"]) == 2
 
 

@@ -42,7 +42,7 @@ def test_file_is_read_and_kept(strict: Live) -> None:
     answer = send(strict)
     assert answer.status_code == 201, answer.text
     made = answer.json()
-    assert answer.headers["location"] == made["links"]["self"]
+    assert answer.headers["location"] == made["urls"]["self"]
     facts = {key: made[key] for key in ("name", "file", "format", "method", "num_bytes", "num_bones")}
     assert facts == {
         "name": "robot.glb",
@@ -65,7 +65,7 @@ def test_file_is_read_and_kept(strict: Live) -> None:
     places = {bone["bone"]: bone for bone in made["skeleton"]}
     assert places["mixamorig:LeftForeArm"]["parent"] == "mixamorig:LeftArm"
     assert places["mixamorig:Head"]["position"][2] > places["mixamorig:Hips"]["position"][2] > 50.0
-    assert strict.client.get(made["links"]["self"]).json() == made
+    assert strict.client.get(made["urls"]["self"]).json() == made
 
 
 def test_fbx_is_read_in_metres(strict: Live) -> None:
@@ -74,7 +74,7 @@ def test_fbx_is_read_in_metres(strict: Live) -> None:
     assert (made["format"], made["method"], made["num_bones"]) == ("FBX", "names", 52)
     assert 1.65 < made["stature"] < 1.8
     assert bones(made) == bones(send(strict).json())
-    answer = strict.client.get(made["links"]["file"])
+    answer = strict.client.get(made["urls"]["file"])
     assert (answer.content, answer.headers["content-type"]) == (content, "application/octet-stream")
 
 
@@ -116,7 +116,7 @@ def test_bones_are_stated_with_file(strict: Live) -> None:
 
 def test_bones_are_corrected_and_corrections_taken_back(strict: Live) -> None:
     made = send(strict).json()
-    path, tag = made["links"]["self"], strict.client.get(made["links"]["self"]).headers["etag"]
+    path, tag = made["urls"]["self"], strict.client.get(made["urls"]["self"]).headers["etag"]
     answer = strict.client.patch(path, json={"bones": {"LeftShoulder": None}}, headers={"If-Match": tag})
     assert answer.status_code == 200, answer.text
     corrected = answer.json()
@@ -129,7 +129,7 @@ def test_bones_are_corrected_and_corrections_taken_back(strict: Live) -> None:
 
 
 def test_wrong_corrections_are_named(strict: Live) -> None:
-    path = send(strict).json()["links"]["self"]
+    path = send(strict).json()["urls"]["self"]
     before = strict.client.get(path).json()
     wrong = {"LeftArm": "no such bone", "RightArm": "nor this"}
     problem = problem_of(strict.client.patch(path, json={"bones": wrong}), 422, "invalid_request")
@@ -145,7 +145,7 @@ def test_wrong_corrections_are_named(strict: Live) -> None:
 
 def test_rename(strict: Live) -> None:
     made = send(strict).json()
-    path = made["links"]["self"]
+    path = made["urls"]["self"]
     assert strict.client.patch(path, json={"name": "Roboter é"}).json() == made | {"name": "Roboter é"}
     assert strict.client.patch(path, json={}).json() == made | {"name": "Roboter é"}
     problem_of(strict.client.patch(path, json={"name": ""}), 422, "invalid_request")
@@ -155,12 +155,12 @@ def test_rename(strict: Live) -> None:
 
 def test_file_is_downloaded_as_it_was_sent(strict: Live) -> None:
     made = send(strict, name="robot é.glb").json()
-    answer = strict.client.get(made["links"]["file"])
+    answer = strict.client.get(made["urls"]["file"])
     assert answer.content == MIXAMO
     assert answer.headers["etag"] == f'"{made["sha256"]}"' == f'"{hashlib.sha256(MIXAMO).hexdigest()}"'
     assert answer.headers["content-type"] == "model/gltf-binary"
     assert "robot%20%C3%A9.glb" in answer.headers["content-disposition"]
-    part = strict.client.get(made["links"]["file"], headers={"Range": "bytes=0-3"})
+    part = strict.client.get(made["urls"]["file"], headers={"Range": "bytes=0-3"})
     assert (part.status_code, part.content) == (206, b"glTF")
 
 
@@ -168,11 +168,11 @@ def test_deletion_takes_file_along(strict: Live) -> None:
     made = send(strict).json()
     stored = strict.settings.data_dir / "artifacts" / "characters" / made["id"] / "file"
     assert stored.read_bytes() == MIXAMO
-    assert strict.client.delete(made["links"]["self"]).status_code == 204
+    assert strict.client.delete(made["urls"]["self"]).status_code == 204
     assert not stored.exists()
-    for path in made["links"].values():
+    for path in made["urls"].values():
         problem_of(strict.client.get(path), 404, "not_found")
-    problem_of(strict.client.delete(made["links"]["self"]), 404, "not_found")
+    problem_of(strict.client.delete(made["urls"]["self"]), 404, "not_found")
 
 
 def test_upload_is_used_once(strict: Live) -> None:
@@ -222,10 +222,10 @@ def test_lost_or_damaged_file_is_named(strict: Live) -> None:
     made = send(strict).json()
     stored = strict.settings.data_dir / "artifacts" / "characters" / made["id"] / "file"
     stored.write_bytes(MIXAMO[:-1] + b"x")
-    problem_of(strict.client.patch(made["links"]["self"], json={"bones": {}}), 500, "artifact_damaged")
+    problem_of(strict.client.patch(made["urls"]["self"], json={"bones": {}}), 500, "artifact_damaged")
     stored.unlink()
-    problem_of(strict.client.get(made["links"]["file"]), 410, "expired")
-    problem_of(strict.client.patch(made["links"]["self"], json={"bones": {}}), 410, "expired")
+    problem_of(strict.client.get(made["urls"]["file"]), 410, "expired")
+    problem_of(strict.client.patch(made["urls"]["self"], json={"bones": {}}), 410, "expired")
 
 
 @pytest.mark.slow
@@ -236,5 +236,5 @@ def test_quota_of_bytes_counts_characters(make_settings: Callable[..., Settings]
         assert len(MIXAMO) < used < 2 * len(MIXAMO)
         send(live)
         problem_of(send(live), 403, "quota_exceeded")
-        assert live.client.delete(made["links"]["self"]).status_code == 204
+        assert live.client.delete(made["urls"]["self"]).status_code == 204
         assert send(live).status_code == 201

@@ -69,9 +69,9 @@ def test_jobs_are_planned_for_workers_provider_and_say_it(with_broker: Live) -> 
     job = with_broker.client.post(address, json={}).json()
     assert job["provider"] == "cuda"
     assert store.jobs.get(job["id"]).provider == "cuda 1.31.1"
-    with_broker.client.post(job["links"]["cancel"]).raise_for_status()
+    with_broker.client.post(job["urls"]["cancel"]).raise_for_status()
     assert with_broker.client.post(f"/v1/jobs/{job['id']}/retry").json()["provider"] == "cuda"
-    with_broker.client.post(job["links"]["cancel"]).raise_for_status()
+    with_broker.client.post(job["urls"]["cancel"]).raise_for_status()
     store.workers.report(READY)  # the GPU is gone
     assert with_broker.client.post(f"/v1/jobs/{job['id']}/retry").json()["provider"] == "cpu"
 
@@ -125,9 +125,9 @@ def test_without_worker_nobody_knows_and_job_waits(with_broker: Live) -> None:
     job = live.client.post(address, json=spec)
     assert job.status_code == 202
     assert {one["installed"] for one in live.client.get("/v1/options").json()["detectors"]} == {None}
-    live.client.post(job.json()["links"]["cancel"]).raise_for_status()
+    live.client.post(job.json()["urls"]["cancel"]).raise_for_status()
     live.services.store.workers.report(READY)
-    (item,) = problem_of(live.client.post(f"{job.json()['links']['self']}/retry"), 422, "invalid_request")["errors"]
+    (item,) = problem_of(live.client.post(f"{job.json()['urls']['self']}/retry"), 422, "invalid_request")["errors"]
     # The request has no field for a pointer.
     assert (item["code"], item["pointer"]) == ("detector_not_installed", None)
     listed = {one["name"]: one["installed"] for one in live.client.get("/v1/options").json()["detectors"]}
@@ -145,14 +145,14 @@ def test_format_that_no_worker_writes_is_refused_and_not_offered(with_broker: Li
     # Without a ready worker nobody knows, and the job waits.
     assert offered() == set(FILE_FORMATS)
     job = live.client.post(address, json=spec)
-    live.client.post(job.json()["links"]["cancel"]).raise_for_status()
+    live.client.post(job.json()["urls"]["cancel"]).raise_for_status()
     live.services.store.workers.report(READY)
     assert offered() == set(FILE_FORMATS) - {"usd", "osim", "rerun"}
     part = ("spec", (None, json.dumps(spec), "application/json"))
     refused = {
         "/exports": live.client.post(address, json=spec),
         "/spec/exports": live.client.post("/v1/jobs", files=[*keypoint_form(), part]),
-        None: live.client.post(f"{job.json()['links']['self']}/retry"),
+        None: live.client.post(f"{job.json()['urls']['self']}/retry"),
     }
     for pointer, answer in refused.items():
         (item,) = problem_of(answer, 422, "invalid_request")["errors"]
@@ -188,13 +188,13 @@ def test_body_missing_on_workers_is_refused_where_files_need_it(with_broker: Liv
     # Without a worker nobody knows, and the job waits.
     waiting = live.client.post(address, json=spec)
     assert waiting.status_code == 202
-    live.client.post(waiting.json()["links"]["cancel"]).raise_for_status()
+    live.client.post(waiting.json()["urls"]["cancel"]).raise_for_status()
     live.services.store.workers.report(READY)
     part = ("spec", (None, '{"body": "human", "exports": ["fbx"]}', "application/json"))
     refused = {
         "/body": live.client.post(address, json=spec),
         "/spec/body": live.client.post("/v1/jobs", files=[*keypoint_form(), part]),
-        None: live.client.post(f"{waiting.json()['links']['self']}/retry"),
+        None: live.client.post(f"{waiting.json()['urls']['self']}/retry"),
     }
     for pointer, answer in refused.items():
         (item,) = problem_of(answer, 422, "invalid_request")["errors"]

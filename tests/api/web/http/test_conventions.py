@@ -91,7 +91,7 @@ def test_head_requests_are_counted_as_head(live: Live) -> None:
 @pytest.mark.parametrize("kind", ["session", "self", "options"])
 def test_unchanged_records_are_answered_by_304(live: Live, kind: str) -> None:
     job = live.client.get(f"/v1/jobs/{live.job_id()}").json()
-    address = (job["links"] | {"options": "/v1/options"})[kind]
+    address = (job["urls"] | {"options": "/v1/options"})[kind]
     first = live.client.get(address)
     etag = first.headers["etag"]
     assert not etag.startswith("W/")
@@ -132,7 +132,7 @@ def test_tag_changes_with_body(live: Live) -> None:
 def test_jobs_bear_their_session_s_name_and_length(live: Live) -> None:
     parts = [*form(), ("manifest", (None, b'{"name": "Take 3"}'))]
     made = live.client.post("/v1/jobs", files=parts).json()
-    read = live.client.get(made["links"]["self"]).json()
+    read = live.client.get(made["urls"]["self"]).json()
     (listed,) = live.client.get("/v1/jobs").json()["jobs"]
     for job in (made, read, listed):
         assert (job["session_name"], job["num_frames"], job["duration_s"]) == ("Take 3", 60, 2.4)
@@ -143,8 +143,8 @@ def test_jobs_by_session(live: Live) -> None:
     made = [live.client.post(f"/v1/sessions/{session}/jobs").json()["id"] for session in (first, second, first)]
     for path in (f"/v1/jobs?session_id={first}", f"/v1/sessions/{first}/jobs"):
         assert [job["id"] for job in live.client.get(path).json()["jobs"]] == [made[2], made[0]]
-    link = live.client.get(f"/v1/sessions/{second}").json()["links"]["jobs"]
-    assert [job["id"] for job in live.client.get(link).json()["jobs"]] == [made[1]]
+    url = live.client.get(f"/v1/sessions/{second}").json()["urls"]["jobs"]
+    assert [job["id"] for job in live.client.get(url).json()["jobs"]] == [made[1]]
     page = live.client.get(f"/v1/sessions/{first}/jobs?limit=1").json()
     page = live.client.get(f"/v1/sessions/{first}/jobs?limit=1&cursor={page['next_cursor']}").json()
     assert [job["id"] for job in page["jobs"]] == [made[0]]

@@ -41,7 +41,7 @@ def test_job_keeps_copy_of_its_character(moving: Live) -> None:
     assert "retarget_character" not in stages(moving.client.post(address, json={}).json())
     copy = moving.settings.data_dir / "artifacts" / "jobs" / job["id"] / "character" / "file"
     assert copy.read_bytes() == ROBOT
-    assert moving.client.delete(made["links"]["self"]).status_code == 204
+    assert moving.client.delete(made["urls"]["self"]).status_code == 204
     stored = moving.services.store.jobs.get(job["id"]).character
     assert stored is not None
     assert (stored.character_id, stored.file.name) == (made["id"], "robot.glb")

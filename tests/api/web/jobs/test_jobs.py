@@ -26,7 +26,7 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{session_id}/jobs", json={"method": "tracking"})
     assert answer.status_code == 202
     job = answer.json()
-    assert answer.headers["location"] == f"/v1/jobs/{job['id']}" == job["links"]["self"]
+    assert answer.headers["location"] == f"/v1/jobs/{job['id']}" == job["urls"]["self"]
     assert int(answer.headers["retry-after"]) >= 1
     assert uuid.UUID(job["id"]).version == 7
     assert (job["session_id"], job["state"], job["attempt"]) == (session_id, "queued", 1)
@@ -93,8 +93,8 @@ def test_session_and_job_in_one_call(live: Live) -> None:
     parts = [*form(), ("spec", ("", json.dumps({"method": "tracking"}))), ("manifest", (None, b'{"name": "Take 3"}'))]
     answer = live.client.post("/v1/jobs", files=parts)
     assert answer.status_code == 202, answer.text
-    assert answer.headers["location"] == answer.json()["links"]["self"]
-    session = live.client.get(answer.json()["links"]["session"]).json()
+    assert answer.headers["location"] == answer.json()["urls"]["self"]
+    session = live.client.get(answer.json()["urls"]["session"]).json()
     assert session["name"] == "Take 3"
 
 
@@ -102,8 +102,8 @@ def test_sync_of_job_defaults_to_that_of_its_session(live: Live) -> None:
     manifest = ("manifest", (None, json.dumps({"sync": "auto"}).encode()))
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["sync"] == "auto"
-    assert live.client.get(session["links"]["self"]).json()["sync"] == "auto"
-    jobs = session["links"]["jobs"]
+    assert live.client.get(session["urls"]["self"]).json()["sync"] == "auto"
+    jobs = session["urls"]["jobs"]
     for spec, sync in (({}, "auto"), ({"method": "clustering"}, "auto"), ({"sync": "declared"}, "declared")):
         job = live.client.post(jobs, json=spec).json()
         assert job["spec"]["sync"] == sync
@@ -114,7 +114,7 @@ def test_sync_of_job_defaults_to_that_of_its_session(live: Live) -> None:
     assert other["spec"]["sync"] == "declared"
     usual = live.client.get(f"/v1/sessions/{live.session_id()}").json()
     assert usual["sync"] == "declared"
-    assert live.client.post(usual["links"]["jobs"]).json()["spec"]["sync"] == "declared"
+    assert live.client.post(usual["urls"]["jobs"]).json()["spec"]["sync"] == "declared"
 
 
 def test_timeline_of_job_defaults_to_its_session(live: Live) -> None:
@@ -122,7 +122,7 @@ def test_timeline_of_job_defaults_to_its_session(live: Live) -> None:
     session = live.client.post("/v1/sessions", files=[*form(), manifest]).json()
     assert session["timeline"] == "person"
     for spec, timeline in (({}, "person"), ({"exports": ["glb"]}, "person"), ({"timeline": "take"}, "take")):
-        assert live.client.post(session["links"]["jobs"], json=spec).json()["spec"]["timeline"] == timeline
+        assert live.client.post(session["urls"]["jobs"], json=spec).json()["spec"]["timeline"] == timeline
     at_once = [*form(), manifest, ("spec", (None, b'{"timeline": "take"}'))]
     assert live.client.post("/v1/jobs", files=at_once).json()["spec"]["timeline"] == "take"
     wrong = live.client.post("/v1/sessions", files=[*form(), ("manifest", (None, b'{"timeline": "people"}'))])
@@ -130,7 +130,7 @@ def test_timeline_of_job_defaults_to_its_session(live: Live) -> None:
     assert item["pointer"] == "/manifest/timeline"
     usual = live.client.get(f"/v1/sessions/{live.session_id()}").json()
     assert usual["timeline"] == "take"
-    assert live.client.post(usual["links"]["jobs"]).json()["spec"]["timeline"] == "take"
+    assert live.client.post(usual["urls"]["jobs"]).json()["spec"]["timeline"] == "take"
 
 
 def test_one_call_names_all_problems_of_spec_manifest_and_files(live: Live) -> None:
@@ -222,21 +222,21 @@ def test_refused_session_has_its_errors(live: Live) -> None:
     )
     job = live.client.get(f"/v1/jobs/{job_id}").json()
     error = job["error"]
-    assert (job["state"], job["links"]["retry"], error["code"]) == ("failed", None, "session_refused")
+    assert (job["state"], job["urls"]["retry"], error["code"]) == ("failed", None, "session_refused")
     assert (error["stage"], error["retryable"], error["hint"]) == ("check_session", False, SessionRefused.advice)
     assert error["detail"] == "cam_1: The camera sees people elsewhere. The world is mirrored."
     assert error["errors"] == [
         {"code": "camera_disagrees", "camera": "cam_1", "message": problems[0].message, "hint": "Calibrate it again."},
         {"code": "mirrored_world", "camera": None, "message": problems[1].message, "hint": None},
     ]
-    forced = live.client.post(job["links"]["session"] + "/jobs", json=job["spec"] | {"force": True})
+    forced = live.client.post(job["urls"]["session"] + "/jobs", json=job["spec"] | {"force": True})
     assert forced.raise_for_status().json()["spec"]["force"] is True
 
 
 def test_certain_camera_errors_refuse_job_at_once(live: Live) -> None:
     """The unit is wrong whatever the people show; they tell whether the world is upside down."""
     session = live.client.post("/v1/sessions", files=form(content=b"MILES")).raise_for_status().json()
-    jobs = session["links"]["jobs"]
+    jobs = session["urls"]["jobs"]
     (error,) = problem_of(live.client.post(jobs, json={}), 422, "invalid_request")["errors"]
     assert (error["code"], error["message"], error["hint"]) == ("world_unit", "Check it.", "Mend it.")
     assert live.client.post(jobs, json={"force": True}).status_code == 202
@@ -258,8 +258,8 @@ def test_attempts_say_why_each_failed(live: Live) -> None:
         claim.chunk_id, claim.lease_token, JobProblem(INPUT_ERROR, "It is broken.", camera="left")
     )
     live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
-    link = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["attempts"]
-    first, second = live.client.get(link).raise_for_status().json()["attempts"]
+    url = live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["attempts"]
+    first, second = live.client.get(url).raise_for_status().json()["attempts"]
     assert (first["attempt"], first["state"], first["error"]["camera"]) == (1, "failed", "left")
     assert [(one["stage"], one["chunk"], one["chunk_try"], one["reason"]["code"]) for one in first["failures"]] == [
         ("look", 0, 1, "internal_error"),
@@ -315,10 +315,10 @@ def test_ranges_of_frames_and_numbers_of_people(live: Live, spec: dict[str, obje
         assert all(item["pointer"].startswith(f"/{next(iter(spec))}") for item in problem["errors"])
 
 
-def test_links_offer_what_makes_sense_in_each_state(live: Live) -> None:
+def test_urls_offer_what_makes_sense_in_each_state(live: Live) -> None:
     def offered(job_id: str) -> tuple[bool, bool]:
-        links = live.client.get(f"/v1/jobs/{job_id}").json()["links"]
-        return links["cancel"] is not None, links["retry"] is not None
+        urls = live.client.get(f"/v1/jobs/{job_id}").json()["urls"]
+        return urls["cancel"] is not None, urls["retry"] is not None
 
     def fail(retryable: bool) -> str:
         job_id = live.job_id()

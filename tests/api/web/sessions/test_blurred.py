@@ -18,7 +18,7 @@ def send(live: Live, *names: str) -> str:
     parts = [("videos", (name, SENT)) for name in names or ("cam_0.mp4", "cam_1.avi")]
     answer = live.client.post("/v1/sessions", files=[*parts, form(0)[0]])
     assert answer.status_code == 201, answer.text
-    return str(answer.json()["links"]["self"])
+    return str(answer.json()["urls"]["self"])
 
 
 def start(live: Live, address: str, **spec: object) -> dict[str, object]:
@@ -48,7 +48,7 @@ def test_before_job_has_succeeded_nothing_is_shown(live: Live) -> None:
     address = send(live)
     assert live.client.get(f"{address}/videos/cam_0").content == SENT
     job = start(live, address, **BLUR)
-    assert [(camera["video_link"], camera["thumbnails"]) for camera in cameras(live, address)] == [
+    assert [(camera["video_url"], camera["thumbnails"]) for camera in cameras(live, address)] == [
         (None, []),
         (None, []),
     ]
@@ -72,7 +72,7 @@ def test_blurred_videos_take_place_of_all_others(live: Live) -> None:
     start(live, address)
     for number, camera in enumerate(cameras(live, address)):
         link = f"{address}/videos/cam_{number}"
-        assert (camera["video_link"], camera["media_start_s"]) == (link, 0.0)
+        assert (camera["video_url"], camera["media_start_s"]) == (link, 0.0)
         answer = live.client.get(link)
         assert (answer.content, answer.headers["content-type"]) == (BLURRED, "video/mp4")
         assert live.client.get(link, headers={"Range": "bytes=0-3"}).content == BLURRED[:4]

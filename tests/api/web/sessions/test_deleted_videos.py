@@ -9,7 +9,7 @@ VIDEO = b"a video that is deleted"
 def send(live: Live) -> str:
     answer = live.client.post("/v1/sessions", files=form(2, VIDEO))
     assert answer.status_code == 201, answer.text
-    return str(answer.json()["links"]["self"])
+    return str(answer.json()["urls"]["self"])
 
 
 def finished(live: Live, address: str, **spec: object) -> str:
@@ -40,7 +40,7 @@ def test_videos_are_deleted_and_results_stay(live: Live) -> None:
         ("calibration", False),
     ]
     assert session["num_bytes"] == before["num_bytes"] - 2 * len(VIDEO)
-    assert [(camera["video_link"], camera["thumbnails"]) for camera in session["preflight"]["cameras"]] == [
+    assert [(camera["video_url"], camera["thumbnails"]) for camera in session["preflight"]["cameras"]] == [
         (None, [])
     ] * 2
     assert live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh").status_code == 200
@@ -67,7 +67,7 @@ def test_edits_go_on_and_detection_does_not(live: Live) -> None:
 
 def test_no_proxies_are_made_of_deleted_videos(live: Live) -> None:
     parts = [("videos", ("cam_0.avi", VIDEO)), form(0)[0]]
-    address = str(live.client.post("/v1/sessions", files=parts).json()["links"]["self"])
+    address = str(live.client.post("/v1/sessions", files=parts).json()["urls"]["self"])
     answer = live.client.post(f"{address}/jobs", json={}).json()
     proxies = live.client.get(address).json()["proxies_job"]
     assert proxies is not None
@@ -105,7 +105,7 @@ def test_when_videos_are_not_deleted(live: Live) -> None:
     assert running["id"] in problem["detail"]
     assert holds_video(live)
     assert live.client.get(f"{address}/videos/cam_0").content == VIDEO
-    keypoints = live.client.post("/v1/sessions", files=keypoint_form()).json()["links"]["self"]
+    keypoints = live.client.post("/v1/sessions", files=keypoint_form()).json()["urls"]["self"]
     problem_of(live.client.delete(f"{keypoints}/videos"), 404, "not_found")
     for path in ("00000000-0000-7000-8000-000000000000", "..%2f..", "nonsense"):
         problem_of(live.client.delete(f"/v1/sessions/{path}/videos"), 404, "not_found")

@@ -44,8 +44,8 @@ def test_session_says_what_was_found(live: Live) -> None:
     assert session["preflight"]["cameras"][1] == {
         "name": "cam_1", "file": "cam_1.mp4", "size_px": [640, 480], "frame_rate_hz": 25.0, "num_frames": 60,
         "start_time_s": 0.0, "plays_in_browsers": True, "media_start_s": 0.08,
-        "video_link": f"/v1/sessions/{session['id']}/videos/cam_1",
-        "thumbnails": [{"time_s": 1.2, "link": f"/v1/sessions/{session['id']}/thumbnails/cam_1/0"}], "more_files": [],
+        "video_url": f"/v1/sessions/{session['id']}/videos/cam_1",
+        "thumbnails": [{"time_s": 1.2, "url": f"/v1/sessions/{session['id']}/thumbnails/cam_1/0"}], "more_files": [],
     }  # fmt: skip
     assert session["preflight"]["findings"] == [
         {
@@ -57,7 +57,7 @@ def test_session_says_what_was_found(live: Live) -> None:
             "evidence": {},
         }
     ]
-    assert live.client.get(session["links"]["self"]).json() == session
+    assert live.client.get(session["urls"]["self"]).json() == session
 
 
 def test_session_of_keypoints(live: Live) -> None:
@@ -265,7 +265,7 @@ def test_pages(live: Live) -> None:
 
 def test_rename(live: Live) -> None:
     job_id = live.job_id()
-    path = live.client.get(f"/v1/jobs/{job_id}").json()["links"]["session"]
+    path = live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["session"]
     before = live.client.get(path)
     assert (before.json()["num_jobs"], before.json()["newest_job"]) == (1, {"id": job_id, "state": "queued"})
     assert before.json()["duration_s"] == 2.4
@@ -362,7 +362,7 @@ class TestManifest:
         metadata = {"scene": 12, "actors": ["\u00c5sa", None], "nested": {"a": [1.5, True]}}
         session = self.send(live, {"metadata": metadata}).json()
         assert session["metadata"] == metadata
-        assert live.client.get(session["links"]["self"]).json() == session
+        assert live.client.get(session["urls"]["self"]).json() == session
         assert live.client.get("/v1/sessions").json()["sessions"] == [session]
         assert live.client.get(f"/v1/sessions/{live.session_id()}").json()["metadata"] == {}
 

@@ -12,18 +12,18 @@ def thumbnails(live: Live) -> tuple[str, list[list[dict[str, object]]]]:
     answer = live.client.post("/v1/sessions", files=form(2))
     assert answer.status_code == 201, answer.text
     cameras = answer.json()["preflight"]["cameras"]
-    return answer.json()["links"]["self"], [camera["thumbnails"] for camera in cameras]
+    return answer.json()["urls"]["self"], [camera["thumbnails"] for camera in cameras]
 
 
 def test_pictures_of_session_are_read(live: Live) -> None:
     address, (_, (second,)) = thumbnails(live)
-    assert second == {"time_s": 1.2, "link": f"{address}/thumbnails/cam_1/0"}
-    answer = live.client.get(str(second["link"]))
+    assert second == {"time_s": 1.2, "url": f"{address}/thumbnails/cam_1/0"}
+    answer = live.client.get(str(second["url"]))
     assert (answer.status_code, answer.content) == (200, PICTURE)
     assert answer.headers["content-type"] == "image/jpeg"
     assert answer.headers["etag"] == f'"{hashlib.sha256(PICTURE).hexdigest()}"'
     assert answer.headers["content-disposition"].startswith("inline")
-    part = live.client.get(str(second["link"]), headers={"Range": "bytes=0-6"})
+    part = live.client.get(str(second["url"]), headers={"Range": "bytes=0-6"})
     assert (part.status_code, part.content) == (206, PICTURE[:7])
 
 
@@ -41,7 +41,7 @@ def test_pictures_are_deleted_with_their_session(live: Live) -> None:
     assert PICTURE in {path.read_bytes() for path in set(live.kept()) - before}
     assert live.client.delete(address).status_code == 204
     assert set(live.kept()) <= before
-    problem_of(live.client.get(str(second["link"])), 404, "not_found")
+    problem_of(live.client.get(str(second["url"])), 404, "not_found")
 
 
 def test_damaged_picture_is_not_shown(live: Live) -> None:
@@ -49,7 +49,7 @@ def test_damaged_picture_is_not_shown(live: Live) -> None:
     _, (_, (second,)) = thumbnails(live)
     (path,) = [path for path in set(live.kept()) - before if path.read_bytes() == PICTURE]
     path.write_bytes(b"another one here")
-    problem_of(live.client.get(str(second["link"])), 500, "artifact_damaged")
+    problem_of(live.client.get(str(second["url"])), 500, "artifact_damaged")
 
 
 def test_keypoints_have_no_pictures(live: Live) -> None:

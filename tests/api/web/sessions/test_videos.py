@@ -21,8 +21,8 @@ def send(live: Live, *names: str) -> tuple[str, dict[str, str | None]]:
     parts = [("videos", (name, VIDEO)) for name in names]
     answer = live.client.post("/v1/sessions", files=[*parts, ("calibration", ("calibration.toml", b"[cam]"))])
     assert answer.status_code == 201, answer.text
-    links = {camera["name"]: camera["video_link"] for camera in answer.json()["preflight"]["cameras"]}
-    return answer.json()["links"]["self"], links
+    links = {camera["name"]: camera["video_url"] for camera in answer.json()["preflight"]["cameras"]}
+    return answer.json()["urls"]["self"], links
 
 
 def test_video_is_watched_as_it_was_sent(live: Live) -> None:
@@ -87,7 +87,7 @@ def test_video_that_browsers_do_not_play_gets_proxy(live: Live) -> None:
     assert (claim.stage, claim.payload["camera"]) == ("make_proxy", "Cam 1")
     live.services.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 0, results=[made])
     camera = live.client.get(address).json()["preflight"]["cameras"][1]
-    assert (camera["plays_in_browsers"], camera["video_link"], camera["media_start_s"]) == (False, video, 0.0)
+    assert (camera["plays_in_browsers"], camera["video_url"], camera["media_start_s"]) == (False, video, 0.0)
     answer = live.client.get(video, headers={"Range": "bytes=0-9"})
     assert (answer.status_code, answer.content, answer.headers["content-type"]) == (206, VIDEO[:10], "video/mp4")
     assert answer.headers["content-disposition"].startswith('inline; filename="Cam 1.mp4"')
