@@ -25,6 +25,7 @@ from pipeline.core.progress import OnShare, ignore, split, sub_share
 from pipeline.export import person_files
 from pipeline.export.quality.report import encode as encode_metrics
 from pipeline.export.quality.report import quality_report
+from pipeline.export.quality.world_checks import failed_check
 from pipeline.export.resample import resample
 from pipeline.export.scene import file_origin_m, take_scene
 from pipeline.export.timelines import held
@@ -310,7 +311,7 @@ class _TakeFiles:
     def __init__(self, take: Reconstruction, folder: Path, preset: Preset, body: Body) -> None:
         self._scene, self._folder, self._preset, self._body = take_scene(take), folder, preset, body
         self.distances_mm: dict[str, float] = {}  # Largest distance in the file of each format
-        self.too_large: list[dict[str, str]] = []  # Checks of files that their format does not allow
+        self.too_large: list[dict[str, Any]] = []  # Checks of files that their format does not allow
 
     def path(self, export: Export) -> Path:
         """Path of the file of a format."""
@@ -325,7 +326,7 @@ class _TakeFiles:
             message = (
                 f"{path.name} is left out: with {len(scene.people)} people it would be larger than its format allows."
             )
-            self.too_large.append({"code": TAKE_TOO_LARGE, "message": message})
+            self.too_large.append(failed_check(TAKE_TOO_LARGE, message))
             return False
         with person_files.replacing(path, form.encode(scene, preset, self._body)) as part:
             for number, (person, on_person) in enumerate(

@@ -103,7 +103,7 @@ def test_damaged_frames_are_told_in_job_and_its_results(service: Served, tmp_pat
     (told,) = [one for one in job["warnings"] if one["code"] == "damaged_video"]
     assert f"left.mp4 (3 of {num_frames} frames, from 0.8 to 0.9 s)" in told["message"]
     metrics = service.client.get(f"/v1/jobs/{job['id']}/results/metrics.json").json()
-    assert {name: told[name] for name in ("code", "message")} in metrics["capture_checks"]
+    assert told in metrics["capture_checks"]
 
 
 def test_too_many_damaged_frames_end_job(service: Served, tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from pipeline.core.data.people import PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.problems import finding_codes
-from pipeline.export.quality.world_checks import first_names
+from pipeline.core.problems.code_group import Code
+from pipeline.export.quality.world_checks import failed_check, first_names
 from pipeline.motion.skeleton.landmarks import MAX_ASYMMETRY, Landmarks, located_limbs_m
 from pipeline.motion.skeleton.model import INDEX
 
@@ -78,7 +79,7 @@ _MAX_REASONS = 3
 def capture_checks(
     reconstruction: Reconstruction, seen: Mapping[int, Bool[np.ndarray, "frames cameras"]], likenesses: Likenesses
 ) -> list[dict[str, Any]]:
-    """List the failed checks of the capture, each with ``code`` and ``message``, some with ``evidence``.
+    """List the failed checks of the capture as findings.
 
     ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
@@ -100,7 +101,6 @@ def capture_checks(
         _check_refinement(reconstruction.refinement),
         _check_synchronization(reconstruction.synchronization),
     )
-    findings: list[dict[str, Any]] = [{"code": code, "message": message} for check in checks for code, message in check]
     measured: Mapping[str, Callable[[], dict[str, Any]]] = {
         finding_codes.NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
         finding_codes.PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
@@ -109,13 +109,14 @@ def capture_checks(
         finding_codes.PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
         finding_codes.LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
     }
-    for finding in findings:
-        if finding["code"] in measured:
-            finding["evidence"] = measured[finding["code"]]()
-    return findings
+    return [
+        failed_check(code, message, measured[code]() if code in measured else None)
+        for check in checks
+        for code, message in check
+    ]
 
 
-def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
+def _check_rig(names: list[str]) -> Iterator[tuple[Code, str]]:
     if len(names) < _MIN_VIEWS:
         yield (
             finding_codes.TOO_FEW_CAMERAS,
@@ -123,7 +124,7 @@ def _check_rig(names: list[str]) -> Iterator[tuple[str, str]]:
         )
 
 
-def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
     described = [
         f"{video.file} ({len(video.doubled_s)} of {video.num_frames} frames, {_times(video.doubled_s)})"
         for video in videos
@@ -144,7 +145,7 @@ def _times(time_s: Sequence[float]) -> str:
     )
 
 
-def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
+def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
     damaged = [video for video in videos if video.num_damaged]
     if not damaged:
         return
@@ -161,7 +162,7 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[str, str]]:
     )
 
 
-def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[str, str]]:
+def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[Code, str]]:
     if seen:
         return
     if take.is_emptied:
@@ -201,7 +202,7 @@ def _why_nobody(check: SessionCheck) -> dict[str, Any]:
     }
 
 
-def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
+def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[Code, str]]:
     if not seen:
         return
     used = np.any([frames.any(0) for frames in seen.values()], axis=0)
@@ -219,7 +220,7 @@ def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator
         )
 
 
-def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[str, str]]:
+def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[Code, str]]:
     if len(names) < _MIN_VIEWS:
         return
     people = [f"person-{track_id}" for track_id, frames in seen.items() if _has_few_views(frames)]
@@ -232,7 +233,7 @@ def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[t
         )
 
 
-def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]]:
     if reconstruction.num_approximate_frames:
         yield (
             finding_codes.APPROXIMATE_ASSOCIATION,
@@ -241,7 +242,7 @@ def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[str, st
         )
 
 
-def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]:
+def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]]:
     doubtful = [
         (track.track_id, min(of_person, key=lambda doubt: doubt.confidence))
         for track, of_person in zip(reconstruction.tracks, reconstruction.doubts, strict=False)
@@ -256,7 +257,7 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[str, str]]
         )
 
 
-def _check_losses(take: Reconstruction) -> Iterator[tuple[str, str]]:
+def _check_losses(take: Reconstruction) -> Iterator[tuple[Code, str]]:
     vanished = [_describe_loss(loss) for loss in take.losses if loss.kind == "vanished"]
     if vanished:
         subject = "A person vanishes" if len(vanished) == 1 else "People vanish"
@@ -293,7 +294,7 @@ def _measured_losses(take: Reconstruction, kind: str) -> dict[str, Any]:
     return {"people": people}
 
 
-def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[str, str]]:
+def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[Code, str]]:
     if limbs:
         described = [
             f"{limb.name} of person-{limb.track_id} ({1000 * limb.located_m:.0f} mm, used are "
@@ -307,7 +308,7 @@ def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[str, str]]:
         )
 
 
-def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[Code, str]]:
     people = [
         f"person-{take.tracks[person.number].track_id} (by {100 * person.moved_m:.1f} cm at most in "
         f"{person.num_frames} frames)"
@@ -322,7 +323,7 @@ def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple
         )
 
 
-def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[str, str]]:
+def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[Code, str]]:
     images = [
         f"person-{take.tracks[image.number].track_id} mirrors person-{take.tracks[image.original].track_id} to "
         f"{100 * image.error_m:.1f} cm in {image.num_frames} frames, in the plane {_plane(image)}"
@@ -370,7 +371,7 @@ def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, 
     return {"people": people}
 
 
-def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[str, str]]:
+def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[Code, str]]:
     if refinement is None:
         return
     errors = f"{refinement.error_before_px:.1f} px", f"{refinement.error_after_px:.1f} px"
@@ -425,7 +426,7 @@ def _why_kept(refinement: Refinement, before: str, after: str) -> str:
     )
 
 
-def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[str, str]]:
+def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[Code, str]]:
     if synchronization is not None and synchronization.warnings:
         described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
         yield (

@@ -41,13 +41,13 @@ from pipeline.core.data.animation import Floor, FootContact
 from pipeline.core.data.cameras import Camera, CameraMove, Refinement
 from pipeline.core.data.people import Doubt, Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
-from pipeline.core.findings import CERTAIN, Finding, Severity
+from pipeline.core.findings import CERTAIN, Finding
 from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
-from pipeline.core.problems.finding_codes import CALIBRATION_KEPT, CAMERA_DISAGREES
+from pipeline.core.problems.finding_codes import CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers
-from pipeline.export.quality.world_checks import EVIDENCE, world_checks
+from pipeline.export.quality.world_checks import world_checks
 from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
 from pipeline.motion.gait.analysis import analyse_gait, gait_document, movement_documents
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S
@@ -56,8 +56,6 @@ SCHEMA_VERSION = 1
 _FRAGMENT_S, _FRAGMENT_M = 2.0, 1.5
 # Share of the joints of its fingers that make a hand measured.
 _HAND_SHARE = 0.5
-# Failed checks with which the result is empty or wrong; with others it may be.
-_ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
 # Bodies by which cameras are compared, about the largest number.
 _MAX_SAMPLED = 400
 _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
@@ -66,7 +64,7 @@ _SHIN_THIGH_TRUNK_SHARE = 0.246 + 0.245 + 0.288
 def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] | None = None) -> dict[str, Any]:
     """Compute the content of ``metrics.json`` as plain Python values, rounded.
 
-    ``capture_checks`` and ``world_checks`` list failed checks only, each with ``code`` and ``message``. ``forced``, of
+    ``capture_checks`` and ``world_checks`` list the findings of failed checks. ``forced``, of
     a session that was reconstructed in spite of errors alone, lists their codes. ``views`` are the ``person_views`` of
     the reconstruction, if they are known.
     """
@@ -196,22 +194,7 @@ def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
 
 def all_checks(report: Mapping[str, Any]) -> list[Finding]:
     """Findings of all failed checks of a report: of the session at a few instants, of the capture, of the world."""
-    of_capture = (
-        Finding(check["code"], check["message"], None, _severity(check["code"]), evidence=check.get("evidence", {}))
-        for check in report["capture_checks"]
-    )
-    of_world = (
-        Finding(
-            check["code"],
-            check["message"],
-            check["camera"],
-            _severity(check["code"]),
-            check["hint"],
-            {EVIDENCE[check["code"]]: check["evidence"]},
-        )
-        for check in report["world_checks"]
-    )
-    of_take = [*of_capture, *of_world]
+    of_take = [Finding.from_json(check) for check in (*report["capture_checks"], *report["world_checks"])]
     known = {(finding.code, finding.camera) for finding in of_take}
     of_session = [Finding.from_json(finding) for finding in report.get("session_checks", ())]
     # What the whole take shows is more exact than what a few instants show: of cameras that disagree a little there,
@@ -225,12 +208,6 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
         ),
         *of_take,
     ]
-
-
-def _severity(code: str) -> Severity:
-    if code == CALIBRATION_KEPT:
-        return "info"
-    return "error" if code in _ERRORS else "warning"
 
 
 def encode(report: dict[str, Any]) -> bytes:

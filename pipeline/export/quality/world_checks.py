@@ -16,6 +16,7 @@ from pipeline.core.data.animation import Floor
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.findings import Finding, Severity
 from pipeline.core.joints import JointSet
 from pipeline.core.problems import finding_codes
 from pipeline.core.problems.code_group import Code
@@ -54,7 +55,7 @@ MIRRORED_SHARE, MIRRORED_FRAMES = 0.75, 20
 # Cosine below which left and right are not known. Nine in ten people of good sessions have more.
 _MIN_LEFTNESS = 0.3
 
-EVIDENCE: Mapping[str, str] = {
+_EVIDENCE: Mapping[str, str] = {
     "upside_down": "lean_deg",
     "not_upright": "lean_deg",
     "floor_not_at_zero": "height_m",
@@ -64,10 +65,23 @@ EVIDENCE: Mapping[str, str] = {
     "mirrored_world": "share",
     "camera_disagrees": "shift_px",
 }
-"""Kind of a check's evidence, by the check's code."""
+# Failed checks with which the result is empty or wrong; with others it may be.
+_ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
 
-_Found = tuple[str, str, str | None, float, str]
+_Found = tuple[Code, str, str | None, float, str]
 """Code, message, camera, evidence and hint."""
+
+
+def failed_check(
+    code: Code,
+    message: str,
+    evidence: Mapping[str, Any] | None = None,
+    camera: str | None = None,
+    hint: str | None = None,
+) -> dict[str, Any]:
+    """Finding of a failed check of a take, as ``metrics.json`` lists it."""
+    severity: Severity = "info" if code == finding_codes.CALIBRATION_KEPT else "error" if code in _ERRORS else "warning"
+    return Finding(code, message, camera, severity, hint, evidence or {}).to_json()
 
 
 def _points_m(track: Track3D, joints: JointSet, names: Sequence[str]) -> Float[np.ndarray, "frames joints 3"]:
@@ -101,11 +115,9 @@ def _floor_m(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -
 def world_checks(
     reconstruction: Reconstruction, statures_m: Mapping[int, float], shifted: Sequence[CameraShift]
 ) -> list[dict[str, Any]]:
-    """List the failed checks of the world.
+    """List the failed checks of the world as findings.
 
-    Each has ``code`` and ``message``, ``camera`` (``None`` if the check is not about one), ``evidence`` (the measured
-    number) and ``hint``. Statures are by track, NaN where unknown; ``shifted`` are the cameras that ``find_shifted``
-    finds.
+    Statures are by track, NaN where unknown; ``shifted`` are the cameras that ``find_shifted`` finds.
     """
     tracks, joints = reconstruction.tracks, reconstruction.joints
     floor = reconstruction.animation.floor
@@ -118,11 +130,10 @@ def world_checks(
         _check_handedness(tracks, joints),
         _check_shifts(reconstruction.cameras, shifted),
     )
-    names = ("code", "message", "camera", "evidence", "hint")
     return [
-        dict(zip(names, (*finding[:3], round(finding[3], 3), finding[4]), strict=True))
+        failed_check(code, message, {_EVIDENCE[code]: round(value, 3)}, camera, hint)
         for some in checks
-        for finding in some
+        for code, message, camera, value, hint in some
     ]
 
 

@@ -10,6 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.core.findings import Finding
 from pipeline.core.options.file_formats import FILE_FORMATS, file_ending
 from pipeline.core.problems.finding_codes import OPENSIM_FAILED
 from pipeline.run.engine import stage
@@ -79,7 +80,7 @@ def _with_opensim(report: "ReportOf", context: stage.Context, take: "Reconstruct
     if failed:
         more = f" And {len(failed) - _MAX_NAMED} more." if len(failed) > _MAX_NAMED else ""
         message = f"People without a motion of OpenSim. {' '.join(failed[:_MAX_NAMED])}{more}"
-        checks = [*checks, {"code": OPENSIM_FAILED, "message": message}]
+        checks = [*checks, Finding(OPENSIM_FAILED, message).to_json()]
     return content | {"opensim": people, "capture_checks": checks}
 
 

@@ -29,9 +29,7 @@ def unseen(observations: Observations, frames: slice, *cameras: int) -> Observat
 
 def checks(observations: Observations, cameras: tuple[Camera, ...] = CAMERAS) -> list[tuple[str, str]]:
     report = quality_report(reconstruction(TRACK, observations=(observations,), cameras=cameras))
-    assert [(one.code, one.message) for one in all_checks(report)] == [
-        tuple(check.values()) for check in report["capture_checks"]
-    ]
+    assert [one.to_json() for one in all_checks(report)] == report["capture_checks"]
     return [(check["code"], check["message"]) for check in report["capture_checks"]]
 
 
@@ -92,6 +90,10 @@ def test_many_people_whom_two_cameras_see_are_one_check() -> None:
     (check,) = capture_checks(reconstruction(), seen, Likenesses())
     assert check == {
         "code": "few_views",
+        "camera": None,
+        "severity": "warning",
+        "hint": None,
+        "evidence": {},
         "message": "12 people were seen by fewer than 3 cameras in most frames: person-1, person-2, person-3, "
         "person-4, person-5, person-6, person-7, person-8, person-9, person-10 and 2 more.",
     }

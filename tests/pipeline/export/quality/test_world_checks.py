@@ -88,12 +88,12 @@ def test_mirrored_world_is_named() -> None:
     mirrored = WALK_M * np.array([-1.0, 1.0, 1.0])
     track = track_of(mirrored)
     (check,) = world_checks(reconstruction(track), {1: 1.7}, [])
-    assert (check["code"], check["camera"], check["evidence"]) == ("mirrored_world", None, 1.0)
+    assert (check["code"], check["camera"], check["evidence"]) == ("mirrored_world", None, {"share": 1.0})
 
 
 def test_units_that_fit_people_are_named() -> None:
     (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 172.0}, [])
-    assert check["evidence"] == 172.0
+    assert check["evidence"] == {"stature_m": 172.0}
     assert "cm" in check["hint"]
 
 
@@ -107,5 +107,5 @@ def test_camera_that_was_turned_is_named_with_its_shift() -> None:
     (check,) = quality_report(take)["world_checks"]
     assert (check["code"], check["camera"]) == ("camera_disagrees", "b")
     # The focal length is 900 pixels: two degrees about an axis across the view are 31.
-    assert check["evidence"] == pytest.approx(31.4, abs=3.0)
+    assert check["evidence"]["shift_px"] == pytest.approx(31.4, abs=3.0)
     assert quality_report(replace(take, cameras=CAMERAS))["world_checks"] == []
