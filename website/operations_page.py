@@ -16,7 +16,7 @@ This page lists every operation of the HTTP API with its parameters, bodies, res
 shows the same at `/docs`, where you can try requests. [HTTP API](http-api.md) explains how they work together.
 
 Errors are [ProblemDetails](#problemdetails) with a [problem code](problems.md). Every operation may also answer 401 (no
-valid key), 403, 429 (too many requests), 500 and 503. This page is made from the contract: `make docs` writes it.
+valid key), 403, 429 (too many requests), 500 and 503.
 """
 
 

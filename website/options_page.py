@@ -12,8 +12,6 @@ This page lists the choices of a reconstruction with their values, limits and de
 
 A job's `spec` has the fields of the first column ([API](../../openapi/openapi.json)). `multicap reconstruct` has the
 options of the second column. `GET /v1/options` lists the same choices for a form, and the networks that are installed.
-
-This page is made from the code: `make docs` writes it.
 """
 _PURPOSES = """\
 ## What for

@@ -15,15 +15,11 @@ _COMMANDS = """\
 # Command line
 
 This page lists every command of `multicap` with its arguments and options. `multicap COMMAND --help` shows the same.
-
-This page is made from the code: `make docs` writes it.
 """
 _NAMES = """\
 # Python names
 
 This page lists the public names of the package `multicap`.
-
-This page is made from the code: `make docs` writes it.
 """
 
 

@@ -32,8 +32,6 @@ status of the answer; `job` is the error of a job, `waiting` an outage that a jo
 at one of its chunks, `readyz` an entry of `/readyz`, `command` the command line, `warning` a warning of a result,
 `finding` a finding of a check (see [quality](../guide/quality.md) and [calibration](../guide/calibration.md)), `live`
 a message of a [live capture](live-protocol.md), `recording` a message of a [recording](recording-protocol.md).
-
-This page is made from the code: `make docs` writes it.
 """
 
 

@@ -32,8 +32,6 @@ _INTRODUCTION = """\
 This page lists the calibration formats and the keypoint formats that Multicap reads. [Formats](formats.md) has the
 rules that hold for all of them.
 
-This page is made from the code: `make docs` writes it.
-
 ## Calibration formats
 
 The column *lengths* has the unit of the format. For `units` you state the unit ([units](formats.md#units)). The column

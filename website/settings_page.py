@@ -41,8 +41,6 @@ error MULTICAP_PORT=abc: must be a whole number from 0 to 65535.
 ```
 
 The default is `-` where the meaning says what happens without the variable.
-
-This page is made from the code: `make docs` writes it.
 """
 _OTHERS = """\
 ## Other variables
