@@ -25,7 +25,9 @@ class ResultOut(ResponseModel):
 
     name: str = Field(description="Name of the file.", examples=["person-1.bvh"])
     kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.", examples=["bvh"])
-    person: str | None = Field(description="Person in the file; null if it concerns all people.", examples=["person-1"])
+    person: int | None = Field(
+        description="Id of the person in the file; null if it concerns all people.", examples=[1]
+    )
     person_name: str | None = Field(
         description="Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all "
         "people.",
@@ -117,7 +119,8 @@ def get_all_results(job_id: JobId, services: ServicesDep, records: FileViewDep) 
     archive = ZipStream(compress_type=ZIP_DEFLATED, compress_level=1)
     for result in results:
         is_video = result.media_type.startswith("video/")
-        folder = result.kind if is_video else result.person
+        of_person = None if result.person is None else f"person-{result.person}"
+        folder = result.kind if is_video else of_person
         name = archived_name(job.session_name, result.name, folder, result.revision, result.person_name)
         # Videos are compressed already.
         archive.add(_content(services, result), name, compress_type=ZIP_STORED if is_video else ZIP_DEFLATED)

@@ -392,7 +392,7 @@ def _found_in(people_files: Mapping[int, person_files.KeptFile], of_take_mm: flo
         entry["between_frames"] = {
             "program": worst.program,
             "max_distance_mm": round(worst.distance_mm, _DECIMALS_MM),
-            "track_id": track_id,
+            "person": track_id,
             "joint": worst.joint,
             "frame": worst.frame,
         }

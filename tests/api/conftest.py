@@ -166,7 +166,7 @@ class Live:
         files += [replace(video, media_type="video/mp4") for video in videos]
         of_all = [self._put(job_id, name, name.rpartition(".")[2], one, revision) for name, one in scenes.items()]
         files += [
-            replace(scene, media_type="model/gltf-binary", person_name=names.get(scene.person or ""))
+            replace(scene, media_type="model/gltf-binary", person_name=names.get(scene.name.partition(".")[0]))
             for scene in of_all
         ]
         moved = [self._put(job_id, name, "character", one, revision) for name, one in characters.items()]
@@ -198,8 +198,9 @@ class Live:
         key, digest = result_key(job_id, name, revision), hashlib.sha256(content).hexdigest()
         self.services.artifacts.put_bytes(key, content)
         is_of_person = kind in {"bvh", "character", "fbx", "glb"} and name.startswith("person-")
-        person = name.partition(".")[0] if is_of_person else None
-        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision, person)
+        stem = name.partition(".")[0] if is_of_person else None
+        person = None if stem is None else int(stem.removeprefix("person-"))
+        return Result(name, kind, person, "text/plain; charset=utf-8", key, len(content), digest, revision, stem)
 
 
 def form(videos: int = 2, content: bytes = b"video", calibration: bytes = b"[cam_0]") -> list[tuple[str, Any]]:

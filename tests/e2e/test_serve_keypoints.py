@@ -231,7 +231,7 @@ def test_generated_client_gets_from_files_to_animations(served: Served, capture:
         archive = part("api.web.results.get_all_results").sync_detailed(job.id, client=client)
         with zipfile.ZipFile(io.BytesIO(archive.content)) as packed:
             assert set(packed.namelist()) == {
-                f"{result.person}/{result.download_name}" if result.person else result.download_name
+                f"person-{result.person}/{result.download_name}" if result.person else result.download_name
                 for result in listed.results
             }
 

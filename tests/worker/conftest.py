@@ -99,7 +99,7 @@ def hold_feet(work: Work) -> Output:
 def export(work: Work) -> Output:
     path = work.scratch / "person-1.bvh"
     path.write_bytes(work.outputs(REFIT if without_names(work.claim.edits) else HOLD)[0])
-    return Output(b"{}", (ResultFile(path.name, "bvh", "person-1", "text/plain", path),), people=FOUND)
+    return Output(b"{}", (ResultFile(path.name, "bvh", 1, "text/plain", path),), people=FOUND)
 
 
 def edit(work: Work) -> Output:

@@ -211,12 +211,12 @@ def read_files(document: Mapping[str, Any]) -> list[FileEntry]:
             continue
         if not (isinstance(digest, str) and _SHA256.fullmatch(digest)):
             raise AnswerError
-        number = plain(item.get("person"))
+        is_of_person = item.get("person") is not None
         files.append(
             FileEntry(
                 name,
                 plain(item.get("format") or item.get("kind"), 20),
-                plain(item.get("person_name"), default=number) if number else "",
+                plain(item.get("person_name"), default="person") if is_of_person else "",
                 int(_number(item.get("num_bytes"), 0, _MAX_COUNT)),
                 digest,
             )

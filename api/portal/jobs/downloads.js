@@ -51,7 +51,7 @@ function group(title, results, options) {
  */
 export function downloads(job, results, options, makeVisuals, { hasVideos = true } = {}) {
   const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
-    .sort(([one], [other]) => one.localeCompare(other, "en", { numeric: true }));
+    .sort(([one], [other]) => one - other);
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
   const isVisual = ({ kind }) => kind in VISUALS;
   const isShown = ({ kind }) => kind in VISUALS || kind === "blurred";

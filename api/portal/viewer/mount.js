@@ -114,10 +114,10 @@ export class ApiSource {
     if (!this.#hasCharacter) return [];
     const { results } = await (await get(this.addressed(`${this.job}/results`), signal)).json();
     const isShown = ({ kind, person, media_type: type }) => kind === "character" && person !== null && type === "model/gltf-binary";
-    return results.filter(isShown).map(({ person, name, url, num_bytes: numBytes }) => {
+    return results.filter(isShown).map(({ person: id, name, url, num_bytes: numBytes }) => {
       // The page may ask its own service alone, not a store of files.
       const address = this.addressed(`${url}?redirect=false`);
-      return { id: Number(person.split("-").at(-1)), name, numBytes, read: (from, to, how) => part(address, from, to, how) };
+      return { id, name, numBytes, read: (from, to, how) => part(address, from, to, how) };
     });
   }
 }

@@ -39,7 +39,7 @@ class MismeasuredLimb:
     def document(self) -> dict[str, Any]:
         """JSON object."""
         return {
-            "id": self.track_id,
+            "person": self.track_id,
             "limb": self.name,
             "located_m": round(self.located_m, 3),
             "length_m": round(self.length_m, 3),
@@ -283,7 +283,7 @@ def _describe_loss(loss: PersonLoss) -> str:
 def _measured_losses(take: Reconstruction, kind: str) -> dict[str, Any]:
     people = [
         {
-            "id": loss.track_id or None,
+            "person": loss.track_id or None,
             "start_frame": loss.start_frame,
             "num_frames": loss.stop_frame - loss.start_frame,
             "place_m": list(loss.place_m),
@@ -347,7 +347,7 @@ def _plane(image: MirrorImage) -> str:
 def _measured_still(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
     people = [
         {
-            "id": take.tracks[person.number].track_id,
+            "person": take.tracks[person.number].track_id,
             "moved_m": round(person.moved_m, 4),
             "num_frames": person.num_frames,
         }
@@ -359,7 +359,7 @@ def _measured_still(take: Reconstruction, likenesses: Likenesses) -> dict[str, A
 def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
     people = [
         {
-            "id": take.tracks[image.number].track_id,
+            "person": take.tracks[image.number].track_id,
             "mirrors": take.tracks[image.original].track_id,
             "normal": [round(float(value), 4) + 0.0 for value in image.normal],
             "offset_m": round(image.offset_m, 4),

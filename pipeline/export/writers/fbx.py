@@ -201,7 +201,7 @@ def add_top(
 ) -> Int64:
     """Add the node above the joints, on the floor."""
     facts = [
-        fbx_scene.integer("track_id", motion.track_id, "U"),
+        fbx_scene.integer("person", motion.track_id, "U"),
         fbx_scene.integer("start_frame", start_frame, "U"),
         fbx_scene.number("frame_rate_hz", motion.frame_rate_hz, "U"),
     ]

@@ -138,7 +138,7 @@ class _Document:
         path = self._free_path(parent, motion.name, f"person_{motion.track_id}")
         root = UsdSkel.Root.Define(self.stage, path)
         root.GetPrim().SetDisplayName(motion.name)
-        root.GetPrim().SetCustomDataByKey("track_id", motion.track_id)
+        root.GetPrim().SetCustomDataByKey("person", motion.track_id)
         Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
         if is_present is not None and not is_present.all():
             _show(root, is_present)

@@ -224,12 +224,12 @@ class Context(ABC):
 class ResultFile:
     """A result file for the client. The executor may move it away from ``path``.
 
-    ``person`` is the number of a person as in ``name``, ``person_name`` the person's name.
+    ``person`` is the number of a person, ``person_name`` the person's name.
     """
 
     name: str
     kind: str
-    person: str | None
+    person: int | None
     media_type: str
     path: Path
     person_name: str | None = None

@@ -18,9 +18,7 @@ def retarget_character(task: Task, context: Context) -> Output:
     names = {motion.track_id: motion.name for motion in take.motions}
     choices = config.exports, config.output_rate_hz, config.timeline
     files = [
-        ResultFile(
-            file.path.name, KIND, f"person-{file.track_id}", _MEDIA_TYPES[file.export], file.path, names[file.track_id]
-        )
+        ResultFile(file.path.name, KIND, file.track_id, _MEDIA_TYPES[file.export], file.path, names[file.track_id])
         for file in write_character_files(take, character, folder, *choices, on_share)
     ]
     files.append(ResultFile(DESCRIPTION, KIND, None, "application/json", folder / DESCRIPTION))

@@ -54,7 +54,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
         report = partial(_with_opensim, report, context)
     choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
-    names = {f"person-{motion.track_id}": motion.name for motion in reconstruction.motions}
+    names = {motion.track_id: motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
     if context.files.has_viewers:
         frames = kept_frames(context)
@@ -84,20 +84,21 @@ def _with_opensim(report: "ReportOf", context: stage.Context, take: "Reconstruct
     return content | {"opensim": people, "capture_checks": checks}
 
 
-def _result_file(path: Path, names: Mapping[str, str]) -> stage.ResultFile:
-    """Result file by its path; ``names`` are people's names, by their numbers in names of files.
+def _result_file(path: Path, names: Mapping[int, str]) -> stage.ResultFile:
+    """Result file by its path; ``names`` are people's names by their numbers.
 
     A file of a format that is no person's is of the whole take.
     """
     stem, _, ending = path.name.partition(".")
+    person = next((number for number in names if stem == f"person-{number}"), None)
+    person_name = None if person is None else names[person]
     for name, file_format in FILE_FORMATS.items():
         if ending == file_ending(name):
-            person = stem if stem in names else None
-            return stage.ResultFile(path.name, name, person, file_format.media_type, path, names.get(stem))
-    if stem in names:
+            return stage.ResultFile(path.name, name, person, file_format.media_type, path, person_name)
+    if person is not None:
         # Tables of events and of strides.
         kind, _, _ = ending.partition(".")
-        return stage.ResultFile(path.name, kind, stem, FILE_FORMATS["csv"].media_type, path, names[stem])
+        return stage.ResultFile(path.name, kind, person, FILE_FORMATS["csv"].media_type, path, person_name)
     return stage.ResultFile(path.name, path.stem, None, "application/json", path)
 
 

@@ -16,10 +16,8 @@ def run_opensim(task: Task, context: Context) -> Output:
     for written in write_opensim_files(take, STAGE.people(task), context.scratch, rate_hz, context.on_share(task)):
         people.append(written.person.document())
         if written.path is not None:
-            person = f"person-{written.person.id}"
-            media_type = FILE_FORMATS["osim"].media_type
-            name = names[written.person.id]
-            files.append(ResultFile(written.path.name, "osim", person, media_type, written.path, name))
+            person, media_type = written.person.id, FILE_FORMATS["osim"].media_type
+            files.append(ResultFile(written.path.name, "osim", person, media_type, written.path, names[person]))
     return indexed(files, people=people)
 
 

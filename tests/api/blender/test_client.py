@@ -214,7 +214,7 @@ def test_odd_names_lose_what_is_odd(wrong_service: WrongService) -> None:
 
 @pytest.mark.parametrize("name", ["../../.bashrc", "/etc/passwd", "a\\b", "", "a..b", "x" * 200, 3, None, ".hidden"])
 def test_names_that_are_paths_are_left_out(name: object) -> None:
-    wrong = {"name": name, "sha256": "a" * 64, "num_bytes": 1, "person": "person-1"}
+    wrong = {"name": name, "sha256": "a" * 64, "num_bytes": 1, "person": 1, "person_name": "person-1"}
     right = wrong | {"name": "person-1.glb", "format": "glb"}
     (file,) = read_files({"results": [wrong, right]})
     assert (file.name, file.person, file.format) == ("person-1.glb", "person-1", "glb")

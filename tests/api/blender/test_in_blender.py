@@ -377,7 +377,7 @@ def test_hostile_service_is_survived(
             "name": "x.glb",
             "kind": "glb",
             "format": "glb",
-            "person": "person-1",
+            "person": 1,
             "person_name": "../..\x00" + "ü" * 300,
             "num_bytes": len(body),
             "sha256": hashlib.sha256(body).hexdigest(),

@@ -49,7 +49,7 @@ def test_list(live: Live, job_id: str, path: str) -> None:
             {
                 "name": "person-1.bvh",
                 "kind": "bvh",
-                "person": "person-1",
+                "person": 1,
                 "person_name": "person-1",
                 "format": "bvh",
                 "preset": "default",
@@ -134,7 +134,7 @@ def test_all_as_one_archive(live: Live, job_id: str) -> None:
         assert archive.testzip() is None
         packed = {name: archive.read(name) for name in archive.namelist()}
     listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
-    assert [result["person"] for result in listed] == ["person-1"]
+    assert [result["person"] for result in listed] == [1]
     assert packed == {
         f"person-1/{result['download_name']}": live.client.get(result["url"]).content for result in listed
     }

@@ -210,7 +210,7 @@ def test_metrics_name_joint_and_frame_of_worst_interpolation(tmp_path: Path) -> 
     write_files(people, tmp_path, only_bvh, preset="unity-humanoid", report=lambda _: {})
     between = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]["bvh"]["between_frames"]
     assert 2.0 < between["max_distance_mm"] < 3.0
-    assert (between["program"], between["track_id"], between["joint"]) == ("Blender", 1, "LeftUpLeg")
+    assert (between["program"], between["person"], between["joint"]) == ("Blender", 1, "LeftUpLeg")
     assert 100 <= between["frame"] < 159
 
 

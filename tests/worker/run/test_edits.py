@@ -68,7 +68,7 @@ def test_rename_stores_files_that_hold_name_alone(bench: RunnerBench) -> None:
         path = work.scratch / "person-1.glb"
         path.write_bytes(repr(work.claim.edits).encode())
         made = export(work)
-        return replace(made, files=(*made.files, ResultFile(path.name, "glb", "person-1", "model/gltf-binary", path)))
+        return replace(made, files=(*made.files, ResultFile(path.name, "glb", 1, "model/gltf-binary", path)))
 
     def stored() -> dict[str, tuple[str, int]]:
         """Key and time of the last change of each file."""

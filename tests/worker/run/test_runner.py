@@ -84,7 +84,7 @@ def test_job_runs_to_its_results(bench: RunnerBench) -> None:
     ]
     assert not any(stage.reused for stage in job.stages)
     (result,) = bench.store.results.downloads(job.id)
-    assert (result.name, result.kind, result.person) == ("person-1.bvh", "bvh", "person-1")
+    assert (result.name, result.kind, result.person) == ("person-1.bvh", "bvh", 1)
     assert bench.result(job.id) == RESULT
 
 

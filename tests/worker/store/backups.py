@@ -68,7 +68,7 @@ class Data:
             key = result_key(claim.job_id, "person-1.bvh")
             self.artifacts.put_bytes(key, b"HIERARCHY")
             sha256 = hashlib.sha256(b"HIERARCHY").hexdigest()
-            results.append(Result("person-1.bvh", "bvh", "person-1", "text/plain", key, 9, sha256))
+            results.append(Result("person-1.bvh", "bvh", 1, "text/plain", key, 9, sha256))
         digest = hashlib.sha256(content).hexdigest()
         self.store.leases.finish(claim.chunk_id, claim.lease_token, digest, len(content), results=results)
         return True

@@ -47,7 +47,7 @@ def stages(num_chunks: int = 3) -> tuple[StagePlan, ...]:
 
 def result(job_id: str, name: str = "person-1.bvh") -> Result:
     key = f"jobs/{job_id}/results/{name}"
-    return Result(name, "bvh", "person-1", "text/plain", key, 5, "5" * 64, person_name="person-1")
+    return Result(name, "bvh", 1, "text/plain", key, 5, "5" * 64, person_name="person-1")
 
 
 @dataclass(frozen=True)

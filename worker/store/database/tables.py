@@ -214,7 +214,7 @@ results = Table(
     Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
     Column("name", String(255), primary_key=True),
     Column("kind", String(32), nullable=False),
-    Column("person", String),
+    Column("person", Integer),
     Column("media_type", String, nullable=False),
     Column("key", String, nullable=False),
     Column("num_bytes", BigInteger, nullable=False),

@@ -192,13 +192,12 @@ class Attempt:
 class Result:
     """A result file of a job, in the artifact store under ``key``; ``revision`` is the revision of its edits.
 
-    ``person`` is the number of a person as in the file's name, ``person_name`` the name that edits gave, or else the
-    same.
+    ``person`` is the number of a person, ``person_name`` the name that edits gave, or else ``person-`` and the number.
     """
 
     name: str
     kind: str  # "bvh", "skeletons", "metrics"
-    person: str | None
+    person: int | None
     media_type: str
     key: str
     num_bytes: int

@@ -199,10 +199,12 @@ def test_lost_people_and_phantoms_are_findings() -> None:
     lost, phantom = all_checks(quality_report(take))
     assert (lost.code, lost.severity) == ("person_lost", "warning")
     assert "person-1 (frames 12 to 39, at x 0.5 m, y -1.2 m)" in lost.message
-    assert lost.evidence["people"] == [{"id": 1, "start_frame": 12, "num_frames": 28, "place_m": [0.52, -1.25, 1.0]}]
+    assert lost.evidence["people"] == [
+        {"person": 1, "start_frame": 12, "num_frames": 28, "place_m": [0.52, -1.25, 1.0]}
+    ]
     assert phantom.code == "phantom_ended"
     assert "frames 3 to 8, at x 2.0 m, y 0.1 m" in phantom.message
-    assert phantom.evidence["people"][0]["id"] is None
+    assert phantom.evidence["people"][0]["person"] is None
 
 
 def test_limb_located_half_as_long_is_named() -> None:
@@ -216,7 +218,7 @@ def test_limb_located_half_as_long_is_named() -> None:
     take = replace(take, animation=replace(take.animation, motions=(motion,)))
     (finding,) = (check for check in all_checks(quality_report(take)) if check.code == "limb_mismeasured")
     assert "left forearm of person-1 (125 mm, used are 250 mm)" in finding.message
-    assert finding.evidence["limbs"] == [{"id": 1, "limb": "left forearm", "located_m": 0.125, "length_m": 0.25}]
+    assert finding.evidence["limbs"] == [{"person": 1, "limb": "left forearm", "located_m": 0.125, "length_m": 0.25}]
 
 
 def test_take_decides_which_cameras_disagree_little() -> None:

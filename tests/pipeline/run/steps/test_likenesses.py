@@ -66,7 +66,7 @@ def test_picture_is_named_and_is_no_floor(with_poster: KeypointSession) -> None:
     found = checks(take)
     assert found.keys() == {"person_never_moves"}
     (picture,) = found["person_never_moves"]["people"]
-    assert (picture["id"], picture["num_frames"]) == (1, NUM_FRAMES)
+    assert (picture["person"], picture["num_frames"]) == (1, NUM_FRAMES)
     assert 0.0 < picture["moved_m"] < 0.015
     assert take.animation.floor is not None
     assert take.animation.floor.z_m == pytest.approx(0.0, abs=0.02)
@@ -103,7 +103,7 @@ def test_mirror_image_is_named_with_its_plane() -> None:
     by_id = {track.track_id: track for track in take.tracks}
     assert len(by_id) == 2
     middle_m = {number: np.nanmedian(track.xyz_m, axis=(0, 1)) for number, track in by_id.items()}
-    assert middle_m[image["id"]] @ normal > offset_m > middle_m[image["mirrors"]] @ normal
+    assert middle_m[image["person"]] @ normal > offset_m > middle_m[image["mirrors"]] @ normal
     np.testing.assert_allclose(image["normal"], normal, atol=0.02)
     assert image["offset_m"] == pytest.approx(offset_m, abs=0.03)
     assert image["num_frames"] > 0.9 * NUM_FRAMES

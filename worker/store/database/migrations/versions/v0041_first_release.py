@@ -151,7 +151,7 @@ def upgrade() -> None:
         sa.Column("job_id", sa.String(36), sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
         sa.Column("name", sa.String(255), primary_key=True),
         sa.Column("kind", sa.String(32), nullable=False),
-        sa.Column("person", sa.String),
+        sa.Column("person", sa.Integer),
         sa.Column("media_type", sa.String, nullable=False),
         sa.Column("key", sa.String, nullable=False),
         sa.Column("num_bytes", sa.BigInteger, nullable=False),
