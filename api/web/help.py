@@ -29,6 +29,9 @@ class HelpFiles(StaticFiles):
         super().__init__(directory=folder, html=True, check_dir=False)
         self._folder = folder
 
+    async def check_config(self) -> None:
+        """Accept that the folder is missing: the site may not be built, which the answers say."""
+
     async def get_response(self, path: str, scope: Scope) -> Response:
         """Answer with a file of the site, or with the way to the page of a topic."""
         if not (self._folder / "topics.json").is_file():
