@@ -80,7 +80,7 @@ def command(
                 paths = client.download(job, out)
             skeletons, metrics = (json.loads((out / name).read_bytes()) for name in ("skeletons.json", "metrics.json"))
             paths += write_overlays(open_session(videos, sample.calibration), skeletons, out)
-            print_summary(metrics)
+            print_summary(metrics, samples.NOTES)
             console.print(f"{len(videos)} cameras, {time.monotonic() - started_s:.0f} s in all.")
             console.print(f"Results are in {out}/:")
             for path in paths:

@@ -17,6 +17,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
 from pipeline.core.options.rules import config_problems, require
+from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import NOTHING_BLURRED
 from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.export.character.character_files import DESCRIPTION
@@ -35,8 +36,14 @@ def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
     )
 
 
-def print_summary(metrics: Mapping[str, Any]) -> None:
-    """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong."""
+def print_summary(metrics: Mapping[str, Any], notes: Mapping[Code, str] | None = None) -> None:
+    """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong.
+
+    Parameters
+    ----------
+    notes
+        Sentences to add to warnings, by code.
+    """
 
     def shown(value: float | None, unit: str, digits: int) -> str:
         return "-" if value is None else f"{value:.{digits}f} {unit}".rstrip()
@@ -69,7 +76,7 @@ def print_summary(metrics: Mapping[str, Any]) -> None:
         ((name, shown(before, unit, 2), shown(after, unit, 2)) for name, unit, before, after in before_and_after),
     )
     for check in all_checks(metrics):
-        warn(check.message)
+        warn(" ".join(filter(None, (check.message, (notes or {}).get(check.code)))))
 
 
 def _character(path: Path | None, bones: Path | None) -> CharacterSource | None:

