@@ -1,7 +1,7 @@
 """Pictures of the page: ``docs/images/portal-*``, with the installed sample capture.
 
 ``.venv/bin/python docs/picture_portal.py URL``: the address of a service that needs no key, such as ``make serve`` with
-an empty data folder. Chromium takes the pictures. The moving picture holds a part of the take on the page *Look*.
+an empty data folder. Chromium takes the pictures. The moving picture holds a part of the take on the page *Take*.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def send(page: Page) -> None:
     if sample is None:
         raise SystemExit("Run first: multicap samples install")
     page.locator("#choose-files").set_input_files([*sample.videos.values(), sample.calibration])
-    page.get_by_label("Name of the take").fill(NAME)
+    page.get_by_label("Name of the capture").fill(NAME)
     page.get_by_role("radio", name="Blender").check()
     button = page.get_by_role("button", name="Send and reconstruct")
     expect(button).to_be_enabled(timeout=JOB_MS)
@@ -51,9 +51,9 @@ def send(page: Page) -> None:
 def look(page: Page) -> None:
     """Open the take, and store it in one picture and in motion."""
     page.get_by_role("navigation").get_by_role("link", name="Captures").click()
-    page.get_by_role("link", name=f"Look at {NAME}").first.wait_for(timeout=JOB_MS)
+    page.get_by_role("link", name=f"Open {NAME}").first.wait_for(timeout=JOB_MS)
     picture(page, "captures")
-    page.get_by_role("link", name=f"Look at {NAME}").first.click()
+    page.get_by_role("link", name=f"Open {NAME}").first.click()
     page.locator("canvas").first.wait_for(timeout=JOB_MS)
     page.wait_for_timeout(5000)
     play_head = page.get_by_role("slider").first

@@ -3,8 +3,10 @@
 import { sending } from "./send/sending.js";
 import { call, persistently, reached, RequestProblem, signedOut, useLink } from "./shared/api.js";
 import { feed } from "./shared/feed.js";
-import { html, nothing, problemBox, render } from "./shared/lit.js";
+import { html, nothing, problemBox, prose, render } from "./shared/lit.js";
 import { announce, currentRoute, replace } from "./shared/page.js";
+import { PROBLEMS } from "./shared/strings/common.js";
+import { FRAME } from "./shared/strings/frame.js";
 
 const NEW_MS = 10_000;
 const [KEY_PREFIX, KEY_LENGTH] = ["mc_", 43];
@@ -20,7 +22,7 @@ const VIEWS = {
   calibrations: () => import("./calibrations/view.js"),
   jobs: () => import("./jobs/view.js"),
 };
-const NAV = [["new", "New capture", "write"], ["captures", "Captures", "read"], ["record", "Record", "write"], ["live", "Live", "write"], ["calibrations", "Calibrations", "read"]];
+const NAV = [["new", "write"], ["captures", "read"], ["record", "write"], ["live", "write"], ["calibrations", "read"]];
 
 const at = (id) => document.getElementById(id);
 let caller = null;
@@ -47,7 +49,7 @@ async function navigate({ isFirst = false } = {}) {
   at("view").replaceChildren(place);
   view = module.open(place, route, caller);
   showNav(route.name);
-  document.title = `${view.title} · Multicap`;
+  document.title = FRAME.title(view.title);
   scrollTo(0, 0);
   if (isFirst) return;
   at("view").focus({ preventScroll: true });
@@ -61,7 +63,7 @@ async function load(name) {
     return await VIEWS[name]();
   } catch {
     if (!await reached()) throw new RequestProblem(null);
-    if (sending.rows.length || performance.now() < NEW_MS) throw new RequestProblem({ detail: "The view can't be loaded. Reload the page.", hint: "The files have to be chosen again." }, 500);
+    if (sending.rows.length || performance.now() < NEW_MS) throw new RequestProblem({ detail: PROBLEMS.viewMissing, hint: PROBLEMS.filesAgain }, 500);
     location.reload();
     return new Promise(() => {});
   }
@@ -70,10 +72,10 @@ async function load(name) {
 function showAway(name, problem) {
   view?.close();
   view = null;
-  const [, label] = NAV.find(([to]) => to === name) ?? [name, "Job"];
+  const label = FRAME.nav[name] ?? FRAME.job;
   showPlace((place) => render(html`<h1 class="title">${label}</h1>${problemBox(problem)}`, place));
   showNav(name);
-  document.title = `${label} · Multicap`;
+  document.title = FRAME.title(label);
 }
 
 function showPlace(fill) {
@@ -94,8 +96,8 @@ function startView() {
 function showNav(name) {
   at("nav").hidden = caller === null || caller === GUEST;
   if (at("nav").hidden) return;
-  const links = NAV.filter(([, , scope]) => caller.scopes.includes(scope));
-  render(html`${links.map(([to, label]) => html`<a href="#/${to}" aria-current=${to === name ? "page" : nothing}>${label}</a>`)}`, at("nav"));
+  const links = NAV.filter(([, scope]) => caller.scopes.includes(scope));
+  render(html`${links.map(([to]) => html`<a href="#/${to}" aria-current=${to === name ? "page" : nothing}>${FRAME.nav[to]}</a>`)}`, at("nav"));
 }
 
 function showStatus() {
@@ -103,8 +105,8 @@ function showStatus() {
   render(html`
     ${feed.problem && caller ? html`<span class="away" role="alert">${feed.problem.message}</span>` : nothing}
     ${upload === null ? nothing : html`<a class="sending" href="#/new">${upload}</a>`}
-    ${caller?.name ? html`<span class="caller">${caller.name}, ${caller.tenant}</span>
-      <button type="button" class="button small" @click=${leave}>Sign out</button>` : nothing}
+    ${caller?.name ? html`<span class="caller">${FRAME.caller(caller.name, caller.tenant)}</span>
+      <button type="button" class="button small" @click=${leave}>${FRAME.signOut}</button>` : nothing}
   `, at("status"));
 }
 
@@ -114,17 +116,17 @@ function showEntrance(problem = null) {
   view = caller = null;
   showNav("");
   showStatus();
-  document.title = "Sign in · Multicap";
+  document.title = FRAME.title(FRAME.signIn);
   const place = document.createElement("div");
   at("view").replaceChildren(place);
   const draw = (shown) => render(html`<section class="panel entrance" aria-labelledby="entrance-title">
-    <h1 id="entrance-title">Sign in</h1>
+    <h1 id="entrance-title">${FRAME.signIn}</h1>
     <form @submit=${submit}>
-      <label class="field"><span>Key</span>
+      <label class="field"><span>${FRAME.key}</span>
         <input name="key" type="password" required maxlength="200" placeholder="mc_…" autocomplete="current-password" spellcheck="false">
       </label>
-      <p class="quiet">The operator of the service creates keys: <code>multicap keys create</code>.</p>
-      <div class="actions"><button class="button primary">Sign in</button></div>
+      <p class="quiet">${prose(FRAME.keyHint)}</p>
+      <div class="actions"><button class="button primary">${FRAME.signIn}</button></div>
       ${problemBox(shown)}
     </form>
   </section>`, place);
@@ -144,12 +146,12 @@ function showEntrance(problem = null) {
 
 // What a key looks like, and how a text that is no key differs.
 function lookOfKey(text) {
-  const look = `A key is ${KEY_PREFIX} and ${KEY_LENGTH} letters, digits, - or _, in one piece.`;
-  if (!text.startsWith(KEY_PREFIX)) return `${look} What was typed does not begin with ${KEY_PREFIX}.`;
   const length = text.length - KEY_PREFIX.length;
-  if (/[^\w-]/.test(text)) return `${look} What was typed has other characters.`;
-  if (length !== KEY_LENGTH) return `${look} What was typed has ${length} after ${KEY_PREFIX}: copy the whole key.`;
-  return `${look} What was typed looks like one: it is of another service, or was revoked. Ask the operator for a new key.`;
+  let fault = FRAME.keyUnknown;
+  if (!text.startsWith(KEY_PREFIX)) fault = FRAME.keyStart(KEY_PREFIX);
+  else if (/[^\w-]/.test(text)) fault = FRAME.keyCharacters;
+  else if (length !== KEY_LENGTH) fault = FRAME.keyLength(KEY_PREFIX, length);
+  return `${FRAME.keyForm(KEY_PREFIX, KEY_LENGTH)} ${fault}`;
 }
 
 // The link that opened the page opens nothing any more.
@@ -158,12 +160,12 @@ function showEndedLink() {
   view?.close();
   view = caller = null;
   showStatus();
-  document.title = "Link ended · Multicap";
+  document.title = FRAME.title(FRAME.linkEnded);
   const place = document.createElement("div");
   at("view").replaceChildren(place);
   render(html`<section class="panel entrance" aria-labelledby="ended-title" role="alert">
-    <h1 id="ended-title">This link has ended or was revoked</h1>
-    <p>Ask the person who sent you the link for a new one.</p>
+    <h1 id="ended-title">${FRAME.linkEndedTitle}</h1>
+    <p>${FRAME.linkEndedHint}</p>
   </section>`, place);
 }
 
@@ -214,6 +216,10 @@ addEventListener("hashchange", () => {
   if (linkSecret(currentRoute()) !== openedBy) location.reload();
   else navigate();
 });
+document.querySelector(".skip").textContent = FRAME.skip;
+document.querySelector(".foot a").textContent = FRAME.api;
+at("help").textContent = FRAME.help;
+at("nav").ariaLabel = FRAME.views;
 document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault(); // the address' hash names the view
   at("view").focus();

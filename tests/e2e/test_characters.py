@@ -94,11 +94,11 @@ def test_form_takes_character_and_corrects_its_bones(served: Served, take: Path,
         expect(form.get_by_role("alert")).to_contain_text("cube.glb", timeout=120_000)
         form.get_by_label("Or a file").set_input_files(tmp_path / "robot.glb")
         form.get_by_text("Bones", exact=True).click(timeout=120_000)
-        expect(form.get_by_role("img", name="The character's bones from the front")).to_be_visible()
+        expect(form.get_by_role("img", name="Front view of the character's bones")).to_be_visible()
         expect(form.get_by_role("combobox", name="LeftArm", exact=True)).to_have_value("mixamorig:LeftArm")
         assert axe_findings(page) == []
         form.get_by_role("combobox", name="LeftToeBase").select_option("")
-        expect(form.get_by_text("Bones (without: LeftToeBase)")).to_be_visible(timeout=120_000)
+        expect(form.get_by_text("Bones (missing: LeftToeBase)")).to_be_visible(timeout=120_000)
         with page.expect_response("**/v1/sessions/*/jobs") as answer:
             form.get_by_role("button", name="Reconstruct without uploading").click()
         job = answer.value.json()

@@ -123,7 +123,7 @@ def test_exchanged_calibrations(served: Served, capture: CalibratedVideos) -> No
         row.wait_for()
         for error in job["error"]["errors"]:
             assert error["message"] in row.inner_text()
-        row.get_by_role("button", name="all the same").click()
+        row.get_by_role("button", name="anyway").click()
         page.get_by_text("Ignore errors").first.wait_for()
     jobs = served.client.get(job["urls"]["session"] + "/jobs").raise_for_status().json()["jobs"]
     (forced,) = [other for other in jobs if other["id"] != job["id"]]
@@ -181,5 +181,5 @@ def test_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     with opened(f"{served.client.base_url}#/captures") as page:
         row = page.locator(f"#job-{job['id']}")
         row.wait_for()
-        assert "nobody was found" in row.inner_text()
+        assert "no person found" in row.inner_text()
         assert nobody["message"] in row.inner_text()

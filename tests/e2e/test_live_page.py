@@ -47,7 +47,7 @@ def test_keypoints_in_people_out_and_session_kept(served: Served, take: list[Pat
         page.get_by_label("Choose files").set_input_files(take)
         expect(page.get_by_text(re.compile(r"cam_00: \d+ frames"))).to_be_visible()
         expect(page.get_by_text(re.compile("cameras · "))).to_be_visible(timeout=180_000)
-        page.get_by_label("Keep it as a capture").check()
+        page.get_by_label("Keep as a capture").check()
         page.get_by_label("Name", exact=True).fill("Seen live")
         page.get_by_role("button", name="Play live").click()
         expect(page.get_by_text(re.compile("[1-9], [1-9] with a skeleton"))).to_be_visible(timeout=180_000)

@@ -59,7 +59,7 @@ def page(served: Served, job: dict[str, Any]) -> Iterator[Page]:
 def open_view(page: Page, view: str, job: dict[str, Any]) -> None:
     """Click what opens a view."""
     if view == "Job":
-        page.get_by_role("link", name="Look at Offline").first.click()
+        page.get_by_role("link", name="Open Offline").first.click()
     else:
         page.get_by_role("navigation").get_by_role("link", name=view, exact=True).click()
     expect(page).to_have_url(re.compile(f"#/{ADDRESSES[view]}"))
@@ -154,4 +154,4 @@ def test_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]) 
     finally:
         for process in tree:
             process.resume()
-    expect(row.get_by_role("link", name="Look at")).to_be_visible(timeout=240_000)
+    expect(row.get_by_role("link", name="Open")).to_be_visible(timeout=240_000)

@@ -47,7 +47,7 @@ def capture(page: Page, name: str) -> Locator:
 
 
 def test_capture_goes_from_form_to_files(page: Page, sample: Sample, first_results: Path) -> None:
-    page.get_by_label("Name of the take").fill("<b>Take</b> 1")
+    page.get_by_label("Name of the capture").fill("<b>Take</b> 1")
     choose(page, *sample.videos.values(), sample.calibration)
     expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=180_000)
     page.get_by_text("More options", exact=True).click()
@@ -75,7 +75,7 @@ def test_capture_goes_from_form_to_files(page: Page, sample: Sample, first_resul
 def test_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp_path: Path) -> None:
     paths = two_videos(tmp_path)
     page.get_by_role("link", name="Calibrations", exact=True).click()
-    page.get_by_label("Title").fill("<i>Studio</i> B")
+    page.get_by_label("Name", exact=True).fill("<i>Studio</i> B")
     page.get_by_label("File", exact=True).set_input_files(paths["calibration.json"])
     page.get_by_role("button", name="Add").click()
     stored = capture(page, "<i>Studio</i> B")
@@ -128,9 +128,9 @@ def test_unknown_unit_is_asked_for(served: Served, tmp_path: Path) -> None:
         expect(send.get_by_role("alert")).to_contain_text("m if they are millimetres", timeout=180_000)
         page.get_by_label("Unit of length").select_option("mm")
         expect(page.get_by_text("in mm")).to_be_visible(timeout=180_000)
-        page.get_by_label("Axis that points up").select_option("-z")
+        page.get_by_label("Up axis").select_option("-z")
         expect(page.get_by_text("The cameras are upside down")).to_be_visible(timeout=180_000)
-        page.get_by_label("Axis that points up").select_option("")
+        page.get_by_label("Up axis").select_option("")
         expect(page.get_by_text("The cameras are upside down")).to_have_count(0, timeout=180_000)
         expect(send.get_by_role("alert")).to_have_count(0)
         expect(page.get_by_role("button", name="Send and reconstruct")).to_be_enabled()
@@ -143,10 +143,10 @@ def test_array_has_points_of_all_cameras(page: Page, served: Served, tmp_path: P
     rig.write_bytes(encode(simulation.cameras))
     np.save(array, freemocap_array(simulation))
     other.write_bytes(bytes(100))
-    page.get_by_label("Name of the take").fill("Array")
+    page.get_by_label("Name of the capture").fill("Array")
     choose(page, rig, array, other)
     expect(page.get_by_text("all cameras, in the order of their names")).to_be_visible(timeout=180_000)
-    page.get_by_label("Frame rate of the keypoints").fill("25")
+    page.get_by_label("Frame rate of keypoints").fill("25")
     page.get_by_role("button", name="Send and reconstruct").click()
     problems = page.get_by_role("region", name="Send").get_by_role("alert")
     expect(problems).to_contain_text("has the keypoints of all cameras", timeout=180_000)
@@ -181,11 +181,11 @@ def test_upload_continues_after_reload(page: Page, served: Served, sample: Sampl
     page.get_by_role("button", name="Send and reconstruct").click()
     expect(page.get_by_role("link", name=re.compile(r"Sending, [1-9]\d %"))).to_be_visible(timeout=180_000)
     assert set(offsets) <= {0}
-    page.get_by_label("Name of the take").fill("Cut and gone on")  # typed while files are sent
+    page.get_by_label("Name of the capture").fill("Cut and gone on")  # typed while files are sent
     page.get_by_role("radio", name="Blender").check()
     page.get_by_role("button", name="Pause").click()
-    expect(page.get_by_role("button", name="Go on")).to_be_visible()
-    page.get_by_role("button", name="Go on").click()
+    expect(page.get_by_role("button", name="Continue")).to_be_visible()
+    page.get_by_role("button", name="Continue").click()
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.wait_for_timeout(1000)  # the draft is stored
     page.reload()
@@ -291,7 +291,7 @@ def test_contract_is_shown_without_other_hosts(served: Served) -> None:
     with opened(str(served.client.base_url)) as page:
         page.on("request", lambda request: asked.add(urlsplit(request.url).netloc))
         page.on("console", lambda message: refused.append(message.text) if message.type == "error" else None)
-        page.get_by_role("link", name="The web API").click()
+        page.get_by_role("link", name="Web API").click()
         expect(page.get_by_text("Reconstruct a session", exact=True)).to_be_visible(timeout=180_000)
         page.get_by_role("button", name="GET /healthz Check that").click()
         page.get_by_role("button", name="Try it out").click()

@@ -136,7 +136,7 @@ def look_at(page: Page, portal: ServedPeople) -> None:
 
 
 def panel(page: Page) -> Locator:
-    return page.get_by_role("region", name="Put right who is who")
+    return page.get_by_role("region", name="Edit people")
 
 
 def choose(page: Page, person: str, frame: int | None = None) -> None:
@@ -190,7 +190,7 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
     press(page, "Merge into person-1")
     question = page.get_by_role("dialog", name="Merge person-2 into person-1?")
     shared = frames_of_both(portal, 2, 1)
-    expect(question).to_contain_text(f"Both are there in {shared} frames")
+    expect(question).to_contain_text(f"Both exist in {shared} frames")
     expect(question).to_contain_text(f"{shared} of the 100 frames of person-2 are lost")
     question.get_by_role("button", name="Keep both").click()
     expect(question).to_have_count(0)
@@ -199,7 +199,7 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
     question.get_by_role("button", name="Merge", exact=True).click()
     edits = panel(page).get_by_role("list", name="Edits").get_by_role("listitem")
     expect(edits).to_have_text([re.compile("Merge person-2 into person-1")])
-    expect(panel(page).get_by_text(re.compile(f"Files of revision {revision + 1} are being made"))).to_be_visible()
+    expect(panel(page).get_by_text(re.compile(f"Updating files to revision {revision + 1}"))).to_be_visible()
     # The focus stays on the button, which is for the next pair now.
     expect(panel(page).get_by_role("button", name="Merge into person-3")).to_be_focused()
     made(page, revision + 1)
@@ -287,11 +287,11 @@ def test_take_without_people_is_reported_empty(page: Page, portal: ServedPeople)
     portal.edit(*({"action": "remove", "person": person} for person in (1, 2, 3)))
     page.reload()
     look_at(page, portal)
-    expect(page.get_by_text("Done: the edits leave nobody")).to_be_visible()
-    expect(panel(page).get_by_text("You deleted everybody.")).to_be_visible()
-    expect(page.get_by_text("was found")).to_have_count(0)
-    press(page, "Undo, so that people come back")
-    expect(panel(page).get_by_text("You deleted everybody.")).to_have_count(0)
+    expect(page.get_by_text("Done: edits removed everyone")).to_be_visible()
+    expect(panel(page).get_by_text("You deleted everyone.")).to_be_visible()
+    expect(page.get_by_text("no person found")).to_have_count(0)
+    press(page, "Undo, to restore the people")
+    expect(panel(page).get_by_text("You deleted everyone.")).to_have_count(0)
     made(page, portal.people()["revision"])
     expect_in_view(page, "person-3")
 
@@ -320,7 +320,7 @@ def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: Serv
         expect(panel(page).get_by_role("list", name="Edits").get_by_role("listitem")).to_have_count(3)
         wait_for(lambda: len(portal.people()["edits"]) == 3)
         assert [edit["action"] for edit in portal.people()["edits"]] == ["split", "remove", "rename"]
-        expect(files).to_contain_text(f"Those of revision {revision + 5} are being made.")
+        expect(files).to_contain_text(f"The files of revision {revision + 5} are being made.")
         expect(files.get_by_role("link", name="person-3.bvh")).to_be_visible()
         with page.expect_download() as download:
             files.get_by_role("link", name="person-3.bvh").click()
@@ -345,13 +345,13 @@ def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> No
     expect(files.get_by_role("button")).to_have_count(0)
     rename(page, "person-2", "Anna")
     made(page, 1)
-    expect(files).to_contain_text("The report shows the take as found.")
+    expect(files).to_contain_text("The report shows the unedited take.")
     expect(files.get_by_role("link", name="room-take-1_report.html")).to_be_visible()
     files.get_by_role("button", name="Make them now").click()
-    expect(files).to_contain_text("Those of revision 1 are being made.")
+    expect(files).to_contain_text("They are being made for revision 1.")
     expect(files.get_by_role("heading", name="Files")).to_be_focused()
     expect(files.get_by_role("link", name="room-take-1_revision-1_report.html")).to_be_visible(timeout=MAKING_MS)
-    expect(files.get_by_text("the take as found")).to_have_count(0)
+    expect(files.get_by_text("the unedited take")).to_have_count(0)
     with page.expect_download() as download:
         files.get_by_role("link", name="room-take-1_revision-1_report.html").click()
     assert "Anna" in download.value.path().read_text()
@@ -398,17 +398,17 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     portal.edit(theirs)
     press(page, "Split here")
     problem = panel(page).get_by_role("alert")
-    expect(problem).to_contain_text("Somebody else has changed the edits meanwhile.")
+    expect(problem).to_contain_text("Another user has changed the edits.")
     expect(problem).to_contain_text("Not done: Split person-1 at frame 30.")
     expect(panel(page).get_by_role("list", name="Edits")).to_contain_text("Rename person-3 to Theirs")
     assert portal.people()["edits"] == [theirs]
     revision = portal.people()["revision"]
-    press(page, "Do it on their edits")
+    press(page, "Apply to their edits")
     made(page, revision + 1)
     assert portal.people()["edits"] == [theirs, {"action": "split", "person": 1, "frame": 30}]
     # A change that nothing was done against shows as well.
     portal.edit()
-    expect(panel(page).get_by_text("Somebody else has changed the edits. These are theirs.")).to_be_visible(
+    expect(panel(page).get_by_text("Another user has changed the edits. The list shows their version.")).to_be_visible(
         timeout=180_000
     )
     expect(panel(page).get_by_text("No edits.")).to_be_visible()
@@ -451,7 +451,7 @@ def test_public_link_shows_one_job_until_revoked(page: Page, portal: ServedPeopl
     with opened_by_a_stranger(page, address, allowed=("401 (Unauthorized",)) as guest:
         expect(guest.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
         expect(guest.get_by_role("heading", name="Room, take 1", level=1)).to_be_visible()
-        expect(guest.get_by_role("region", name="Put right who is who")).to_have_count(0)
+        expect(guest.get_by_role("region", name="Edit people")).to_have_count(0)
         expect(guest.get_by_role("region", name="Public link")).to_have_count(0)
         expect(guest.get_by_role("navigation")).to_have_count(0)
         with guest.expect_download() as download:

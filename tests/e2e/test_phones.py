@@ -130,7 +130,7 @@ def calibrate_and_rename(host: Page, phone: Page) -> None:
     take = record(host, "Walk", 2, 2)
     take.get_by_role("button", name="Calibrate from Walk").click()
     form = take.get_by_role("form", name="Calibrate from Walk")
-    form.get_by_label(re.compile("^Stature in metres")).fill("1.78, 1.65")
+    form.get_by_label(re.compile("^Height in m")).fill("1.78, 1.65")
     form.get_by_role("button", name="Calibrate", exact=True).click()
     expect(take.get_by_text(re.compile("^Calibration: "))).to_be_visible(timeout=PATIENT_MS)
     host.get_by_role("button", name="Rename cam_3").click()
@@ -157,7 +157,7 @@ def test_clips_of_phones_become_capture_with_their_times(
         expect(joined[0].page.get_by_role("list", name="On this phone")).to_contain_text("sent")
         taken = {phone.name: phone.taken() for phone in joined}
         lose_upload(served, host, joined[0])
-        choose_option(host.get_by_label("Where the phones stand"), "Rendered room")
+        choose_option(host.get_by_label("Phone positions"), "Rendered room")
         take.get_by_role("button", name="Reconstruct Twice").click()
         take.get_by_role("form", name="Reconstruct Twice").get_by_role("button", name="Reconstruct", exact=True).click()
         expect(take.locator(".record-job .state")).to_be_visible(timeout=PATIENT_MS)
@@ -189,11 +189,11 @@ def test_from_link_to_bvh_by_clicks_alone(
         name = next((name for name in TRIES if is_even(served, host, name)), None)
     if name is None:
         pytest.skip("this machine is too busy for four browsers: cameras' files stood still in each take")
-    choose_option(host.get_by_label("Where the phones stand"), "Rendered room")
+    choose_option(host.get_by_label("Phone positions"), "Rendered room")
     take = take_card(host, name)
     reconstruct(take, name)
     (used,) = (found for found in recording_of(served, host)["takes"] if found["name"] == name)
-    take.get_by_role("link", name=f"Look at {name}").click()
+    take.get_by_role("link", name=f"Open {name}").click()
     with host.expect_download() as download:
         host.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
     assert download.value.path().read_text().startswith("HIERARCHY\nROOT Hips")

@@ -102,7 +102,7 @@ def test_calibration_by_phones_serves_until_one_is_moved(
         reconstruct(moved, "Moved", "")
         expect(moved).to_contain_text(re.compile(f"{MOVED}.*(elsewhere|disagree)"), timeout=2 * PATIENT_MS)
         walked, used, refused = recording_of(served, host)["takes"]
-        take.get_by_role("link", name="Look at Fight").click()
+        take.get_by_role("link", name="Open Fight").click()
         with host.expect_download() as download:
             host.get_by_role("link", name=re.compile(r"\.bvh")).first.click()
         assert download.value.path().read_text().startswith("HIERARCHY\nROOT Hips")
@@ -117,10 +117,10 @@ def calibrate(host: Page, take: Locator) -> None:
     """Calibrate the phones from the people of a take, and wait until the calibration is chosen by itself."""
     take.get_by_role("button", name="Calibrate from Walk").click()
     form = take.get_by_role("form", name="Calibrate from Walk")
-    form.get_by_label(re.compile("^Stature in metres")).fill("1.75")
+    form.get_by_label(re.compile("^Height in m")).fill("1.75")
     form.get_by_role("button", name="Calibrate", exact=True).click()
     expect(take.get_by_text("Calibration ready")).to_be_visible(timeout=4 * PATIENT_MS)
-    expect(host.get_by_label("Where the phones stand")).not_to_have_value("")
+    expect(host.get_by_label("Phone positions")).not_to_have_value("")
 
 
 def assert_error(served: Served, session_id: str, job_id: str, folder: Path) -> None:

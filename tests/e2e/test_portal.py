@@ -54,7 +54,7 @@ def card(page: Page, name: str) -> Locator:
 
 
 def latest(page: Page) -> Locator:
-    return page.get_by_role("region", name="Latest").get_by_role("listitem").first
+    return page.get_by_role("region", name="Recent jobs").get_by_role("listitem").first
 
 
 def bottom(part: Locator) -> float:
@@ -76,7 +76,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
     files = [(name, base64.b64encode(path.read_bytes()).decode()) for name, path in keypoints.items()]
     page.evaluate(DROP, [page.get_by_text("Drop the videos").element_handle(), files])
     expect(page.get_by_label("Camera of cam_01.zip")).to_have_value("cam_01", timeout=180_000)
-    page.get_by_label("Name of the take").fill("Dropped")
+    page.get_by_label("Name of the capture").fill("Dropped")
     send = page.get_by_role("button", name="Send and reconstruct")
     assert bottom(send) <= 800
     page.get_by_role("radio", name="Unreal Engine").check()
@@ -100,7 +100,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
     page.get_by_role("radio", name="Web pages").check()
     expect(page.get_by_role("checkbox", name="GLB, body and animation")).to_be_checked()
     expect(page.get_by_role("checkbox", name="FBX, body and animation")).not_to_be_checked()
-    expect(page.get_by_label("Target application")).to_have_value("default")
+    expect(page.get_by_label("Target application", exact=True)).to_have_value("default")
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict
     expect(page.get_by_role("button", name="Run again: Twice")).to_be_focused()
     for job in (first["id"], made["id"]):
         assert served.wait_for_end(job)["state"] == "succeeded"
-    for name in ("Look at Twice, run 1", "Look at Twice, run 2"):
+    for name in ("Open Twice, run 1", "Open Twice, run 2"):
         expect(twice.get_by_role("link", name=name)).to_be_visible(timeout=180_000)
     assert uploads == []
 
@@ -198,7 +198,7 @@ def test_nobody_found_is_no_plain_success(page: Page, served: Served, tmp_path: 
     page.get_by_role("link", name="Captures", exact=True).click()
     row = card(page, "Empty room").locator(".job")
     state = row.locator(".state")
-    expect(state).to_have_text("Done: nobody was found")
+    expect(state).to_have_text("Done: no person found")
     expect(state).to_have_attribute("data-tone", "empty")
     warning = ended["warnings"][-1]["message"]
     expect(row.get_by_role("list", name="Warnings of Empty room")).to_contain_text(warning)
@@ -211,7 +211,7 @@ def test_incomplete_capture_is_not_sent(page: Page, keypoints: dict[str, Path]) 
     page.get_by_role("button", name="Send and reconstruct").click()
     problem = page.get_by_role("region", name="Send").get_by_role("alert")
     expect(problem).to_contain_text("Add the videos of at least 2 cameras.")
-    expect(problem).to_contain_text("Choose or add the calibration of the cameras.")
+    expect(problem).to_contain_text("Choose or add a calibration.")
     assert sent == []
 
 
@@ -222,10 +222,10 @@ def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoint
     expect(first).to_have_value("cam_00", timeout=180_000)
     first.select_option("cam_01")
     page.get_by_role("button", name="Send and check only").click()
-    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has two files")
+    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has several files")
     second.select_option("cam_00")
     page.get_by_label("Use cam_02.zip").uncheck()
-    page.get_by_label("Name of the take").fill("Exchanged")
+    page.get_by_label("Name of the capture").fill("Exchanged")
     with page.expect_response("**/v1/sessions") as answer:
         page.get_by_role("button", name="Send and check only").click()
     cameras = {one["name"]: one["file"] for one in answer.value.json()["preflight"]["cameras"]}
@@ -370,7 +370,7 @@ def test_same_footage_takes_another_calibration(page: Page, served: Served, keyp
     form = page.get_by_role("form", name="Other calibration for Footage")
     choose_option(form.get_by_label("Calibration"), "Second")
     form.get_by_label("Name of the new capture").fill("Footage, second")
-    form.get_by_role("button", name="Make a capture of the same footage").click()
+    form.get_by_role("button", name="Create the new capture").click()
     expect(page.get_by_role("button", name="Reconstruct: Footage, second")).to_be_focused(timeout=180_000)
     (made,) = served.client.get("/v1/sessions?name=Footage, second").json()["sessions"]
     digests = [

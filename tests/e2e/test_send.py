@@ -66,7 +66,7 @@ def test_send_is_in_reach_on_phone_and_opens_job(page: Page, videos: dict[str, P
     for part in ("The videos start", "Stored calibration"):
         page.get_by_label(part).scroll_into_view_if_needed()
         assert is_seen(send(page)), part
-    page.get_by_label("Name of the take").fill("From a phone")
+    page.get_by_label("Name of the capture").fill("From a phone")
     send(page).click()
     expect(page).to_have_url(re.compile("#/jobs/"), timeout=180_000)
     expect(page.get_by_role("heading", name="From a phone", level=1)).to_be_visible()
@@ -74,7 +74,7 @@ def test_send_is_in_reach_on_phone_and_opens_job(page: Page, videos: dict[str, P
     first = page.get_by_role("main").get_by_role("progressbar").first
     if first.count():  # until the job ends
         assert is_seen(first)
-    expect(page.get_by_text("Done: nobody was found")).to_be_visible(timeout=240_000)
+    expect(page.get_by_text("Done: no person found")).to_be_visible(timeout=240_000)
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_files_of_other_names_are_paired_by_order(page: Page, videos: dict[str, 
     cameras = [page.get_by_label(f"Camera of {file.name}") for file in files]
     for camera in cameras:
         expect(camera).to_have_value("")
-    page.get_by_role("button", name="Pair by the order of names").click()
+    page.get_by_role("button", name="Pair by order of names").click()
     expect(cameras[0]).to_have_value("left")
     expect(cameras[1]).to_have_value("right")
     expect(notice).to_be_hidden()
@@ -165,10 +165,10 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
     choose(page, *files, videos["right.mp4"])
     for file in files:
         page.get_by_label(f"Camera of {file.name}").select_option("left", timeout=180_000)
-    join = page.get_by_role("button", name="They are parts of one recording")
+    join = page.get_by_role("button", name="Join as parts, by name")
     expect(join).to_be_visible()
     page.get_by_role("button", name="Send and check only").click()
-    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has two files")
+    expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has several files")
     join.click()
     expect(join).to_be_hidden()
     expect(page.get_by_text("part 2 of the recording")).to_be_visible()
@@ -194,7 +194,7 @@ def test_refused_file_is_replaced_by_same_name(
     refusal = page.get_by_role("region", name="Send").get_by_role("alert")
     expect(refusal).to_contain_text("left.mp4", timeout=180_000)
     choose(page, videos["left.mp4"])
-    expect(page.get_by_text("left.mp4 takes the place of the file of this name.")).to_be_visible()
+    expect(page.get_by_text("left.mp4 replaces the file of this name.")).to_be_visible()
     expect(refusal).to_have_count(0)
     # What was said of the camera stays.
     expect(camera).to_have_value("left")
@@ -217,7 +217,7 @@ def test_two_files_of_one_name_are_not_mixed(page: Page, videos: dict[str, Path]
 @pytest.mark.slow
 def test_keypoints_without_timestamps_need_frame_rate(page: Page, served: Served, keypoints: dict[str, Path]) -> None:
     timestamps = keypoints["timestamps.csv"]
-    rate = page.get_by_label("Frame rate of the keypoints, Hz")
+    rate = page.get_by_label("Frame rate of keypoints, Hz")
     choose(page, *(path for path in keypoints.values() if path != timestamps))
     expect(page.get_by_label("Camera of cam_00.zip")).to_have_value("cam_00", timeout=180_000)
     expect(rate).to_have_value("")
@@ -262,15 +262,15 @@ def test_folder_of_takes_is_sent_take_by_take(
 ) -> None:
     folder = write_takes(tmp_path / "day", videos)
     page.get_by_label("Choose a folder").set_input_files(folder)
-    page.get_by_role("button", name="They are 3 takes").click(timeout=180_000)
-    page.get_by_role("button", name="Send and reconstruct 3 takes").click(timeout=180_000)
-    takes = page.get_by_role("list", name="Takes").get_by_role("listitem")
+    page.get_by_role("button", name="They are 3 captures").click(timeout=180_000)
+    page.get_by_role("button", name="Send and reconstruct 3 captures").click(timeout=180_000)
+    takes = page.get_by_role("list", name="Captures to send").get_by_role("listitem")
     run, ninth, tenth = (takes.filter(has_text=name) for name in ("run", "take 9", "take 10"))
     expect(run).to_contain_text("Add the videos of at least 2 cameras.", timeout=180_000)
     for row in (ninth, tenth):
         expect(row.locator(".state")).not_to_have_text("waits", timeout=180_000)
         assert row.locator(".state").inner_text() == "sent", row.inner_text()
-    expect(page.get_by_role("heading", name="3 takes, 2 sent")).to_be_visible()
+    expect(page.get_by_role("heading", name="3 captures, 2 sent")).to_be_visible()
     jobs = [row.get_by_role("link").get_attribute("href") for row in (ninth, tenth)]
     assert len({*jobs}) == 2
 
@@ -278,12 +278,12 @@ def test_folder_of_takes_is_sent_take_by_take(
     page.reload()
     (folder / "run" / "right.mp4").write_bytes(videos["right.mp4"].read_bytes())
     page.get_by_label("Choose a folder").set_input_files(folder)
-    page.get_by_role("button", name="They are 3 takes").click(timeout=180_000)
+    page.get_by_role("button", name="They are 3 captures").click(timeout=180_000)
     expect(ninth.locator(".state")).to_have_text("sent before", timeout=180_000)
     assert [row.get_by_role("link").get_attribute("href") for row in (ninth, tenth)] == jobs
     send(page).click(timeout=180_000)
     expect(run.locator(".state")).to_have_text("sent", timeout=180_000)
-    expect(page.get_by_role("heading", name="3 takes, 3 sent")).to_be_visible()
+    expect(page.get_by_role("heading", name="3 captures, 3 sent")).to_be_visible()
     for row in (run, ninth, tenth):
         link = row.get_by_role("link").get_attribute("href") or ""
         assert served.wait_for_end(link.removeprefix("#/jobs/"))["state"] == "succeeded"

@@ -240,7 +240,7 @@ def actions_of(name: str, files: dict[str, Path]) -> tuple[list[Action], str]:
             [
                 lambda run: run.choose_stored("Room"),
                 lambda run: run.choose(*zips),
-                lambda run: run.page.get_by_label("Frame rate of the keypoints").fill("50"),
+                lambda run: run.page.get_by_label("Frame rate of keypoints").fill("50"),
                 exchange,
             ],
             "Room",

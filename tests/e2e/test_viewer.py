@@ -300,9 +300,9 @@ def test_view_through_camera_shows_people_in_place(shown: Shown) -> None:
 @pytest.mark.slow
 def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     shown.mount()
-    shown.page.get_by_role("button", name="person-2: next spot that deserves a look").click()
+    shown.page.get_by_role("button", name="person-2: next spot to check").click()
     assert shown.frame == 48
-    expect(shown.page.locator(".look-status")).to_have_text("person-2, frame 48: the identity is doubtful.")
+    expect(shown.page.locator(".look-status")).to_have_text("person-2, frame 48: doubtful identity.")
     strip = shown.page.get_by_role("img", name="person-1: 100 % of the joints measured")
     box = strip.bounding_box()
     assert box is not None
@@ -435,7 +435,7 @@ def test_two_jobs_side_by_side_share_play_head(shown: Shown) -> None:
     page = shown.page
     expect(page.locator(".look-viewer[data-ready=true]")).to_have_count(2)
     expect(page.get_by_role("region", name="Job 2")).to_be_visible()
-    page.get_by_role("button", name="Go to the last frame (End)").click()
+    page.get_by_role("button", name="Last frame (End)").click()
     expect(page.get_by_role("slider", name="Play head").first).to_have_attribute(
         "aria-valuetext", "frame 119, 4.76 seconds"
     )

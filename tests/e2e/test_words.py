@@ -61,7 +61,7 @@ def test_equal_calibrations_are_listed_once_dated_and_renamed(page: Page, served
     assert [re.sub(r" \(.*20\d\d.*\)$", "", text) for text in named] == ["Studio <i>B</i>", "Hall"]
     page.get_by_role("link", name="Calibrations", exact=True).click()
     page.get_by_role("button", name="Delete Studio <i>B</i>").click()
-    expect(page.get_by_role("dialog")).to_contain_text("It is stored 2 times; all of them are deleted.")
+    expect(page.get_by_role("dialog")).to_contain_text("It is stored 2 times. All copies are deleted.")
     page.get_by_role("dialog").get_by_role("button", name="Delete the calibration").click()
     expect(card(page, "Studio <i>B</i>")).to_have_count(0, timeout=180_000)
     assert [served.client.get(f"/v1/calibrations/{each}").status_code for each in (first, again, other)] == [
@@ -78,9 +78,9 @@ def test_board_fields_show_its_picture(page: Page, tmp_path: Path) -> None:
     assert picture.locator("rect.ink").count() == 35  # 18 black squares and 17 markers
     assert axe_findings(page) == []
     page.get_by_label("Kind of board").select_option("chessboard")
-    page.get_by_label("Inner corners along the width").fill("9")
-    page.get_by_label("Inner corners along the height").fill("6")
-    page.get_by_label("Side of a square, mm").fill("37.5")
+    page.get_by_label("Inner corners across").fill("9")
+    page.get_by_label("Inner corners down").fill("6")
+    page.get_by_label("Square side, mm").fill("37.5")
     expect(picture).to_have_accessible_name("Picture of the board: 10 x 7 squares, 375 x 262.5 mm")
     assert picture.locator("circle").count() == 54
     sent: list[dict[str, Any]] = []
@@ -90,7 +90,7 @@ def test_board_fields_show_its_picture(page: Page, tmp_path: Path) -> None:
             sent.append(route.request.post_data_json) if route.request.method == "POST" else route.continue_()
         ),
     )
-    page.get_by_label("Footage: one file a camera").set_input_files([paths["left.mp4"], paths["right.mp4"]])
+    page.get_by_label("Videos, one a camera").set_input_files([paths["left.mp4"], paths["right.mp4"]])
     page.get_by_role("button", name="Add").click()
     for _ in range(1200):
         if sent:
@@ -106,7 +106,7 @@ def test_clocks_are_measured_at_start_of_videos(page: Page, tmp_path: Path) -> N
     page.goto("/#/new")
     page.get_by_label("Choose files").set_input_files([*paths.values()])
     expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
-    page.get_by_label("The videos start").select_option("I don't know: measure their clocks from people and sound")
+    page.get_by_label("The videos start", exact=True).select_option("Unknown: measure from people and sound")
     expect(page.get_by_label("Synchronisation")).to_have_count(0)
     with page.expect_request("**/v1/sessions", timeout=180_000) as asked:
         page.get_by_role("button", name="Send and check only").click()
@@ -187,7 +187,7 @@ def test_captures_have_picture(page: Page, served: Served, tmp_path: Path) -> No
     [
         ("letmein", "does not begin with mc_"),
         ("mc_short", "has 5 after mc_"),
-        ("mc_" + "a" * 43, "looks like one: it is of another service, or was revoked"),
+        ("mc_" + "a" * 43, "the key is of another service or was revoked"),
     ],
 )
 def test_wrong_key_shows_form_of_keys(locked: Served, typed: str, answer: str) -> None:

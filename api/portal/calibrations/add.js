@@ -7,8 +7,10 @@ import { feed } from "../shared/feed.js";
 import { size } from "../shared/format.js";
 import { html, live, nothing, problemBox, svg, typed } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
+import { CALIBRATIONS } from "../shared/strings/calibrations.js";
+import { SEND } from "../shared/strings/send.js";
 
-const SOURCES = [["file", "A file"], ["board", "Footage of a board"], ["people", "Footage of people"], ["session", "People of a capture"]];
+const { add: ADD, board: BOARD_FIELDS } = CALIBRATIONS;
 const MOST_SESSIONS = 100;
 
 function calibrationSpec({ source, title, board, stature, units, up, session }) {
@@ -52,11 +54,11 @@ export class AddForm {
     const rows = files.map((file) => makeRow({ name: file.name, size: file.size, kind: "footage" }, file));
     const total = rows.reduce((sum, row) => sum + row.size, 0);
     const uploads = new UploadQueue(() => {
-      this.#text = `${size(rows.reduce((sum, row) => sum + row.sent, 0))} of ${size(total)} sent`;
+      this.#text = ADD.sent(size(rows.reduce((sum, row) => sum + row.sent, 0)), size(total));
       this.draw();
     });
     await uploads.send(() => rows);
-    this.#text = "Sent. Checking the files …";
+    this.#text = ADD.checking;
     this.draw();
     const ids = rows.map(uploadId);
     const numVideos = footage?.files.length ?? 0;
@@ -79,7 +81,7 @@ export class AddForm {
       form.reset();
       this.#board = emptyBoard();
       this.#source = "file";
-      this.#text = isJob ? "The calibration is being made." : "Added.";
+      this.#text = isJob ? ADD.running : ADD.added;
       announce(this.#text);
       this.changed();
     } catch (problem) {
@@ -103,14 +105,15 @@ export class AddForm {
   }
 
   #fileFields() {
-    return html`<label class="field"><span>File</span><input name="file" type="file" accept=${ACCEPTED_CALIBRATIONS} required></label>
-      <label class="field"><span>Unit of length</span><select name="units">
-        <option value="">as the file states, or metres</option><option value="m">metres</option><option value="cm">centimetres</option><option value="mm">millimetres</option></select></label>
-      <label class="field"><span>Axis that points up</span><select name="up">${AXES.map(([axis, label]) => html`<option value=${axis}>${label}</option>`)}</select></label>`;
+    return html`<label class="field"><span>${ADD.file}</span><input name="file" type="file" accept=${ACCEPTED_CALIBRATIONS} required></label>
+      <label class="field"><span>${SEND.calibration.unit}</span><select name="units">
+        ${SEND.calibration.units.map(([unit, label]) => html`<option value=${unit}>${label}</option>`)}</select></label>
+      <label class="field"><span>${SEND.calibration.up}</span><select name="up">${AXES.map(([axis, label]) => html`<option value=${axis}>${label}</option>`)}</select></label>`;
   }
 
   #footageField() {
-    return html`<label class="field"><span>Footage: one file a camera, synchronised</span><input name="footage" type="file" accept="video/*" multiple required></label>`;
+    return html`<label class="field"><span>${ADD.footage}</span><input name="footage" type="file" accept="video/*" multiple required aria-describedby="footage-help"></label>
+      <p id="footage-help" class="quiet">${ADD.footageHint}</p>`;
   }
 
   #boardFields() {
@@ -122,31 +125,32 @@ export class AddForm {
   }
 
   #statureField() {
-    return html`<label class="field"><span>Stature of the people, metres</span><input name="stature" required maxlength="100" placeholder="1.78, 1.65" inputmode="decimal" pattern="\\s*[0-9.]+(\\s*,\\s*[0-9.]+)*\\s*" autocomplete="off" aria-describedby="people-help"></label>`;
+    return html`<label class="field"><span>${ADD.stature}</span><input name="stature" required maxlength="100" placeholder="1.78, 1.65" inputmode="decimal" pattern="\\s*[0-9.]+(\\s*,\\s*[0-9.]+)*\\s*" autocomplete="off" aria-describedby="people-help"></label>`;
   }
 
   #peopleFields() {
     return html`${this.#footageField()}${this.#statureField()}
-      <label class="field"><span>Calibration whose lens values are kept, if there is one</span><input name="intrinsics" type="file" accept=${ACCEPTED_CALIBRATIONS}></label>
-      <p id="people-help" class="quiet">Let one or two people walk about for a minute where several cameras see them whole. One stature is enough.</p>`;
+      <label class="field"><span>${ADD.intrinsics}</span><input name="intrinsics" type="file" accept=${ACCEPTED_CALIBRATIONS} aria-describedby="intrinsics-help"></label>
+      <p id="intrinsics-help" class="quiet">${ADD.intrinsicsHint}</p>
+      <p id="people-help" class="quiet">${ADD.peopleHint}</p>`;
   }
 
   #sessionFields() {
-    return html`<label class="field"><span>Capture</span><select name="session" required>
+    return html`<label class="field"><span>${ADD.session}</span><select name="session" required>
         ${(this.#sessions ?? []).map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
       ${this.#statureField()}
-      <p id="people-help" class="quiet">The cameras are placed again from the people of the capture, and keep their lens values.</p>`;
+      <p id="people-help" class="quiet">${ADD.sessionHint}</p>`;
   }
 
   form() {
     const fields = { file: () => this.#fileFields(), board: () => this.#boardFields(), people: () => this.#peopleFields(), session: () => this.#sessionFields() };
     return html`<form class="panel add" aria-labelledby="add-title" @submit=${(event) => this.#submit(event)}>
-      <h2 id="add-title">Add a calibration</h2>
-      <label class="field"><span>From</span><select name="source" @change=${(event) => this.#choose(event.target.value)}>
-        ${SOURCES.map(([value, label]) => html`<option value=${value} .selected=${value === this.#source}>${label}</option>`)}</select></label>
-      <label class="field"><span>Title</span><input name="title" maxlength="200" placeholder="Studio B, March" autocomplete="off"></label>
+      <h2 id="add-title">${ADD.title}</h2>
+      <label class="field"><span>${ADD.from}</span><select name="source" @change=${(event) => this.#choose(event.target.value)}>
+        ${ADD.sources.map(([value, label]) => html`<option value=${value} .selected=${value === this.#source}>${label}</option>`)}</select></label>
+      <label class="field"><span>${ADD.name}</span><input name="title" maxlength="200" placeholder=${ADD.namePlaceholder} autocomplete="off"></label>
       ${fields[this.#source]()}
-      <div class="actions"><button class="button primary" aria-disabled=${this.#isBusy ? "true" : nothing}>Add</button></div>
+      <div class="actions"><button class="button primary" aria-disabled=${this.#isBusy ? "true" : nothing}>${ADD.submit}</button></div>
       ${this.#text ? html`<p class="quiet" role="status">${this.#text}</p>` : nothing}
       ${problemBox(this.#problem)}
     </form>`;
@@ -155,7 +159,6 @@ export class AddForm {
 
 // Fields that describe a board, and a picture of it.
 
-const KINDS = [["charuco", "ChArUco board, with markers"], ["chessboard", "Chessboard"]];
 const DICTIONARIES = ["4X4", "5X5", "6X6", "7X7"].flatMap((bits) => [50, 100, 250, 1000].map((size) => `DICT_${bits}_${size}`)).concat("DICT_ARUCO_ORIGINAL");
 const MOST = 99; // numbers of squares that are drawn
 
@@ -185,30 +188,30 @@ function boardPicture(board) {
   if (![across, down].every((count) => Number.isInteger(count) && count >= 2 && count <= MOST) || !(square > 0)) return nothing;
   const cells = Array.from({ length: across * down }, (_, number) => [number % across, Math.floor(number / across)]);
   const share = side > 0 && side < square ? side / square : 0;
-  const text = `${across} x ${down} squares, ${Number((across * square).toPrecision(6))} x ${Number((down * square).toPrecision(6))} mm`;
+  const text = BOARD_FIELDS.size(across, down, Number((across * square).toPrecision(6)), Number((down * square).toPrecision(6)));
   const corners = kind === "chessboard" ? cells.filter(([x, y]) => x > 0 && y > 0) : [];
-  return html`<figure class="board"><svg viewBox="-0.5 -0.5 ${across + 1} ${down + 1}" role="img" aria-label=${`Picture of the board: ${text}`}>
+  return html`<figure class="board"><svg viewBox="-0.5 -0.5 ${across + 1} ${down + 1}" role="img" aria-label=${BOARD_FIELDS.picture(text)}>
     <rect class="paper" x="-0.5" y="-0.5" width=${across + 1} height=${down + 1} />
     ${cells.map(([x, y]) => ((x + y) % 2 === 0 ? svg`<rect class="ink" x=${x} y=${y} width="1" height="1" />` : kind === "charuco" && share ? marker(x, y, share) : nothing))}
     ${corners.map(([x, y]) => svg`<circle class="corner" cx=${x} cy=${y} r="0.13" />`)}
-  </svg><figcaption class="quiet">${text}${corners.length ? `; ${board.cols} x ${board.rows} inner corners, as marked` : ""}. Compare it with your print.</figcaption></figure>`;
+  </svg><figcaption class="quiet">${corners.length ? BOARD_FIELDS.caption(text, board.cols, board.rows) : BOARD_FIELDS.caption(text)}</figcaption></figure>`;
 }
 
-// `change(facts)` gets the fields that somebody changes.
+// `change(facts)` gets the changed fields.
 function boardFields(board, change) {
   const isChessboard = board.kind === "chessboard";
-  const counted = isChessboard ? "Inner corners" : "Squares";
+  const [across, down] = isChessboard ? BOARD_FIELDS.corners : BOARD_FIELDS.squares;
   const number = (name, label, { least, most, step = 1 }) => html`<label class="field"><span>${label}</span>
     <input type="number" name=${name} required min=${least} max=${most} step=${step} .value=${typed(board[name])}
       @input=${(event) => change({ [name]: event.target.valueAsNumber })}></label>`;
-  return html`<label class="field"><span>Kind of board</span><select name="kind" @change=${(event) => change({ kind: event.target.value })}>
-      ${KINDS.map(([kind, label]) => html`<option value=${kind} .selected=${live(kind === board.kind)}>${label}</option>`)}</select></label>
-    <div class="pair">${number("cols", `${counted} along the width`, { least: isChessboard ? 2 : 3, most: MOST })}
-      ${number("rows", `${counted} along the height`, { least: isChessboard ? 2 : 3, most: MOST })}</div>
-    <div class="pair">${number("square_mm", "Side of a square, mm", { least: 2, most: 2000, step: "any" })}
-      ${isChessboard ? nothing : number("marker_mm", "Side of a marker, mm", { least: 1, most: 2000, step: "any" })}</div>
-    ${isChessboard ? nothing : html`<label class="field"><span>Dictionary of the markers</span><select name="dictionary" @change=${(event) => change({ dictionary: event.target.value })}>
+  return html`<label class="field"><span>${BOARD_FIELDS.kind}</span><select name="kind" @change=${(event) => change({ kind: event.target.value })}>
+      ${BOARD_FIELDS.kinds.map(([kind, label]) => html`<option value=${kind} .selected=${live(kind === board.kind)}>${label}</option>`)}</select></label>
+    <div class="pair">${number("cols", across, { least: isChessboard ? 2 : 3, most: MOST })}
+      ${number("rows", down, { least: isChessboard ? 2 : 3, most: MOST })}</div>
+    <div class="pair">${number("square_mm", BOARD_FIELDS.square, { least: 2, most: 2000, step: "any" })}
+      ${isChessboard ? nothing : number("marker_mm", BOARD_FIELDS.marker, { least: 1, most: 2000, step: "any" })}</div>
+    ${isChessboard ? nothing : html`<label class="field"><span>${BOARD_FIELDS.dictionary}</span><select name="dictionary" @change=${(event) => change({ dictionary: event.target.value })}>
       ${DICTIONARIES.map((name) => html`<option .selected=${live(name === board.dictionary)}>${name}</option>`)}</select></label>`}
     ${boardPicture(board)}
-    <p class="quiet">Measure a square of the print: printers scale. Begin with the board flat on the floor.</p>`;
+    <p class="quiet">${BOARD_FIELDS.hint}</p>`;
 }

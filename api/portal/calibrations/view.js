@@ -3,17 +3,15 @@
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
-import { confirm, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
+import { confirm, helpLink, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { distinct, readCalibrations } from "../shared/resources.js";
+import { CALIBRATIONS } from "../shared/strings/calibrations.js";
+import { COMMON } from "../shared/strings/common.js";
 import { AddForm } from "./add.js";
 
 const POLL_MS = 2000;
-const FORMATS = [["multicap", "JSON"], ["anipose", "anipose TOML"], ["caliscope", "Caliscope TOML"], ["opencv", "OpenCV YAML"]];
-const STATES = {
-  queued: ["waiting", "wait"], running: ["being made", "run"], canceling: ["canceling", "wait"], canceled: ["canceled", "mute"],
-  failed: ["failed", "bad"], ready: ["ready", "good"],
-};
+const STATE_TONES = { queued: "wait", running: "run", canceling: "wait", canceled: "mute", failed: "bad", ready: "good" };
 const MAKING = ["queued", "running", "canceling"];
 
 export function open(place, route, caller) {
@@ -50,12 +48,11 @@ export function open(place, route, caller) {
   }
 
   async function remove({ newest: { id, name }, all }) {
-    const copies = all.length > 1 ? `It is stored ${all.length} times; all of them are deleted. ` : "";
-    const text = `${copies}Captures that use it keep their copy.`;
-    if (!await confirm({ title: `Delete the calibration ${name}?`, text, action: "Delete the calibration" })) return;
+    const { title, copies, text, action, said } = CALIBRATIONS.deleting;
+    if (!await confirm({ title: title(name), text: `${all.length > 1 ? copies(all.length) : ""}${text}`, action })) return;
     await act(id, async () => {
       for (const { urls } of all) await call(urls.self, { method: "DELETE" });
-      announce(`The calibration ${name} is deleted.`);
+      announce(said(name));
       await load();
       place.querySelector("#calibrations-title").focus();
     });
@@ -81,57 +78,56 @@ export function open(place, route, caller) {
         await call(urls.self, { method: "PATCH", body: { name: wanted } });
         await load();
         end();
-        announce(`Renamed to ${wanted}.`);
+        announce(COMMON.renamed(wanted));
       });
     };
     return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
-      <input name="name" maxlength="200" required aria-label="New name of ${name}" value=${name} autocomplete="off">
-      <button class="button small primary">Save</button>
-      <button type="button" class="button small" @click=${end}>Cancel</button>
+      <input name="name" maxlength="200" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off">
+      <button class="button small primary">${COMMON.save}</button>
+      <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
     </form>`;
   }
 
   function cameraTable({ name, cameras, report, source }) {
     const errors = new Map((report?.cameras ?? []).map((camera) => [camera.name, camera.reprojection_error_px]));
-    const describeError = (camera) => (errors.get(camera.name) == null ? "" : `${errors.get(camera.name).toFixed(2)} px`);
-    return html`<details class="cameras"><summary>Cameras</summary>
+    const describeError = (camera) => (errors.get(camera.name) == null ? "" : CALIBRATIONS.px(errors.get(camera.name).toFixed(2)));
+    return html`<details class="cameras"><summary>${COMMON.cameras}</summary>
       <p class="quiet">${report?.world ?? [source.format, source.axes].filter(Boolean).join("; ")}</p>
-      <div class="scroll" role="group" aria-label="Cameras of ${name}" tabindex="0"><table>
-        <thead><tr><th scope="col">Camera</th><th scope="col">Picture</th><th scope="col">Focal length</th><th scope="col">Position, m</th><th scope="col">Error</th></tr></thead>
+      <div class="scroll" role="group" aria-label=${CALIBRATIONS.camerasOf(name)} tabindex="0"><table>
+        <thead><tr>${CALIBRATIONS.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
         <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th>
-          <td>${camera.size_px ? camera.size_px.join(" × ") : "unknown"}</td><td>${camera.matrix[0][0].toFixed(1)} px</td>
+          <td>${camera.size_px ? camera.size_px.join(" × ") : CALIBRATIONS.sizeUnknown}</td><td>${CALIBRATIONS.px(camera.matrix[0][0].toFixed(1))}</td>
           <td>${camera.position_m.map((value) => value.toFixed(2)).join(", ")}</td><td>${describeError(camera)}</td></tr>`)}</tbody>
       </table></div></details>`;
   }
 
   function card(group) {
     const { newest: calibration, all } = group;
-    const [words, tone] = STATES[calibration.state];
-    const origin = calibration.method === "file" ? `from ${calibration.source.file}` : `made from ${calibration.method === "board" ? "a board" : "people"}`;
-    const facts = [moment(calibration.created_at), origin, ...(all.length > 1 ? [`stored ${all.length} times`] : [])];
+    const origin = calibration.method === "file" ? CALIBRATIONS.fromFile(calibration.source.file) : CALIBRATIONS.fromMethod[calibration.method];
+    const facts = [moment(calibration.created_at), origin, ...(all.length > 1 ? [CALIBRATIONS.storedTimes(all.length)] : [])];
     return html`<li class="panel calibration">
       <div class="head"><div>${renamed === calibration.id ? renameForm(calibration) : html`<h2>${calibration.name}</h2>`}
         <p class="quiet facts">${facts.map((fact) => html`<span>${fact}</span>`)}</p></div>
-        <span class="state" data-tone=${tone}>${words}</span></div>
-      ${problemBox(calibration.error && { message: calibration.error.detail, hint: calibration.error.hint })}
+        <span class="state" data-tone=${STATE_TONES[calibration.state]}>${CALIBRATIONS.states[calibration.state]}</span></div>
+      ${problemBox(calibration.error && { message: calibration.error.detail, hint: calibration.error.hint, code: calibration.error.code })}
       ${problemBox(problems.get(calibration.id))}
-      ${warningList(calibration.warnings, `Warnings of ${calibration.name}`)}
+      ${warningList(calibration.warnings, COMMON.warningsOf(calibration.name))}
       ${calibration.cameras.length ? cameraTable(calibration) : nothing}
       <div class="actions">
-        ${calibration.urls.file ? FORMATS.map(([format, label]) => html`<a class="button small" download href="${calibration.urls.file}?format=${format}" aria-label="${calibration.name} as ${label}">${label}</a>`) : nothing}
-        ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label="Rename ${calibration.name}" @click=${() => beginRename(calibration.id)}>Rename</button>
-          <button type="button" class="button small danger-quiet" aria-label="Delete ${calibration.name}" @click=${() => remove(group)}>Delete</button>` : nothing}
+        ${calibration.urls.file ? Object.entries(CALIBRATIONS.formats).map(([format, label]) => html`<a class="button small" download href="${calibration.urls.file}?format=${format}" aria-label=${CALIBRATIONS.formatOf(calibration.name, label)}>${label}</a>`) : nothing}
+        ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label=${COMMON.renameOf(calibration.name)} @click=${() => beginRename(calibration.id)}>${COMMON.rename}</button>
+          <button type="button" class="button small danger-quiet" aria-label=${CALIBRATIONS.deleteOf(calibration.name)} @click=${() => remove(group)}>${COMMON.delete}</button>` : nothing}
       </div></li>`;
   }
 
   function draw() {
     if (isClosed) return;
-    render(html`<h1 class="title" id="calibrations-title" tabindex="-1">Calibrations</h1>
+    render(html`<div class="with-help"><h1 class="title" id="calibrations-title" tabindex="-1">${CALIBRATIONS.title}</h1>${helpLink("calibration", CALIBRATIONS.title)}</div>
       <div class="split">
         <div>
           ${problemBox(problem)}
-          ${calibrations === null ? html`<p class="quiet">Loading …</p>` : nothing}
-          ${calibrations?.length === 0 ? html`<p class="panel empty">No calibrations are stored yet.</p>` : nothing}
+          ${calibrations === null ? html`<p class="quiet">${COMMON.loading}</p>` : nothing}
+          ${calibrations?.length === 0 ? html`<p class="panel empty">${CALIBRATIONS.none}</p>` : nothing}
           <ul class="list">${repeat(distinct(calibrations ?? []), ({ newest }) => newest.id, card)}</ul>
         </div>
         ${add ? html`<div>${add.form()}</div>` : nothing}
@@ -143,7 +139,7 @@ export function open(place, route, caller) {
   draw();
   load();
   return {
-    title: "Calibrations",
+    title: CALIBRATIONS.title,
     close() {
       isClosed = true;
       clearTimeout(timer);

@@ -4,34 +4,21 @@ import { addressed } from "../shared/api.js";
 import { size } from "../shared/format.js";
 import { hasEnded } from "../shared/jobs.js";
 import { html, nothing } from "../shared/lit.js";
+import { TAKE } from "../shared/strings/take.js";
 
-// Files of all people by their kind, in the order of the page.
-const OF_ALL = {
-  report: "Report, opens in a browser",
-  overlay: "Video with the skeletons",
-  rerun: "Recording for Rerun's viewer",
-  blurred: "Video with blurred heads",
-  skeletons: "Joints of everybody, JSON",
-  metrics: "Quality figures, JSON",
-  calibration: "Refined calibration, JSON",
-  character: "Bones of the character, JSON",
-};
-const ORDER = Object.keys(OF_ALL);
+const ORDER = Object.keys(TAKE.kinds); // of files of all people
 
-// Files that are rebuilt after edits have rested.
-const VISUALS = { report: "report", overlay: "overlay videos", rerun: "recording" };
-
-// Tables of a person beside the files in a format.
-const OF_PERSON = { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV" };
+// Files that are rebuilt some time after the last edit.
+const VISUALS = ["report", "overlay", "rerun"];
 
 /** What a file is: its format, and the application that it is written for. */
 function fileWords({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
-  if (kind === "character" && person !== null) return "The character in motion";
-  if (!format) return OF_ALL[kind] ?? OF_PERSON[kind] ?? kind;
-  if (kind in OF_ALL) return OF_ALL[kind];
-  if (person === null) return `${label("exports", format)}, in one scene with cameras and floor`;
-  return preset && preset !== "default" ? `${label("exports", format)} for ${label("preset", preset)}` : label("exports", format);
+  if (kind === "character" && person !== null) return TAKE.characterMotion;
+  if (!format) return TAKE.kinds[kind] ?? TAKE.kindsOfPerson[kind] ?? kind;
+  if (kind in TAKE.kinds) return TAKE.kinds[kind];
+  if (person === null) return TAKE.inScene(label("exports", format));
+  return preset && preset !== "default" ? TAKE.formatFor(label("exports", format), label("preset", preset)) : label("exports", format);
 }
 
 function fileLink(result, options) {
@@ -53,40 +40,39 @@ export function downloads(job, results, options, makeVisuals, { hasVideos = true
   const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
     .sort(([one], [other]) => one - other);
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
-  const isVisual = ({ kind }) => kind in VISUALS;
-  const isShown = ({ kind }) => kind in VISUALS || kind === "blurred";
+  const isVisual = ({ kind }) => VISUALS.includes(kind);
+  const isShown = (file) => isVisual(file) || file.kind === "blurred";
   return html`<section class="panel downloads" aria-labelledby="files-title">
-    <div class="head"><h2 id="files-title" tabindex="-1">Files</h2>
-      <a class="button small primary" href=${addressed(job.urls.results_zip)} download>All as ZIP</a></div>
+    <div class="head"><h2 id="files-title" tabindex="-1">${TAKE.files}</h2>
+      <a class="button small primary" href=${addressed(job.urls.results_zip)} download>${TAKE.zip}</a></div>
     ${revisionNote(job)}
     ${visualsNote(job, ofAll.filter(isVisual), makeVisuals, hasVideos)}
-    ${group("To show", ofAll.filter(isShown), options)}
+    ${group(TAKE.toShow, ofAll.filter(isShown), options)}
     ${people.map(([person, name]) => group(name, results.filter((result) => result.person === person), options))}
-    ${group("Everybody", ofAll.filter((result) => !isShown(result)), options)}
+    ${group(TAKE.ofEveryone, ofAll.filter((result) => !isShown(result)), options)}
   </section>`;
 }
 
-const of = (revision) => (revision === 0 ? "the take as found" : `revision ${revision}`);
+const named = (revision) => (revision === 0 ? TAKE.unedited : TAKE.revision(revision));
 
 function revisionNote({ revision, results_revision: shown, state }) {
   if (shown === revision) return nothing;
-  const next = hasEnded({ state }) ? `Those of revision ${revision} were not made.` : `Those of revision ${revision} are being made.`;
-  return html`<p class="notice">These are the files of ${of(shown)}. ${next}</p>`;
+  const next = hasEnded({ state }) ? TAKE.notMade(revision) : TAKE.inWork(revision);
+  return html`<p class="notice">${TAKE.shows(named(shown))} ${next}</p>`;
 }
 
 // Report, overlay videos and recording follow edits by a job of their own: on request, or when edits rest.
 function visualsNote(job, visuals, makeVisuals, hasVideos) {
   const earlier = visuals.filter(({ revision }) => revision < job.revision);
   if (earlier.length === 0) return nothing;
-  const kinds = Object.keys(VISUALS).filter((kind) => earlier.some((one) => one.kind === kind));
-  const names = new Intl.ListFormat("en-GB").format(kinds.map((kind) => `the ${VISUALS[kind]}`));
-  const verb = kinds.length > 1 || kinds[0] === "overlay" ? "show" : "shows";
-  const shown = `${names.replace("the", "The")} ${verb} ${of(Math.min(...earlier.map(({ revision }) => revision)))}.`;
+  const kinds = VISUALS.filter((kind) => earlier.some((one) => one.kind === kind));
+  const names = new Intl.ListFormat(TAKE.listLanguage).format(kinds.map((kind) => TAKE.visuals[kind]));
+  const shown = TAKE.visualsShow(names, kinds.length > 1 || kinds[0] === "overlay", named(Math.min(...earlier.map(({ revision }) => revision))));
   const { state } = job.visuals_job ?? { state: null };
-  if (state === "failed") return visualsBox(job, `${shown} Those of revision ${job.revision} could not be made.`, "Try again", makeVisuals);
-  if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} Those of revision ${job.revision} are being made.`);
-  if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} They can't be rebuilt, because the videos were deleted.`);
-  return visualsBox(job, `${shown} They are rebuilt when you ask for it, or when nobody has edited for a while.`, "Make them now", makeVisuals);
+  if (state === "failed") return visualsBox(job, `${shown} ${TAKE.visualsFailed(job.revision)}`, TAKE.tryAgain, makeVisuals);
+  if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} ${TAKE.visualsInWork(job.revision)}`);
+  if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} ${TAKE.visualsImpossible}`);
+  return visualsBox(job, `${shown} ${TAKE.visualsLater}`, TAKE.makeNow, makeVisuals);
 }
 
 function visualsBox(job, words, action = null, makeVisuals = null) {

@@ -3,6 +3,7 @@
 import { addressed, call, persistently, reached, RequestProblem } from "../shared/api.js";
 import { html, nothing, problemBox, render } from "../shared/lit.js";
 import { readOptions } from "../shared/resources.js";
+import { TAKE } from "../shared/strings/take.js";
 import { about } from "../viewer/motion/records.js";
 import { EditedStore, MotionStore } from "../viewer/motion/store.js";
 import { titleJobs } from "./titles.js";
@@ -146,8 +147,8 @@ export class JobMotion extends EventTarget {
 
   #drawChoice() {
     const choose = (event) => this.#show(this.#others.find(({ id }) => id === event.target.value) ?? null);
-    render(this.#others.length === 0 ? nothing : html`<label class="compare">Compare with
-      <select @change=${choose}><option value="">no other job</option>
+    render(this.#others.length === 0 ? nothing : html`<label class="compare">${TAKE.compare}
+      <select @change=${choose}><option value="">${TAKE.noOther}</option>
         ${this.#others.map((other) => html`<option value=${other.id} .selected=${other.id === this.#chosen?.id}>${this.#titles.get(other.id)}</option>`)}
       </select></label>`, this.choice);
   }

@@ -1,11 +1,13 @@
 // Public links to look at a job: made, copied, listed, revoked.
 
 import { call } from "../shared/api.js";
+import { dateAndTime } from "../shared/format.js";
 import { confirm, html, nothing, problemBox, render, repeat } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
+import { SHARING } from "../shared/strings/take.js";
 
 const HOUR_S = 3600;
-const DURATIONS = [["1 hour", HOUR_S], ["1 day", 24 * HOUR_S], ["7 days", 7 * 24 * HOUR_S], ["30 days", 30 * 24 * HOUR_S]];
+const DURATIONS_S = [HOUR_S, 24 * HOUR_S, 7 * 24 * HOUR_S, 30 * 24 * HOUR_S];
 const USUAL_S = 7 * 24 * HOUR_S;
 
 export class Sharing {
@@ -31,26 +33,26 @@ export class Sharing {
 
   #panel() {
     return html`<section class="panel sharing" aria-labelledby="sharing-title">
-      <h2 id="sharing-title" tabindex="-1">Public link</h2>
-      <p class="quiet">Whoever has the link can look at this job and download its files, without a key, until it ends.</p>
+      <h2 id="sharing-title" tabindex="-1">${SHARING.title}</h2>
+      <p class="quiet">${SHARING.hint}</p>
       <form class="actions" @submit=${(event) => this.#make(event)}>
-        <label class="with"><span>Ends after</span> <select name="duration">
-          ${DURATIONS.map(([label, seconds]) => html`<option value=${seconds} ?selected=${seconds === USUAL_S}>${label}</option>`)}</select></label>
-        <button class="button small primary">Make a link</button>
+        <label class="with"><span>${SHARING.endsAfter}</span> <select name="duration">
+          ${DURATIONS_S.map((seconds, number) => html`<option value=${seconds} ?selected=${seconds === USUAL_S}>${SHARING.durations[number]}</option>`)}</select></label>
+        <button class="button small primary">${SHARING.make}</button>
       </form>
       ${problemBox(this.problem)}
       ${this.made === null ? nothing : html`<div class="made">
-        <label class="field"><span>Address of the new link. It is shown only now.</span>
+        <label class="field"><span>${SHARING.address}</span>
           <input id="made-link" readonly .value=${this.made.address} @focus=${(event) => event.target.select()}></label>
-        <button type="button" class="button small" @click=${() => this.#copy()}>Copy the link</button></div>`}
-      ${this.links.length === 0 ? nothing : html`<ul class="links" aria-label="Links">${repeat(this.links, ({ id }) => id, (link, index) => this.#item(link, this.links.length - index))}</ul>`}
+        <button type="button" class="button small" @click=${() => this.#copy()}>${SHARING.copy}</button></div>`}
+      ${this.links.length === 0 ? nothing : html`<ul class="links" aria-label=${SHARING.links}>${repeat(this.links, ({ id }) => id, (link, index) => this.#item(link, this.links.length - index))}</ul>`}
     </section>`;
   }
 
   #item(link, number) {
-    const [made, ends] = [link.created_at, link.expires_at].map(formatMoment);
-    return html`<li><span>Link ${number} ends ${ends}${link.id === this.made?.id ? " (the new one)" : ""} <span class="quiet">made ${made}</span></span>
-      <button type="button" class="button small danger-quiet" aria-label="Revoke link ${number}" @click=${() => this.#revoke(link)}>Revoke</button></li>`;
+    const [made, ends] = [link.created_at, link.expires_at].map((time) => dateAndTime(new Date(time)));
+    return html`<li><span>${SHARING.item(number, ends)}${link.id === this.made?.id ? SHARING.isNew : ""} <span class="quiet">${SHARING.made(made)}</span></span>
+      <button type="button" class="button small danger-quiet" aria-label=${SHARING.revokeOf(number)} @click=${() => this.#revoke(link)}>${SHARING.revoke}</button></li>`;
   }
 
   async #load() {
@@ -72,7 +74,7 @@ export class Sharing {
       const made = await call(this.path, { method: "POST", body: { scope: "job", expires_in_s: seconds } });
       this.made = { id: made.id, address: new URL(made.url, location.href).href };
       await this.#load();
-      announce("The link is made.");
+      announce(SHARING.said.made);
       const field = this.place.querySelector("#made-link");
       field.focus();
       field.select();
@@ -85,23 +87,22 @@ export class Sharing {
     const field = this.place.querySelector("#made-link");
     try {
       await navigator.clipboard.writeText(this.made.address);
-      announce("The link is copied.");
+      announce(SHARING.said.copied);
     } catch { // pages without TLS may not
       field.focus();
       field.select();
-      announce("Copy the chosen address with Ctrl+C.");
+      announce(SHARING.said.copyByHand);
     }
   }
 
   async #revoke(link) {
-    const question = { title: "Revoke the link?", text: "Whoever has it can no longer look at this job. It can't be restored; make another one instead.", action: "Revoke" };
-    if (!await confirm(question)) return;
+    if (!await confirm(SHARING.revoking)) return;
     this.problem = null;
     try {
       await call(`/v1/links/${link.id}`, { method: "DELETE" });
       if (link.id === this.made?.id) this.made = null;
       await this.#load();
-      announce("The link is revoked.");
+      announce(SHARING.said.revoked);
       this.place.querySelector("#sharing-title").focus();
     } catch (problem) {
       this.#fail(problem);
@@ -112,8 +113,4 @@ export class Sharing {
     this.problem = problem;
     this.draw();
   }
-}
-
-function formatMoment(text) {
-  return new Date(text).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 }

@@ -2,6 +2,8 @@
 
 import { moment } from "../shared/format.js";
 import { choiceText } from "../shared/resources.js";
+import { STATES } from "../shared/strings/common.js";
+import { OPTIONS } from "../shared/strings/send.js";
 
 /** Title of each job by its id: the choices in which they differ, the revision, and the time where that is not enough. */
 export function titleJobs(jobs, { choices }) {
@@ -9,7 +11,7 @@ export function titleJobs(jobs, { choices }) {
   const varied = choices.filter(isVaried);
   const choiceWords = ({ spec, revision }) => [
     ...varied.map((choice) => wordsOfChoice(choice, spec[choice.name])),
-    revision > 0 ? `revision ${revision}` : null,
+    revision > 0 ? STATES.revision(revision) : null,
   ].filter(Boolean).join(", ");
   const words = new Map(jobs.map((job) => [job.id, choiceWords(job)]));
   const isAlone = (text) => text !== "" && [...words.values()].filter((other) => other === text).length === 1;
@@ -20,6 +22,6 @@ export function titleJobs(jobs, { choices }) {
 }
 
 function wordsOfChoice(choice, value) {
-  if (choice.kind === "flag") return `${choice.label}: ${value ? "yes" : "no"}`;
-  return `${choice.label}: ${value === null || value === undefined ? choice.unset ?? "none" : choiceText(choice, value)}`;
+  if (choice.kind === "flag") return `${choice.label}: ${value ? OPTIONS.yes : OPTIONS.no}`;
+  return `${choice.label}: ${value === null || value === undefined ? choice.unset ?? OPTIONS.none : choiceText(choice, value)}`;
 }

@@ -6,6 +6,9 @@ import { jobFacts, hasEnded, hasFiles, jobState } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, warningList } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
+import { COMMON } from "../shared/strings/common.js";
+import { FRAME } from "../shared/strings/frame.js";
+import { TAKE } from "../shared/strings/take.js";
 import { choiceList, errorBox, stageList, waitingBox } from "../watch/job_row.js";
 import { downloads } from "./downloads.js";
 import { JobMotion } from "./job_motion.js";
@@ -16,7 +19,7 @@ import { Sharing } from "./sharing.js";
 export function open(place, route, caller) {
   const view = new JobView(place, route.id, caller);
   view.start();
-  return { title: "Look", close: () => view.close() };
+  return { title: TAKE.title, close: () => view.close() };
 }
 
 class JobView {
@@ -48,7 +51,7 @@ class JobView {
     this.draw();
     await this.#persist(async () => {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
-      document.title = `${this.job.session_name} · Multicap`;
+      document.title = FRAME.title(this.job.session_name);
       [this.session, this.options] = await Promise.all([call(this.job.urls.session), this.caller.isGuest ? null : readOptions()]);
       await this.#showResults();
     });
@@ -128,7 +131,7 @@ class JobView {
   async #makeVisuals() {
     await this.#persist(async () => {
       await call(this.job.urls.visuals, { method: "POST" });
-      announce("What shows the take is being made.");
+      announce(TAKE.visualsStarted);
       await feed.refresh();
       this.below.querySelector("#files-title").focus(); // the button is gone
     });
@@ -142,10 +145,10 @@ class JobView {
 
   #head() {
     const { job } = this;
-    if (job === null) return html`<h1 class="title">Job</h1>${this.problem ? problemBox(this.problem) : html`<p class="quiet">Loading …</p>`}`;
+    if (job === null) return html`<h1 class="title">${FRAME.job}</h1>${this.problem ? problemBox(this.problem) : html`<p class="quiet">${COMMON.loading}</p>`}`;
     const { words, tone } = jobState(job);
     return html`<div class="bar">
-        ${this.caller.isGuest ? nothing : html`<p class="crumb"><a href="#/captures">Captures</a></p>`}
+        ${this.caller.isGuest ? nothing : html`<p class="crumb"><a href="#/captures">${TAKE.captures}</a></p>`}
         <h1 class="title">${job.session_name}</h1>
         <span class="state" data-tone=${tone}>${words}</span>
         ${choiceList(job, this.options)}
@@ -153,7 +156,7 @@ class JobView {
       </div>
       ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
       ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}
-      ${warningList(job.warnings, `Warnings of ${job.session_name}`)}`;
+      ${warningList(job.warnings, COMMON.warningsOf(job.session_name), this.session?.notes)}`;
   }
 
   #files() {

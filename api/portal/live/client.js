@@ -1,5 +1,7 @@
 // Client of live captures: a WebSocket to `/v1/live`, keypoints in, people out.
 
+import { LIVE } from "../shared/strings/live.js";
+
 // Browsers send no headers of a page's own with a WebSocket: the key is a subprotocol that is offered.
 const [SUBPROTOCOL, KEY_SUBPROTOCOL] = ["multicap.live", "mc.key."];
 // Bytes that wait in the browser, beyond which frames are left out: some seconds of a few cameras.
@@ -103,8 +105,8 @@ function liveAddress() {
 
 /** Description of a connection that was closed without a message. Browsers don't tell pages why none was opened. */
 function lost(code) {
-  if (code === 1012) return { code: "live_stopped", detail: "The service is being restarted, and the capture has ended.", hint: "Begin again in a minute." };
-  return { detail: "The connection to the service was lost, or was not opened.", hint: "The service may have as many live captures as it can compute. Begin again." };
+  if (code === 1012) return { code: "live_stopped", detail: LIVE.problems.stopped, hint: LIVE.problems.stoppedHint };
+  return { detail: LIVE.problems.lost, hint: LIVE.problems.lostHint };
 }
 
 // Packed messages of live captures (docs/reference/live-protocol.md, "Packed messages"): keypoints to the service, instants from it.
@@ -147,10 +149,10 @@ export function packKeypoints({ camera, timeS, people, numPoints }) {
  */
 export function unpackInstant(packet) {
   const view = new DataView(packet);
-  if (packet.byteLength < INSTANT_HEAD_BYTES || readMagic(view) !== INSTANT) throw new Error("These bytes are no packet of an instant.");
+  if (packet.byteLength < INSTANT_HEAD_BYTES || readMagic(view) !== INSTANT) throw new Error(LIVE.problems.notInstant);
   const [numPeople, numJoints, numBones] = [4, 6, 8].map((offset) => view.getUint16(offset, true));
   const personBytes = PERSON_HEAD_BYTES + (3 * numJoints + 3 + 8 * numBones) * FLOAT_BYTES;
-  if (packet.byteLength !== INSTANT_HEAD_BYTES + numPeople * personBytes) throw new Error("The packet of an instant has another length.");
+  if (packet.byteLength !== INSTANT_HEAD_BYTES + numPeople * personBytes) throw new Error(LIVE.problems.instantLength);
   const people = Array.from({ length: numPeople }, (_, number) => readPerson(view, INSTANT_HEAD_BYTES + number * personBytes, numJoints, numBones));
   return {
     timeS: view.getFloat64(12, true), lagS: view.getFloat32(20, true), sequence: view.getUint32(24, true),

@@ -3,11 +3,12 @@
 import { isPassedOver, readPath } from "../send/files.js";
 import { matchCameras } from "../send/matching.js";
 import { stem } from "../shared/format.js";
+import { LIVE } from "../shared/strings/live.js";
 
 const FRAME = /^(?:.*\D)?(\d{1,15})(?:_keypoints)?\.json$/;
 const COLUMNS = ["camera", "frame", "time_s"];
 const LAYOUTS = new Map([[17, "coco-17"], [18, "coco-18"], [25, "body-25"], [26, "halpe-26"], [33, "mediapipe-33"], [133, "coco-wholebody-133"], [136, "halpe-136"]]);
-const FORM = "The page plays keypoints in OpenPose's form: a JSON file of each frame, with people and pose_keypoints_2d.";
+const { problems: PROBLEM_TEXTS } = LIVE;
 
 /** Reason for which nothing can be played, as `problemBox` shows it. */
 class PlaybackProblem extends Error {
@@ -54,12 +55,12 @@ async function readTimes(file) {
   const [head = "", ...rows] = (await file.text()).replace(/^\uFEFF/, "").split(/\r?\n/).filter((row) => row.trim() !== "");
   const cells = (row) => row.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1"));
   const columns = COLUMNS.map((name) => cells(head).indexOf(name));
-  if (columns.includes(-1)) throw new PlaybackProblem(`${file.name} has no columns ${COLUMNS.join(", ")}.`);
+  if (columns.includes(-1)) throw new PlaybackProblem(PROBLEM_TEXTS.columns(file.name, COLUMNS.join(", ")));
   const times = new Map();
   for (const [line, row] of rows.entries()) {
     const values = cells(row);
     const [camera, frame, timeS] = columns.map((column) => values[column]);
-    if (!camera || !/^\d+$/.test(frame) || !Number.isFinite(Number.parseFloat(timeS))) throw new PlaybackProblem(`Line ${line + 2} of ${file.name} has no camera, frame and time.`);
+    if (!camera || !/^\d+$/.test(frame) || !Number.isFinite(Number.parseFloat(timeS))) throw new PlaybackProblem(PROBLEM_TEXTS.line(line + 2, file.name));
     times.set(camera, (times.get(camera) ?? new Map()).set(Number(frame), Number(timeS)));
   }
   return times;
@@ -74,8 +75,8 @@ async function readTimes(file) {
 export async function openRecording({ views, timestamps }, cameras, frameRateHz) {
   const paired = matchCameras(views.map(({ name }) => `${name}.zip`), cameras);
   const stray = views.filter(({ name }) => !paired.has(`${name}.zip`));
-  if (stray.length) throw new PlaybackProblem(`No camera's name is in ${stray.map(({ name }) => name || "files without a folder").join(", ")}.`, `The cameras are ${cameras.join(", ")}.`);
-  if (views.length < 2) throw new PlaybackProblem("At least two cameras are needed.", "Choose a zip or a folder of keypoints of each camera.");
+  if (stray.length) throw new PlaybackProblem(PROBLEM_TEXTS.stray(stray.map(({ name }) => name || PROBLEM_TEXTS.noFolder).join(", ")), PROBLEM_TEXTS.cameras(cameras.join(", ")));
+  if (views.length < 2) throw new PlaybackProblem(PROBLEM_TEXTS.twoCameras, PROBLEM_TEXTS.twoCamerasHint);
   const times = timestamps ? await readTimes(timestamps) : null;
   const frames = views.flatMap((view) => viewFrames(view, paired.get(`${view.name}.zip`), times, frameRateHz));
   frames.sort((one, other) => one.timeS - other.timeS);
@@ -85,7 +86,7 @@ export async function openRecording({ views, timestamps }, cameras, frameRateHz)
 function viewFrames({ frames }, camera, times, frameRateHz) {
   const frameTimeS = times ? (number) => times.get(camera)?.get(number) : (number) => number / frameRateHz;
   const timed = [...frames].map(([number, text]) => ({ camera, timeS: frameTimeS(number), read: () => text().then(parsePeople) }));
-  if (timed.some(({ timeS }) => timeS === undefined)) throw new PlaybackProblem(`Frames of ${camera} have no time in the timestamps.`);
+  if (timed.some(({ timeS }) => timeS === undefined)) throw new PlaybackProblem(PROBLEM_TEXTS.noTime(camera));
   return timed;
 }
 
@@ -95,7 +96,7 @@ export function parsePeople(text) {
   try {
     ({ people } = JSON.parse(text));
   } catch { /* not JSON */ }
-  if (!Array.isArray(people)) throw new PlaybackProblem(FORM, "Send other forms as a capture.");
+  if (!Array.isArray(people)) throw new PlaybackProblem(PROBLEM_TEXTS.form, PROBLEM_TEXTS.formHint);
   return people.map((person) => person?.pose_keypoints_2d).filter((row) => Array.isArray(row) && row.some((value) => value));
 }
 
@@ -105,10 +106,10 @@ async function findLayout(frames) {
     const [row] = await read();
     if (row === undefined) continue;
     const layout = LAYOUTS.get(row.length / 3);
-    if (layout === undefined) throw new PlaybackProblem(`A person has ${row.length / 3} points, and no layout has so many.`, `Layouts have ${[...LAYOUTS.keys()].join(", ")}.`);
+    if (layout === undefined) throw new PlaybackProblem(PROBLEM_TEXTS.layout(row.length / 3), PROBLEM_TEXTS.layoutHint([...LAYOUTS.keys()].join(", ")));
     return { layout: layout === "body-25" && await isBody25B(frames) ? "body-25b" : layout, numPoints: row.length / 3 };
   }
-  throw new PlaybackProblem("Nobody is in any frame.");
+  throw new PlaybackProblem(PROBLEM_TEXTS.nobody);
 }
 
 // BODY_25B has as many points in another order; it is told as in pipeline/capture/keypoint_files/layout_evidence.py.
@@ -172,7 +173,7 @@ export async function listEntries(blob) {
 }
 
 export async function readText(blob, { name, start, method, packedBytes, numBytes }) {
-  if (numBytes > MAX_CONTENT_BYTES || ![STORED, DEFLATED].includes(method)) throw new Error(`${name} in the zip is too large, or packed in an unusual way.`);
+  if (numBytes > MAX_CONTENT_BYTES || ![STORED, DEFLATED].includes(method)) throw new Error(PROBLEM_TEXTS.zipEntry(name));
   const head = await readView(blob, start, start + LOCAL_BYTES);
   const first = start + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
   const content = blob.slice(first, first + packedBytes);
@@ -186,7 +187,7 @@ function limited(name, numBytes) {
   return new TransformStream({
     transform(chunk, controller) {
       left -= chunk.byteLength;
-      if (left < 0) throw new Error(`${name} in the zip is larger than it states.`);
+      if (left < 0) throw new Error(PROBLEM_TEXTS.zipSize(name));
       controller.enqueue(chunk);
     },
   });
@@ -204,5 +205,5 @@ async function findDirectory(blob) {
     const end = await readView(blob, place, place + 56);
     if (end.byteLength === 56 && end.getUint32(0, true) === END_64) return { numBytes: Number(end.getBigUint64(40, true)), start: Number(end.getBigUint64(48, true)) };
   }
-  throw new Error("The file is no zip.");
+  throw new Error(PROBLEM_TEXTS.notZip);
 }

@@ -1,7 +1,9 @@
 // Page of `multicap live --preview`: people in 3D while they are captured, latency, and what the cameras do.
 
-import { count, length } from "../shared/format.js";
+import { length } from "../shared/format.js";
 import { html, nothing, ref, render } from "../shared/lit.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
+import { LIVE } from "../shared/strings/live.js";
 import { unpackInstant } from "./client.js";
 import { LiveScene } from "./scene.js";
 
@@ -52,10 +54,10 @@ class PreviewView {
   }
 
   #draw() {
-    const over = html`<p class="notice" role="status">The capture is over, or has not begun.</p>`;
+    const over = html`<p class="notice" role="status">${LIVE.preview.idle}</p>`;
     render(html`<div class="live">
-      <div class="bar"><h1 class="title">Live</h1></div>
-      <section class="look-viewer" aria-label="People now">
+      <div class="bar"><h1 class="title">${LIVE.title}</h1></div>
+      <section class="look-viewer" aria-label=${LIVE.peopleNow}>
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
         ${this.#status ? this.#figures(this.#status) : nothing}
       </section>
@@ -65,20 +67,21 @@ class PreviewView {
   }
 
   #figures({ time_s: timeS, instants_hz: rateHz, latency_s: { p50, p95 } }) {
+    const { figures } = LIVE;
     const facts = [
-      ["Time", length(timeS)],
-      ["People", String(this.#people)],
-      ["Instants", `${rateHz} Hz`],
-      ["Latency", p50 === null ? "–" : `${(1000 * p50).toFixed(0)} ms, 95 % within ${(1000 * p95).toFixed(0)} ms`],
+      [figures.time, length(timeS)],
+      [figures.people, String(this.#people)],
+      [figures.instants, COMMON.hz(rateHz)],
+      [figures.latency, p50 === null ? LIVE.unknown : LIVE.latency((1000 * p50).toFixed(0), (1000 * p95).toFixed(0))],
     ];
     return html`<dl class="live-figures">${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
   }
 
   #cameras({ cameras }) {
-    return html`<section class="panel" aria-labelledby="cameras-title"><h2 id="cameras-title">Cameras</h2>
-      <table class="live-cameras"><thead><tr><th>Camera</th><th>State</th><th>Sends</th><th>Detected</th><th>Dropped</th><th>Lost</th></tr></thead>
-      <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${camera.state === "lost" ? "lost, opening again" : camera.state}</td>
-        <td>${camera.decoded_hz} Hz</td><td>${camera.detected_hz} Hz</td><td>${count(camera.dropped, "frame")}</td><td>${count(camera.lost, "time")}</td></tr>`)}</tbody></table>
+    return html`<section class="panel" aria-labelledby="cameras-title"><h2 id="cameras-title">${COMMON.cameras}</h2>
+      <table class="live-cameras"><thead><tr>${LIVE.preview.table.map((head) => html`<th>${head}</th>`)}</tr></thead>
+      <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${LIVE.preview.states[camera.state]}</td>
+        <td>${COMMON.hz(camera.decoded_hz)}</td><td>${COMMON.hz(camera.detected_hz)}</td><td>${COUNTS.frames(camera.dropped)}</td><td>${COUNTS.times(camera.lost)}</td></tr>`)}</tbody></table>
     </section>`;
   }
 }

@@ -1,5 +1,6 @@
 // People of a live capture in 3D, with the scene of the viewer.
 
+import { LIVE } from "../shared/strings/live.js";
 import { directionBar } from "../viewer/controls.js";
 import { el, graphics } from "../viewer/dom.js";
 import { about, chooseOrigin } from "../viewer/motion/records.js";
@@ -23,7 +24,7 @@ export class LiveScene {
     this.element = element;
     this.#store = new LiveStore(ready, rateHz);
     if (!graphics().hasWebGL) {
-      element.replaceChildren(el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2)."));
+      element.replaceChildren(el("p", { class: "look-no-3d" }, LIVE.no3d));
       return;
     }
     const { cameras } = this.#store.description;
@@ -123,7 +124,7 @@ export class LiveStore {
     const known = this.description.people.map(({ id }) => id);
     const seen = [...new Set(this.#kept.flatMap((instant) => (instant ? [...instant.keys()] : [])))].sort((one, other) => one - other);
     if (seen.length === known.length && seen.every((id, place) => id === known[place])) return false;
-    this.description = { ...this.description, people: seen.map((id) => ({ id, name: `Person ${id}`, color: personColor(id), contacts: [] })) };
+    this.description = { ...this.description, people: seen.map((id) => ({ id, name: LIVE.personName(id), color: personColor(id), contacts: [] })) };
     return true;
   }
 

@@ -4,10 +4,13 @@ import { calibrationPart, ChosenCalibration } from "../send/calibration.js";
 import { droppedFiles } from "../send/files.js";
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { count, length } from "../shared/format.js";
-import { html, nothing, problemBox, ref, render, typed } from "../shared/lit.js";
+import { dateAndTime, length } from "../shared/format.js";
+import { helpLink, html, nothing, problemBox, prose, ref, render, typed } from "../shared/lit.js";
 import { announce, go } from "../shared/page.js";
 import { readCalibrations } from "../shared/resources.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
+import { LIVE } from "../shared/strings/live.js";
+import { SEND } from "../shared/strings/send.js";
 
 const DRAW_MS = 250;
 const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
@@ -15,7 +18,7 @@ const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
 export function open(place) {
   const view = new LiveView(place);
   view.start();
-  return { title: "Live", close: () => view.close() };
+  return { title: LIVE.title, close: () => view.close() };
 }
 
 class LiveView {
@@ -71,24 +74,24 @@ class LiveView {
       this.problem = null;
       if (sorted.views.length) this.files = sorted;
       else if (sorted.timestamps && this.files) this.files.timestamps = sorted.timestamps;
-      else if (!sorted.calibration) this.problem = { message: "No keypoints are among these files.", hint: "Choose a zip or a folder of JSON files of each camera." };
+      else if (!sorted.calibration) this.problem = { message: LIVE.noKeypoints, hint: LIVE.noKeypointsHint };
       if (sorted.calibration) await this.rig.readFile(sorted.calibration);
     } catch (problem) {
       this.problem = problem;
     }
-    if (this.files) announce(`Keypoints of ${count(this.files.views.length, "camera")}`);
+    if (this.files) announce(LIVE.said.files(COUNTS.cameras(this.files.views.length)));
     this.draw();
   }
 
   async play() {
     this.problem = this.ended = null;
     const missing = [
-      ...(this.files ? [] : ["Choose keypoints of the cameras."]),
-      ...(this.rig.record ? [] : ["Choose the calibration of the cameras."]),
-      ...(this.needsFrameRate && !(this.frameRateHz >= 1 && this.frameRateHz <= 1000) ? ["State the frame rate of the keypoints, from 1 to 1000 Hz, or add their timestamps, a CSV file."] : []),
+      ...(this.files ? [] : [LIVE.faults.keypoints]),
+      ...(this.rig.record ? [] : [LIVE.faults.calibration]),
+      ...(this.needsFrameRate && !(this.frameRateHz >= 1 && this.frameRateHz <= 1000) ? [LIVE.faults.rate] : []),
     ];
     if (missing.length) {
-      this.problem = { message: "The capture is not complete.", items: missing.map((message) => ({ message })) };
+      this.problem = { message: LIVE.incomplete, items: missing.map((message) => ({ message })) };
       this.draw();
       return;
     }
@@ -106,7 +109,7 @@ class LiveView {
 
   async #open(recording, { LiveClient }, { Playback }, { LiveScene }) {
     const { layout, rateHz } = recording;
-    const name = this.name.trim() || `Live of ${new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" })}`;
+    const name = this.name.trim() || LIVE.defaultName(dateAndTime(new Date()));
     this.#keptName = name;
     const client = new LiveClient({ calibration_id: this.rig.id, layout, frame_rate_hz: rateHz, keep: this.isKept, name });
     this.#client = client;
@@ -126,7 +129,7 @@ class LiveView {
     this.#timer = setInterval(() => this.draw(), DRAW_MS);
     playback.start();
     this.#go("playing");
-    announce("The capture has begun.");
+    announce(LIVE.said.begun);
   }
 
   #take(instant) {
@@ -156,7 +159,7 @@ class LiveView {
     this.#leave();
     this.problem = problem;
     this.#go("over");
-    announce(problem ? "The capture has ended by a problem." : "The capture is over.");
+    announce(problem ? LIVE.said.failed : LIVE.said.over);
   }
 
   #go(phase) {
@@ -185,22 +188,22 @@ class LiveView {
         @dragover=${(event) => { event.preventDefault(); over(true); }}
         @dragleave=${(event) => { if (!this.place.contains(event.relatedTarget)) over(false); }}
         @drop=${(event) => { event.preventDefault(); over(false); if (!this.isBusy) this.add(droppedFiles(event.dataTransfer)); }}>
-      <div class="bar"><h1 class="title">Live</h1>
-        <p class="quiet">Plays 2D keypoints at their own pace as if cameras sent them now. Programs send theirs to <code>WS /v1/live</code>.</p></div>
-      <section class="look-viewer" aria-label="People now" ?hidden=${this.counts === null}>
+      <div class="bar"><div class="with-help"><h1 class="title">${LIVE.title}</h1>${helpLink("live", LIVE.title)}</div>
+        <p class="quiet">${prose(LIVE.hint)}</p></div>
+      <section class="look-viewer" aria-label=${LIVE.peopleNow} ?hidden=${this.counts === null}>
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
         ${this.counts ? this.#figures() : nothing}
       </section>
       ${this.#result()}
       ${problemBox(this.problem)}
       <div class="actions">
-        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? "Opening …" : this.counts ? "Play again" : "Play live"}</button>
-        <button type="button" class="button" ?disabled=${this.phase !== "playing"} @click=${() => this.end()}>${this.phase === "ending" ? "Ending …" : "End now"}</button>
-        <label class="with"><input type="checkbox" .checked=${this.isKept} ?disabled=${this.isBusy} @change=${(event) => { this.isKept = event.target.checked; this.draw(); }}> Keep it as a capture</label>
-        ${this.isKept ? html`<label class="take"><span>Name</span><input name="name" maxlength="200" autocomplete="off" .value=${typed(this.name)} ?disabled=${this.isBusy} @input=${(event) => { this.name = event.target.value; }}></label>` : nothing}
+        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? LIVE.opening : this.counts ? LIVE.playAgain : LIVE.play}</button>
+        <button type="button" class="button" ?disabled=${this.phase !== "playing"} @click=${() => this.end()}>${this.phase === "ending" ? LIVE.ending : LIVE.end}</button>
+        <label class="with"><input type="checkbox" .checked=${this.isKept} ?disabled=${this.isBusy} @change=${(event) => { this.isKept = event.target.checked; this.draw(); }}> ${LIVE.keep}</label>
+        ${this.isKept ? html`<label class="take"><span>${COMMON.name}</span><input name="name" maxlength="200" autocomplete="off" .value=${typed(this.name)} ?disabled=${this.isBusy} @input=${(event) => { this.name = event.target.value; }}></label>` : nothing}
       </div>
       ${this.#filesPart()}
-      <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
+      <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
         ${calibrationPart({ sending: this, stored: this.stored, away: this.away, isLocked: this.isBusy, choose: (id, name) => this.rig.choose(id, name), readFile: (...chosen) => this.rig.readFile(...chosen) })}
         ${problemBox(this.rig.problem)}
       </section>
@@ -215,34 +218,35 @@ class LiveView {
       this.add(files);
     };
     const picker = (label, attributes) => html`<label class="button">${label}${attributes}</label>`;
-    return html`<section class="panel" aria-labelledby="keypoints-title"><h2 id="keypoints-title">Keypoints</h2>
+    return html`<section class="panel" aria-labelledby="keypoints-title"><div class="with-help"><h2 id="keypoints-title">${LIVE.keypoints}</h2>${helpLink("keypoints", LIVE.keypoints)}</div>
       <div class="drop ${this.isOver ? "over" : ""} ${views.length ? "small" : ""}">
-        ${views.length ? nothing : html`<p class="lead">Drop a folder or a zip of keypoints of each camera here, with their timestamps and calibration.</p>`}
+        ${views.length ? nothing : html`<p class="lead">${LIVE.lead}</p>`}
         <div class="actions">
-          ${picker("Choose files", html`<input class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${this.isBusy} @change=${chosen}>`)}
-          ${picker("Choose a folder", html`<input class="unseen" type="file" webkitdirectory ?disabled=${this.isBusy} @change=${chosen}>`)}
+          ${picker(SEND.chooseFiles, html`<input class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${this.isBusy} @change=${chosen}>`)}
+          ${picker(SEND.chooseFolder, html`<input class="unseen" type="file" webkitdirectory ?disabled=${this.isBusy} @change=${chosen}>`)}
         </div>
-        <p class="quiet">In OpenPose's form, as Pose2Sim and kept live captures have it: a JSON file of each frame.</p>
+        <p class="quiet">${LIVE.leadHint}</p>
       </div>
-      ${views.length ? html`<p class="quiet facts">${views.map(({ name, frames }) => html`<span>${name}: ${count(frames.size, "frame")}</span>`)}
-        ${timestamps ? html`<span>times of ${timestamps.name}</span>` : nothing}</p>` : nothing}
-      ${others.length ? html`<p class="notice" role="status">Left out: ${others.join(", ")}.</p>` : nothing}
-      ${this.needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
+      ${views.length ? html`<p class="quiet facts">${views.map(({ name, frames }) => html`<span>${LIVE.framesOf(name, COUNTS.frames(frames.size))}</span>`)}
+        ${timestamps ? html`<span>${LIVE.timesOf(timestamps.name)}</span>` : nothing}</p>` : nothing}
+      ${others.length ? html`<p class="notice" role="status">${LIVE.leftOut(others.join(", "))}</p>` : nothing}
+      ${this.needsFrameRate ? html`<label class="field clock"><span>${SEND.rate}</span>
         <input type="number" class="number" min="1" max="1000" step="any" .value=${typed(this.frameRateHz)} ?disabled=${this.isBusy}
           @input=${(event) => { this.frameRateHz = event.target.value === "" ? null : event.target.valueAsNumber; }}>
-        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}
+        <span class="quiet">${SEND.rateHint}</span></label>` : nothing}
     </section>`;
   }
 
   #figures() {
     const { people, skeletons, instants, dropped, notSent } = this.counts;
-    const latency = this.#playback.latencyMs?.map((value) => `${value.toFixed(0)} ms`);
+    const latency = this.#playback.latencyMs?.map((value) => value.toFixed(0));
+    const { figures } = LIVE;
     const facts = [
-      ["Time", `${length(this.#playback.timeS)} of ${length(this.#playback.lengthS)}`],
-      ["People", `${people}, ${skeletons} with a skeleton`],
-      ["Latency", latency ? `${latency[0]}, 95 % within ${latency[1]}` : "–"],
-      ["Instants", String(instants)],
-      ["Dropped", `${count(dropped.input + notSent, "frame")}, ${count(dropped.output, "instant")}`],
+      [figures.time, LIVE.timeOf(length(this.#playback.timeS), length(this.#playback.lengthS))],
+      [figures.people, LIVE.peopleNumber(people, skeletons)],
+      [figures.latency, latency ? LIVE.latency(...latency) : LIVE.unknown],
+      [figures.instants, String(instants)],
+      [figures.dropped, LIVE.dropped(COUNTS.frames(dropped.input + notSent), COUNTS.instants(dropped.output))],
     ];
     return html`<dl class="live-figures">${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
   }
@@ -250,8 +254,8 @@ class LiveView {
   #result() {
     if (this.ended === null) return nothing;
     const { session_id: sessionId, kept_frames: kept, counts } = this.ended;
-    if (sessionId === null) return html`<p class="notice" role="status">The capture is over: ${count(counts.received, "frame")} in.</p>`;
-    return html`<div class="notice live-result" role="status"><p>${count(kept, "frame")} of ${counts.received} are kept as <a href="#/captures?${new URLSearchParams({ name: this.#keptName })}">a capture</a>.</p>
-      <button type="button" class="button small primary" @click=${() => this.reconstruct()}>Reconstruct it</button></div>`;
+    if (sessionId === null) return html`<p class="notice" role="status">${LIVE.over(COUNTS.frames(counts.received))}</p>`;
+    return html`<div class="notice live-result" role="status"><p>${LIVE.kept(COUNTS.frames(kept), counts.received)}<a href="#/captures?${new URLSearchParams({ name: this.#keptName })}">${LIVE.keptLink}</a>.</p>
+      <button type="button" class="button small primary" @click=${() => this.reconstruct()}>${LIVE.reconstruct}</button></div>`;
   }
 }

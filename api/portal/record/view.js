@@ -1,9 +1,11 @@
 // View Record: phones as cameras. The list of recordings; one of them is loaded when it is opened.
 
 import { call, persistently } from "../shared/api.js";
-import { count, moment } from "../shared/format.js";
-import { html, nothing, problemBox, render } from "../shared/lit.js";
+import { moment } from "../shared/format.js";
+import { helpLink, html, nothing, problemBox, render } from "../shared/lit.js";
 import { address, go } from "../shared/page.js";
+import { COMMON, COUNTS, PROBLEMS } from "../shared/strings/common.js";
+import { RECORD } from "../shared/strings/record.js";
 import { keepJoin } from "./room.js";
 
 /** List of recordings, and the form of a new one. */
@@ -48,15 +50,15 @@ class RecordingList {
 
   draw() {
     if (this.#isClosed) return;
-    render(html`<h1 class="title">Record</h1>
-      <section class="panel record-new" aria-labelledby="new-title"><h2 id="new-title">Phones as cameras</h2>
-        <p>Put two to eight phones around the people, let them join by a code, and record with all of them at once. No app is needed.</p>
-        <form @submit=${(event) => this.#add(event)}><label class="field"><span>Name of the recording</span><input name="name" maxlength="200" placeholder="Living room, Sunday" autocomplete="off"></label>
-          <div class="actions"><button class="button primary">New recording</button></div></form>
+    render(html`<div class="with-help"><h1 class="title">${RECORD.title}</h1>${helpLink("phones", RECORD.title)}</div>
+      <section class="panel record-new" aria-labelledby="new-title"><h2 id="new-title">${RECORD.intro}</h2>
+        <p>${RECORD.introHint}</p>
+        <form @submit=${(event) => this.#add(event)}><label class="field"><span>${RECORD.name}</span><input name="name" maxlength="200" placeholder=${RECORD.namePlaceholder} autocomplete="off"></label>
+          <div class="actions"><button class="button primary">${RECORD.new}</button></div></form>
         ${problemBox(this.#problem)}</section>
-      ${this.#recordings?.length ? html`<section class="panel" aria-labelledby="list-title"><h2 id="list-title">Recordings</h2>
+      ${this.#recordings?.length ? html`<section class="panel" aria-labelledby="list-title"><h2 id="list-title">${RECORD.recordings}</h2>
         <ul class="record-list">${this.#recordings.map(({ id, name, created_at: created, expires_at: end, phones, takes }) => html`<li><a href=${address("record", id)}>${name}</a>
-          <span class="quiet facts"><span>${moment(created)}</span><span>${count(phones.length, "phone")}</span><span>${count(takes.length, "take")}</span><span>until ${moment(end)}</span></span></li>`)}</ul></section>` : nothing}`, this.place);
+          <span class="quiet facts"><span>${moment(created)}</span><span>${COUNTS.phones(phones.length)}</span><span>${COUNTS.takes(takes.length)}</span><span>${RECORD.until(moment(end))}</span></span></li>`)}</ul></section>` : nothing}`, this.place);
   }
 }
 
@@ -66,10 +68,10 @@ class RecordingPlace {
   #isClosed = false;
 
   constructor(place, id) {
-    render(html`<h1 class="title">Record</h1><p class="quiet">Loading …</p>`, place);
+    render(html`<h1 class="title">${RECORD.title}</h1><p class="quiet">${COMMON.loading}</p>`, place);
     persistently(() => import("./host/host.js"), { isOver: () => this.#isClosed }).then(({ RecordingView }) => {
       if (!this.#isClosed) this.#view = new RecordingView(place, id);
-    }, () => render(problemBox({ message: "The view can't be loaded. Reload the page." }), place));
+    }, () => render(problemBox({ message: PROBLEMS.viewMissing }), place));
   }
 
   close() {
@@ -80,5 +82,5 @@ class RecordingPlace {
 
 export function open(place, route) {
   const view = route.id === null ? new RecordingList(place) : new RecordingPlace(place, route.id);
-  return { title: "Record", close: () => view.close() };
+  return { title: RECORD.title, close: () => view.close() };
 }

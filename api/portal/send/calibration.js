@@ -1,19 +1,21 @@
 // Part of the view Send that chooses the calibration of the cameras: a stored one, or a file.
 
 import { call, jsonPart, persistently } from "../shared/api.js";
-import { count, stem } from "../shared/format.js";
+import { stem } from "../shared/format.js";
 import { html, live, nothing, problemBox, warningList } from "../shared/lit.js";
 import { dated, usable } from "../shared/resources.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
+import { SEND } from "../shared/strings/send.js";
 import { ACCEPTED_CALIBRATIONS, AXES } from "./files.js";
 
-const UNITS = [["", "as the file states, or metres"], ["m", "metres"], ["cm", "centimetres"], ["mm", "millimetres"]];
+const TEXT = SEND.calibration;
 
 function calibrationFacts(calibration) {
-  const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : "size unknown")))];
+  const sizes = [...new Set(calibration.cameras.map(({ size_px: px }) => (px ? px.join(" × ") : TEXT.sizeUnknown)))];
   const errors = (calibration.report?.cameras ?? []).map((camera) => camera.reprojection_error_px).filter((errorPx) => errorPx != null);
-  const facts = [count(calibration.cameras.length, "camera"), sizes.join(", ")];
-  if (errors.length) facts.push(`error ${Math.max(...errors).toFixed(2)} px at most`);
-  if (calibration.source.units) facts.push(`in ${calibration.source.units}`);
+  const facts = [COUNTS.cameras(calibration.cameras.length), sizes.join(", ")];
+  if (errors.length) facts.push(TEXT.largestError(Math.max(...errors).toFixed(2)));
+  if (calibration.source.units) facts.push(TEXT.inUnits(calibration.source.units));
   return facts.join(" · ");
 }
 
@@ -29,25 +31,25 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
   const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [chosen ?? { id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
   return html`
     <div class="pair">
-      <label class="field"><span>Stored calibration</span>
+      <label class="field"><span>${TEXT.stored}</span>
         <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, listed.find(({ id }) => id === event.target.value)?.name)}>
-          <option value="" .selected=${live(!rig.id)}>${stored === null ? "Loading …" : listed.length ? "Choose …" : "None is stored yet"}</option>
+          <option value="" .selected=${live(!rig.id)}>${stored === null ? COMMON.loading : listed.length ? COMMON.choose : TEXT.noneStored}</option>
           ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
         </select>
       </label>
-      <label class="field"><span>Or a calibration file</span>
+      <label class="field"><span>${TEXT.file}</span>
         <input type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
           @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}>
       </label>
     </div>
-    ${problemBox(away && { message: `The stored calibrations can't be loaded. ${away.message}` })}
-    ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">Checking the calibration …</span></p>` : nothing}
+    ${problemBox(away && { message: TEXT.away(away.message) })}
+    ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">${TEXT.checking}</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${calibrationFacts(chosen)}</span></p>
-      ${warningList(chosen.warnings, "Warnings about the calibration")}` : nothing}
+      ${warningList(chosen.warnings, TEXT.warnings)}` : nothing}
     ${rig.file ? html`<div class="pair">
-      ${choice("Unit of length", UNITS, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
-      ${choice("Axis that points up", AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div>` : nothing}
-    <p class="quiet">No calibration yet? <a href="#/calibrations">Make one from footage of a board or of people.</a></p>`;
+      ${choice(TEXT.unit, TEXT.units, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
+      ${choice(TEXT.up, AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div>` : nothing}
+    <p class="quiet">${TEXT.missing} <a href="#/calibrations">${TEXT.make}</a></p>`;
 }
 
 // Calibration files as stored calibrations: a file whose content is stored already is not sent again.

@@ -1,6 +1,7 @@
 // The capture that the page shows, and the requests that send it: both come from `planCapture` alone.
 
-import { stem } from "../shared/format.js";
+import { dateAndTime, stem } from "../shared/format.js";
+import { SEND } from "../shared/strings/send.js";
 import { shownSpec } from "./choices.js";
 import { needsCamera } from "./files.js";
 import { naturalOrder, groupRecordings } from "./matching.js";
@@ -64,12 +65,11 @@ export function sessionBody({ name, files, calibration, clock, frameRate_hz, lay
     };
   });
   const [timestamps] = ids("timestamps");
-  const now = new Date().toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   return {
     videos: ids("video"), keypoints: [...ids("keypoints"), ...ids("array")], ...(timestamps && { timestamps }),
     calibration_id: calibration.id,
     manifest: {
-      name: name.trim() || `Take of ${now}`, cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
+      name: name.trim() || SEND.defaultName(dateAndTime(new Date())), cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
       ...(layout && { layout }),
       sync: spec.sync, ...(ids("array").length && { pair_by_order: true }),
     },
@@ -96,19 +96,19 @@ export function findFaults({ files, views, calibration, needsFrameRate, frameRat
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
   const arrays = views.filter(({ kind }) => kind === "array");
-  if (arrays.length && views.length > 1) faults.push(`${arrays[0].name} has the keypoints of all cameras: leave out the other files, or it.`);
-  if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(`Add the videos of at least ${MIN_CAMERAS} cameras.`);
-  if (rig.problem && asksForUnit(rig.problem)) faults.push(`State the unit of length of ${rig.name}.`);
-  else if (rig.problem) faults.push(`The calibration ${rig.name ?? ""} could not be read. Choose or add another one.`);
-  else if (!calibration) faults.push("Choose or add the calibration of the cameras.");
-  if (missing.length) faults.push(`Choose again: ${listed(missing)}.`);
-  if (needsFrameRate && !(frameRate_hz >= 1)) faults.push("State the frame rate of the keypoints, or add their timestamps, a CSV file.");
+  if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));
+  if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(SEND.faults.fewCameras(MIN_CAMERAS));
+  if (rig.problem && asksForUnit(rig.problem)) faults.push(SEND.faults.unit(rig.name));
+  else if (rig.problem) faults.push(SEND.faults.calibrationUnread(rig.name ?? ""));
+  else if (!calibration) faults.push(SEND.faults.calibration);
+  if (missing.length) faults.push(SEND.faults.missing(listed(missing)));
+  if (needsFrameRate && !(frameRate_hz >= 1)) faults.push(SEND.faults.rate);
   const images = views.filter(({ kind, name, rate }) => kind === "video" && /\.zip$/i.test(name) && !rate);
-  if (images.length) faults.push(`State the frame rate of the images: ${listed(images)}.`);
+  if (images.length) faults.push(SEND.faults.imageRate(listed(images)));
   if (!calibration) return faults;
   const without = views.filter((row) => needsCamera(row) && row.camera === null);
-  if (without.length) faults.push(`Give a camera to ${listed(without)}, or leave it out.`);
+  if (without.length) faults.push(SEND.faults.camera(listed(without)));
   const twice = findDoubled(views);
-  if (twice.length) faults.push(`One camera has two files: ${listed(twice)}.`);
+  if (twice.length) faults.push(SEND.faults.twice(listed(twice)));
   return faults;
 }

@@ -1,10 +1,12 @@
 // Form of a job's choices, made from what the service lists: first what an animator thinks of, the rest folded.
 
-import { count, size } from "../shared/format.js";
-import { html, live, nothing, problemBox, prose, svg, typed } from "../shared/lit.js";
+import { size } from "../shared/format.js";
+import { helpLink, html, live, nothing, problemBox, prose, svg, typed } from "../shared/lit.js";
 import { characters } from "../shared/resources.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
+import { OPTIONS } from "../shared/strings/send.js";
 
-const GROUPS = [["purpose", "What for"], ["people", "Who"], ["quality", "How well"]];
+const GROUPS = ["purpose", "people", "quality"];
 const MOST_TILES = 6;
 const FEW_PEOPLE = 4;
 
@@ -46,20 +48,20 @@ export const choiceValue = (choice, spec) => (choice.name in spec ? spec[choice.
 // The form. `id` tells two forms of a page apart; `onChange(name, value)` gets undefined for the default.
 // `hidden` names choices that stand elsewhere, and `valueNote(choice, value)` gives a further note of a value.
 export function choicesForm({ id, options, spec, onChange, hidden = [], valueNote = () => null }) {
-  if (!options) return html`<p class="quiet">Loading the choices …</p>`;
+  if (!options) return html`<p class="quiet">${OPTIONS.loading}</p>`;
   const set = (choice, value) => onChange(choice.name, value);
   const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, valueNote, set: (value) => set(choice, value) }) ?? nothing;
   // One value of few comes before several: the application before its files.
   const shown = options.choices.filter(({ name }) => !hidden.includes(name));
   const groupChoices = (group) => shown.filter((choice) => choice.group === group)
     .sort((one, other) => (one.kind === "several") - (other.kind === "several"));
-  const rest = shown.filter((choice) => !GROUPS.some(([group]) => group === choice.group));
+  const rest = shown.filter((choice) => !GROUPS.includes(choice.group));
   const numChanged = rest.filter(({ name }) => name in spec).length;
   return html`
-    ${GROUPS.map(([group, title]) => html`<div class="group" data-group=${group}><h3>${title}</h3>
+    ${GROUPS.map((group) => html`<div class="group" data-group=${group}><h3>${OPTIONS.groups[group]}</h3>
       <div class="fields">${group === "purpose" ? purposeField({ id, options, spec, onChange }) : nothing}${groupChoices(group).map(draw)}</div></div>`)}
     <details class="advanced">
-      <summary>More options${numChanged ? html` <span class="badge">${numChanged} changed</span>` : nothing}</summary>
+      <summary>${OPTIONS.advanced}${numChanged ? html` <span class="badge">${OPTIONS.changed(numChanged)}</span>` : nothing}</summary>
       <div class="fields grid">${rest.map(draw)}</div>
     </details>`;
 }
@@ -89,19 +91,28 @@ function purposeField({ id, options, spec, onChange }) {
     isChecked: purpose === chosen, onPick: () => pick(purpose),
   }));
   const setCharacter = (character) => onChange("character", character);
-  return html`${frame({ label: "The take is for", description: chosen ? "It sets the files below." : "The files below are your own choice." }, tiles)}
+  return html`${frame({ name: "what-for", label: OPTIONS.purpose, description: chosen ? OPTIONS.purposeSets : OPTIONS.purposeOwn }, tiles)}
     ${spec.character || chosen?.name === "character" ? characterField({ id, chosen: spec.character, set: setCharacter }) : nothing}`;
 }
 
 function frame(choice, content) {
-  return html`<fieldset class="choice"><legend>${choice.label}</legend>
+  return html`<fieldset class="choice"><legend>${choice.label}</legend>${optionHelp(choice)}
     <p class="quiet">${prose(choice.description)}</p><div class="tiles">${content}</div></fieldset>`;
 }
 
-function numberField({ id, choice, value, onInput, isWhole, placeholder, label, least }) {
-  return html`<input type="number" class="number" name="${id}-${choice.name}" aria-label=${label ?? nothing}
+function numberField({ id, choice, value, onInput, isWhole, placeholder, inputId, least }) {
+  return html`<input type="number" class="number" name="${id}-${choice.name}" id=${inputId ?? nothing} aria-describedby=${inputId ? `${inputId}-about` : nothing}
     step=${isWhole ? 1 : "any"} min=${least ?? choice.minimum ?? nothing} max=${choice.maximum ?? nothing}
     .value=${typed(value)} placeholder=${placeholder ?? ""} @input=${onInput}>`;
+}
+
+const optionHelp = ({ name, label }) => helpLink(`options#${name}`, label);
+
+// A field with its label, what it means, and help beside the label. `input(id)` is the input of the label.
+function field({ id, choice }, input) {
+  const inputId = `${id}-${choice.name}`;
+  return html`<div class="field"><span class="with-help"><label for=${inputId}>${choice.label}</label>${optionHelp(choice)}</span>
+    ${input(inputId)}<span class="quiet" id="${inputId}-about">${prose(choice.description)}</span></div>`;
 }
 
 const numberIn = (event) => (event.target.value === "" ? undefined : event.target.valueAsNumber);
@@ -116,10 +127,8 @@ const FIELDS = {
         id, choice, value: name, label, note: sentences(valueNote(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
       })));
     }
-    return html`<label class="field"><span>${choice.label}</span>
-      <select name="${id}-${choice.name}" title=${choice.description} @change=${(event) => pick(event.target.value)}>
-        ${values.map(({ name, label }) => html`<option value=${name} .selected=${live(name === chosen)}>${label}</option>`)}
-      </select><span class="quiet">${prose(choice.description)}</span></label>`;
+    return field({ id, choice }, (inputId) => html`<select name=${inputId} id=${inputId} aria-describedby="${inputId}-about" @change=${(event) => pick(event.target.value)}>
+      ${values.map(({ name, label }) => html`<option value=${name} .selected=${live(name === chosen)}>${label}</option>`)}</select>`);
   },
   several({ id, choice, spec, options, set }) {
     const chosen = new Set(choiceValue(choice, spec));
@@ -141,23 +150,22 @@ const FIELDS = {
     const isOther = typeof chosen === "number" && !few.includes(chosen);
     return frame(choice, [
       ...tiles.map(([value, label]) => tile({ id, choice, value, label, isChecked: value === chosen, onPick: () => pick(value) })),
-      html`<label class="tile other"><span class="tile-label">More</span>${numberField({
+      html`<label class="tile other"><span class="tile-label">${OPTIONS.more}</span>${numberField({
         id: `${id}-more`, choice, value: isOther ? chosen : "", isWhole: true, onInput: (event) => pick(numberIn(event) ?? choice.default),
       })}</label>`,
     ]);
   },
   flag({ id, choice, spec, set }) {
     const change = (event) => set(event.target.checked === choice.default ? undefined : event.target.checked);
-    return html`<div class="field"><span>${choice.label}</span>
-      <label class="check"><input type="checkbox" name="${id}-${choice.name}" .checked=${live(choiceValue(choice, spec))} @change=${change}>
-        <span class="quiet">${prose(choice.description)}</span></label></div>`;
+    return field({ id, choice }, (inputId) => html`<input type="checkbox" name=${inputId} id=${inputId} aria-describedby="${inputId}-about"
+      .checked=${live(choiceValue(choice, spec))} @change=${change}>`);
   },
   number({ id, choice, spec, set, isWhole = false }) {
     const named = choice.values.find(({ name }) => name === choice.default);
-    return html`<label class="field"><span>${choice.label}</span>${numberField({
-      id, choice, isWhole, value: typeof spec[choice.name] === "number" ? spec[choice.name] : "",
+    return field({ id, choice }, (inputId) => numberField({
+      id, choice, isWhole, inputId, value: typeof spec[choice.name] === "number" ? spec[choice.name] : "",
       placeholder: named?.label ?? choice.unset ?? choice.default, onInput: (event) => set(numberIn(event)),
-    })}<span class="quiet">${prose(choice.description)}</span></label>`;
+    }));
   },
   frame_range({ id, choice, spec, set }) {
     const range = spec[choice.name] ?? [null, null];
@@ -165,9 +173,8 @@ const FIELDS = {
       const [first, stop] = range.map((end, place) => (place === index ? numberIn(event) ?? null : end));
       set(first === null && stop === null ? undefined : [first ?? 0, stop]);
     };
-    const labels = ["first", "after the last"];
-    return html`<fieldset class="field"><legend>${choice.label}: ${choice.unset}, or</legend>
-      <div class="pair">${labels.map((label, index) => html`<label><span>${label}</span>${numberField({
+    return html`<fieldset class="field"><legend>${OPTIONS.rangeOr(choice.label, choice.unset)}</legend>${optionHelp(choice)}
+      <div class="pair">${OPTIONS.rangeEnds.map((label, index) => html`<label><span>${label}</span>${numberField({
         id, choice, value: range[index], isWhole: true, onInput: bound(index), least: Math.max(choice.minimum ?? 0, index),
       })}</label>`)}</div><span class="quiet">${prose(choice.description)}</span></fieldset>`;
   },
@@ -189,17 +196,17 @@ function characterField({ id, chosen, set }) {
     const added = file && await characters.add(file);
     if (added) set(added.id);
   };
-  return html`<fieldset class="choice character"><legend>Character</legend>
-    <p class="quiet">A figure with a skeleton, from a GLB, VRM or FBX file. Its bones are recognised; each person moves it in a file of its own.</p>
+  return html`<fieldset class="choice character"><legend>${OPTIONS.character}</legend>${helpLink("own-character", OPTIONS.character)}
+    <p class="quiet">${OPTIONS.characterHint}</p>
     <div class="pair">
-      <label class="field"><span>Stored character</span>
+      <label class="field"><span>${OPTIONS.characterStored}</span>
         <select name="${id}-character" @change=${(event) => choose(event.target.value)}>
-          <option value="" .selected=${live(!chosen)}>${characters.list === null ? "Loading …" : "None"}</option>
+          <option value="" .selected=${live(!chosen)}>${characters.list === null ? COMMON.loading : COMMON.none}</option>
           ${list.map(({ id: one, name }) => html`<option value=${one} .selected=${live(one === chosen)}>${name}</option>`)}
         </select></label>
-      <label class="field"><span>Or a file</span><input type="file" accept=".glb,.vrm,.fbx" ?disabled=${characters.reading !== null} @change=${add}></label>
+      <label class="field"><span>${COMMON.fileOr}</span><input type="file" accept=".glb,.vrm,.fbx" ?disabled=${characters.reading !== null} @change=${add}></label>
     </div>
-    ${characters.reading === null ? nothing : html`<p class="chosen" role="status"><b>${characters.reading}</b> <span class="quiet">Reading the character …</span></p>`}
+    ${characters.reading === null ? nothing : html`<p class="chosen" role="status"><b>${characters.reading}</b> <span class="quiet">${OPTIONS.characterReading}</span></p>`}
     ${problemBox(characters.problem)}
     ${character ? boneList(character, id) : nothing}
   </fieldset>`;
@@ -210,13 +217,13 @@ function boneList(character, id) {
   const missing = character.joints.filter(({ bone, joint }) => bone === null && !FINGER.test(joint)).map(({ joint }) => joint);
   const table = (joints) => html`<div class="bones">${joints.map((joint) => boneField(character, joint, id))}</div>`;
   return html`<p class="chosen"><b>${character.name}</b>
-      <span class="quiet">${character.format} · ${size(character.num_bytes)} · ${count(character.num_bones, "bone")}</span></p>
+      <span class="quiet">${character.format} · ${size(character.num_bytes)} · ${COUNTS.bones(character.num_bones)}</span></p>
     <details .open=${characters.showsBones} @toggle=${(event) => { if (event.target === event.currentTarget) characters.showsBones = event.target.open; }}>
-      <summary>Bones${missing.length ? ` (without: ${missing.join(", ")})` : ""}</summary>
+      <summary>${missing.length ? OPTIONS.bonesMissing(missing.join(", ")) : OPTIONS.bones}</summary>
       ${characters.showsBones ? html`
         <div class="figure-and-bones">${figure(character)}${table(character.joints.filter((joint) => !isFinger(joint)))}</div>
-        <details><summary>Fingers</summary>${table(character.joints.filter(isFinger))}</details>
-        ${character.at_rest.length ? html`<p class="quiet">At rest: ${character.at_rest.join(", ")}.</p>` : nothing}` : nothing}
+        <details><summary>${OPTIONS.fingers}</summary>${table(character.joints.filter(isFinger))}</details>
+        ${character.at_rest.length ? html`<p class="quiet">${OPTIONS.atRest(character.at_rest.join(", "))}</p>` : nothing}` : nothing}
     </details>
     ${character.warnings.map(({ message }) => html`<p class="quiet">${message}</p>`)}`;
 }
@@ -224,7 +231,7 @@ function boneList(character, id) {
 function boneField(character, { joint, bone, is_required: isRequired }, id) {
   return html`<label class="field"><span>${joint}</span>
     <select name="${id}-bone-${joint}" @change=${(event) => characters.correct(character, joint, event.target.value || null)}>
-      ${isRequired ? nothing : html`<option value="" .selected=${live(bone === null)}>none</option>`}
+      ${isRequired ? nothing : html`<option value="" .selected=${live(bone === null)}>${OPTIONS.noBone}</option>`}
       ${character.skeleton.map(({ bone: name }) => html`<option value=${name} .selected=${live(name === bone)}>${name}</option>`)}
     </select></label>`;
 }
@@ -241,7 +248,7 @@ function figure({ skeleton, joints }) {
     const [[x1, y1], [x2, y2]] = [at(parent), at(bone)];
     return svg`<line x1=${x1} y1=${y1} x2=${x2} y2=${y2} class=${moved.has(parent) ? "moved" : "at-rest"}></line>`;
   };
-  return html`<svg class="figure" viewBox="0 0 ${FIGURE_PX + 20} ${FIGURE_PX + 20}" role="img" aria-label="The character's bones from the front">
+  return html`<svg class="figure" viewBox="0 0 ${FIGURE_PX + 20} ${FIGURE_PX + 20}" role="img" aria-label=${OPTIONS.figure}>
     ${skeleton.filter(({ parent }) => parent !== null).map(line)}
     ${skeleton.map(({ bone }) => svg`<circle cx=${at(bone)[0]} cy=${at(bone)[1]} r="2.5" class=${moved.has(bone) ? "moved" : "at-rest"}><title>${bone}</title></circle>`)}
   </svg>`;

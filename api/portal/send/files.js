@@ -2,6 +2,7 @@
 
 import { RequestProblem } from "../shared/api.js";
 import { countFrames } from "../shared/mp4.js";
+import { SEND } from "../shared/strings/send.js";
 
 const KINDS = {
   video: ["mp4", "mov", "m4v", "mkv", "webm", "avi", "ts", "mts", "m2ts", "mpg", "mpeg"],
@@ -21,7 +22,7 @@ const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 
 export const ACCEPTED = ["zip", "npy", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
 // Axes of a calibration's world that may point up.
-export const AXES = [["", "Z, or as the format states"], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
+export const AXES = [["", SEND.calibration.upAuto], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
 
 // Files that systems and cameras put beside others, and that nobody means to send.
@@ -79,7 +80,7 @@ export async function droppedFiles(transfer) {
   const files = [];
   for (const entry of entries) await walk(entry, files);
   if (files.length > MOST_FILES) {
-    throw new RequestProblem({ detail: `The folders have more than ${MOST_FILES} files.`, hint: "Drop fewer takes at a time. Put the images or keypoints of a camera into a zip." }, 413);
+    throw new RequestProblem({ detail: SEND.folders.tooMany(MOST_FILES), hint: SEND.folders.tooManyHint }, 413);
   }
   return files;
 }
@@ -123,19 +124,19 @@ export async function addFiles(draft, chosen, { notes, forget, isOver }) {
   files.forEach((file, index) => {
     const [kind, name] = [kinds[index], names.get(file)];
     if (kind === null || kind === "calibration") return;
-    if (added.has(name)) notes.push(`Two files have the name ${name}. Rename one of them.`);
+    if (added.has(name)) notes.push(SEND.notes.sameName(name));
     else addRow(draft, file, { name, kind, numFrames: counts[index] }, { notes, forget });
     added.add(name);
   });
   if (calibrations.length > 1) {
-    notes.push(`Several files may be the calibration: ${calibrations.map(({ name }) => name).join(", ")}. The first is used.`);
+    notes.push(SEND.notes.calibrations(calibrations.map(({ name }) => name).join(", ")));
   }
   if (others.length) {
-    notes.push(`Left out: ${others.map(({ name }) => name).join(", ")}. A capture has videos, or zips of images or of keypoints, and a calibration.`);
+    notes.push(SEND.notes.leftOut(others.map(({ name }) => name).join(", ")));
   }
   if (beside.length) {
     const shown = beside.slice(0, MOST_SHOWN).map(({ name }) => name).join(", ");
-    notes.push(`Passed over, as systems and cameras put them beside videos: ${shown}${beside.length > MOST_SHOWN ? ", …" : ""}.`);
+    notes.push(SEND.notes.beside(`${shown}${beside.length > MOST_SHOWN ? ", …" : ""}`));
   }
   if (!draft.name && draft.rows.length) draft.name = folderName(files) ?? "";
   return calibrations[0] ?? null;
@@ -155,7 +156,7 @@ function addRow(draft, file, known, { notes, forget }) {
   if (isSame(row, file) && row.file !== null) return;
   if (!isSame(row, file)) {
     forget(row);
-    notes.push(`${facts.name} takes the place of the file of this name.`);
+    notes.push(SEND.notes.replaced(facts.name));
   }
   draft.rows[at] = makeRow({ ...facts, ...pick(row) }, file);
 }

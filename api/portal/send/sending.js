@@ -3,10 +3,12 @@
 
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { count, percent } from "../shared/format.js";
+import { percent } from "../shared/format.js";
 import { countCameraFrames, estimateTime } from "../shared/jobs.js";
 import { announce } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
+import { COUNTS, PROBLEMS } from "../shared/strings/common.js";
+import { SEND } from "../shared/strings/send.js";
 import { ChosenCalibration } from "./calibration.js";
 import { planCapture, findFaults, jobBody, orderParts, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
 import { addFiles, emptyDraft, needsCamera, loadDraft, saveDraft } from "./files.js";
@@ -79,7 +81,7 @@ class Sending extends EventTarget {
 
   // What Send waits for, as words.
   get unread() {
-    return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [`the calibration ${this.rig.name ?? ""}`] : [])])];
+    return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [SEND.unread.calibration(this.rig.name ?? "")] : [])])];
   }
 
   // Time that the reconstruction will take, with some choices in place of the page's; null if it can't be told.
@@ -94,9 +96,9 @@ class Sending extends EventTarget {
 
   // Text about a running upload for other views; null without one.
   progress() {
-    if (this.phase === "checking") return "Checking the files …";
+    if (this.phase === "checking") return SEND.status.checking;
     if (!["sending", "paused"].includes(this.phase)) return null;
-    return `${this.phase === "paused" ? "Paused" : "Sending"}, ${percent(this.fraction)}`;
+    return SEND.status[this.phase](percent(this.fraction));
   }
 
   get fraction() {
@@ -139,12 +141,12 @@ class Sending extends EventTarget {
       this.options = await persistently(readOptions, { away: (problem) => this.#show(problem) });
       if (this.problem?.isAway) this.problem = null;
     };
-    return this.reading("the choices", load());
+    return this.reading(SEND.unread.options, load());
   }
 
   // Add files, or those that a promise gives. They are left out if the draft is cleared before they are read.
   async add(files) {
-    await this.reading("the chosen files", this.#add(files));
+    await this.reading(SEND.unread.files, this.#add(files));
     if (this.draft.wasSending && this.missing.length === 0 && this.phase === "draft") await this.send();
   }
 
@@ -159,7 +161,7 @@ class Sending extends EventTarget {
     const calibration = await addFiles(this.draft, files, { notes: this.notes, forget: (row) => this.#forget(row), isOver });
     if (isOver()) return;
     this.assignCameras();
-    announce(`${count(this.rows.length, "file")} chosen`);
+    announce(SEND.said.chosen(COUNTS.files(this.rows.length)));
     this.changed();
     if (calibration) this.readCalibration(calibration);
   }
@@ -245,7 +247,7 @@ class Sending extends EventTarget {
     this.problem = null;
     await read;
     const { record, isReading } = this.rig;
-    if (record && !isReading) announce(`Calibration with ${count(record.cameras.length, "camera")}`);
+    if (record && !isReading) announce(SEND.said.calibration(COUNTS.cameras(record.cameras.length)));
   }
 
   assign(row, facts) {
@@ -262,9 +264,9 @@ class Sending extends EventTarget {
 
   #isComplete() {
     const faults = findFaults(this.capture, this.rig);
-    if (!this.options) faults.push("The choices could not be loaded. Reload the page.");
+    if (!this.options) faults.push(PROBLEMS.choicesMissing);
     if (faults.length === 0) return true;
-    this.problem = { message: "The capture is not complete.", items: faults.map((message) => ({ message })) };
+    this.problem = { message: SEND.incomplete, items: faults.map((message) => ({ message })) };
     this.draft.wasSending = false;
     this.#go("draft");
     return false;
@@ -289,7 +291,7 @@ class Sending extends EventTarget {
       if (!this.#isComplete()) return;
       this.problem = null;
       this.draft.request = { body: sessionBody(this.capture), key: newKey(), isCheckOnly };
-      announce("All files are sent. They are being checked.");
+      announce(SEND.said.sent);
       await this.#check();
     } catch (problem) {
       if (!isOver()) this.#fail(problem);
@@ -308,7 +310,7 @@ class Sending extends EventTarget {
     this.save();
     if (!isCheckOnly && !hasErrors(this.session)) return this.start();
     this.#go("checked");
-    announce(hasErrors(this.session) ? "The check found errors." : "The files are checked.");
+    announce(hasErrors(this.session) ? SEND.said.errors : SEND.said.checked);
   }
 
   // Answer to a POST, which is sent again with its key while the service is away or still at it.
@@ -335,7 +337,7 @@ class Sending extends EventTarget {
       feed.put(job);
       for (const { preview } of this.rows) if (preview) URL.revokeObjectURL(preview);
       this.#begin();
-      announce(`${job.session_name} is sent. Its job waits.`);
+      announce(SEND.said.started(job.session_name));
       this.dispatchEvent(new CustomEvent("sent", { detail: job }));
     } catch (problem) {
       this.problem = problem;
@@ -374,7 +376,7 @@ class Sending extends EventTarget {
     this.#press += 1;
     this.#uploads.stop();
     this.#go(this.phase === "sending" ? "paused" : "draft");
-    announce("The upload is paused.");
+    announce(SEND.said.paused);
   }
 
   #go(phase) {

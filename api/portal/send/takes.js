@@ -1,8 +1,9 @@
 // Takes of a dropped folder: captures by the same cameras, which are sent one after another with one calibration and the
 // same choices. The draft has one take at a time; those that can't be sent wait until somebody mends them.
 
-import { count } from "../shared/format.js";
 import { announce } from "../shared/page.js";
+import { COUNTS } from "../shared/strings/common.js";
+import { SEND } from "../shared/strings/send.js";
 import { isSame, detectKind } from "./files.js";
 import { takesIn } from "./matching.js";
 import { sending } from "./sending.js";
@@ -53,12 +54,12 @@ class Takes {
 
   // Add files to the capture; folders of several takes are shown first. `files` may be a promise.
   async add(read) {
-    const files = [...await sending.reading("the chosen files", Promise.resolve(read))];
+    const files = [...await sending.reading(SEND.unread.files, Promise.resolve(read))];
     if (this.waiting.length === 0 && !this.list.includes(this.#shown)) this.list = [];
     const offered = this.list.length ? null : takesIn(files, await Promise.all(files.map(detectKind)));
     if (offered === null) return sending.add(files);
     this.offered = { ...offered, files };
-    announce(`${count(offered.takes.length, "folder")} may be takes.`);
+    announce(SEND.said.folders(COUNTS.folders(offered.takes.length)));
     sending.changed();
   }
 
@@ -128,7 +129,7 @@ class Takes {
         if (sending.problem === null && sending.phase !== "checked") return; // it was paused
         this.#failed(take);
       }
-      announce(`${count(this.list.filter(({ state }) => state === "sent").length, "take")} of ${this.list.length} sent.`);
+      announce(SEND.said.captures(this.list.filter(({ state }) => state === "sent").length, this.list.length));
     } finally {
       this.isRunning = false;
       sending.changed();
@@ -143,7 +144,7 @@ class Takes {
   // A take that the check refused stays in Captures, with its findings.
   #failed(take) {
     const found = sending.session?.preflight.findings?.filter(({ severity }) => severity === "error") ?? [];
-    const problem = sending.problem ?? { message: "The check found errors.", items: found };
+    const problem = sending.problem ?? { message: SEND.said.errors, items: found };
     Object.assign(take, { state: "failed", problem });
   }
 

@@ -2,6 +2,7 @@
 
 import "../vendor/tus.min.js";
 import { RequestProblem } from "../shared/api.js";
+import { SEND } from "../shared/strings/send.js";
 
 const PARALLEL = 2;
 
@@ -65,7 +66,7 @@ export class UploadQueue {
       if (await task.done !== null) update({ isSent: true, sent: row.size });
     } catch ({ message, hint, code, status }) {
       row.hasFailed = true;
-      throw new RequestProblem({ detail: `${row.name}: ${message}`, hint, code }, status);
+      throw new RequestProblem({ detail: SEND.namedProblem(row.name, message), hint, code }, status);
     } finally {
       row.isActive = false;
       if (this.#tasks.get(row) === task) this.#tasks.delete(row);

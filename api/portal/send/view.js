@@ -2,11 +2,13 @@
 
 import { call, persistently, RequestProblem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { count, percent } from "../shared/format.js";
+import { percent } from "../shared/format.js";
 import { hasEnded, jobState } from "../shared/jobs.js";
-import { html, live, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
+import { helpLink, html, live, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
 import { address, go } from "../shared/page.js";
 import { characters, readCalibrations } from "../shared/resources.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
+import { SEND } from "../shared/strings/send.js";
 import { calibrationPart } from "./calibration.js";
 import { MEASURED, findDoubled } from "./capture_plan.js";
 import { choicesForm } from "./choices.js";
@@ -16,15 +18,10 @@ import { sending } from "./sending.js";
 import { takes } from "./takes.js";
 
 const HIDDEN = ["sync"]; // stands with the start of the videos
-const MEASURE = [MEASURED, "I don't know: measure their clocks from people and sound"];
 const LAYOUTS = [
   "coco-17", "human36m-17", "coco-18", "trt-pose-18", "coco-wholebody-23", "body-25", "body-25b", "halpe-26", "mediapipe-33",
   "coco-wholebody-133", "halpe-136",
 ];
-const STARTS = {
-  video: [["declared", "together, but for their offsets"], ["timecode", "at their timecodes"], ["creation_time", "at their times of creation"], MEASURE],
-  keypoints: [["declared", "together, or at their timestamps"], [MEASURED, "I don't know: measure their clocks from people"]],
-};
 
 export function open(place) {
   let stored = null; // calibrations, once they are loaded
@@ -57,8 +54,8 @@ export function open(place) {
   const send = (options) => {
     const unread = [...place.querySelectorAll("input[type=number]")].filter(({ validity }) => validity.badInput);
     if (unread.length === 0) return takes.waiting.length ? takes.run().catch(failed) : sending.send(options);
-    const items = unread.map((field) => ({ message: `${field.ariaLabel ?? field.labels[0].innerText.split("\n")[0]}: type a number.` }));
-    return failed({ message: "The capture is not complete.", items });
+    const items = unread.map((field) => ({ message: SEND.fieldNeedsNumber(field.ariaLabel ?? field.labels[0].innerText.split("\n")[0]) }));
+    return failed({ message: SEND.incomplete, items });
   };
   const takesFiles = () => sending.takesFiles && !takes.isRunning;
   const add = (files) => takes.add(files).catch(failed);
@@ -74,13 +71,13 @@ export function open(place) {
   function dropPart(isLocked) {
     const isEmpty = sending.rows.length === 0;
     return html`<div class="drop ${isOver ? "over" : ""} ${isEmpty ? "" : "small"}">
-      ${isEmpty ? html`<p class="lead">Drop the videos of all cameras here, with their calibration, or a whole folder, also one with a folder for each take.</p>` : nothing}
+      ${isEmpty ? html`<p class="lead">${SEND.lead}</p>` : nothing}
       <div class="actions">
-        <label class="button">Choose files<input id="choose-files" class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${isLocked} @change=${chosen}></label>
-        <label class="button">Choose a folder<input class="unseen" type="file" webkitdirectory ?disabled=${isLocked} @change=${chosen}></label>
-        ${isEmpty ? sampleButton({ sending, draw, failed }) : html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => { takes.clear(); place.querySelector("#choose-files").focus(); }}>Remove all</button>`}
+        <label class="button">${SEND.chooseFiles}<input id="choose-files" class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${isLocked} @change=${chosen}></label>
+        <label class="button">${SEND.chooseFolder}<input class="unseen" type="file" webkitdirectory ?disabled=${isLocked} @change=${chosen}></label>
+        ${isEmpty ? sampleButton({ sending, draw, failed }) : html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => { takes.clear(); place.querySelector("#choose-files").focus(); }}>${SEND.removeAll}</button>`}
       </div>
-      ${isEmpty ? html`<p class="quiet">One file a camera. A zip of images or of 2D keypoints does instead of a video.</p>` : nothing}
+      ${isEmpty ? html`<p class="quiet">${SEND.leadHint}</p>` : nothing}
     </div>`;
   }
 
@@ -89,25 +86,26 @@ export function open(place) {
     const { start, views, needsFrameRate, frameRate_hz: rate, hasPoints, layout } = sending.capture;
     if (views.length === 0) return nothing;
     const isVideo = views.some(({ kind }) => kind === "video");
-    return html`<label class="field clock"><span>${isVideo ? "The videos start" : "The cameras start"}</span>
-        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
-          ${STARTS[isVideo ? "video" : "keypoints"].map(([name, label]) => html`<option value=${name} .selected=${live(name === start)}>${label}</option>`)}</select></label>
-      ${needsFrameRate ? html`<label class="field clock"><span>Frame rate of the keypoints, Hz</span>
+    const [kind, label] = isVideo ? ["video", SEND.videosStart] : ["keypoints", SEND.camerasStart];
+    const starts = [...SEND.starts[kind], [MEASURED, SEND.startUnknown[kind]]];
+    return html`<div class="field clock"><span class="with-help"><label for="start">${label}</label>${helpLink("synchronization", label)}</span>
+        <select id="start" ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
+          ${starts.map(([name, label]) => html`<option value=${name} .selected=${live(name === start)}>${label}</option>`)}</select></div>
+      ${needsFrameRate ? html`<label class="field clock"><span>${SEND.rate}</span>
         <input type="number" class="number" min="1" max="1000" step="any" required .value=${typed(rate)} ?disabled=${isLocked}
           @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
-        <span class="quiet">Frames a second of the videos that the keypoints are of. A file of timestamps (CSV) does instead.</span></label>` : nothing}
-      ${hasPoints ? html`<label class="field clock"><span>Layout of the keypoints</span>
+        <span class="quiet">${SEND.rateHint}</span></label>` : nothing}
+      ${hasPoints ? html`<label class="field clock"><span>${SEND.layout}</span>
         <select ?disabled=${isLocked} @change=${(event) => { sending.draft.layout = event.target.value || null; sending.changed(); }}>
-          ${[null, ...LAYOUTS].map((name) => html`<option value=${name ?? ""} .selected=${live(name === layout)}>${name ?? "Told by the points"}</option>`)}</select></label>` : nothing}`;
+          ${[null, ...LAYOUTS].map((name) => html`<option value=${name ?? ""} .selected=${live(name === layout)}>${name ?? SEND.layoutAuto}</option>`)}</select></label>` : nothing}`;
   }
 
   function filesPart(isLocked) {
     const isMissing = sending.phase === "draft" && sending.missing.length > 0;
     return html`<section class="panel" aria-labelledby="files-title">
-      <h2 id="files-title">Videos</h2>
+      <h2 id="files-title">${SEND.videos}</h2>
       ${isMissing ? html`<p class="notice" role="status">${sending.draft.wasSending
-    ? `The upload was interrupted at ${percent(sending.fraction)}. Choose the same files again: it goes on where it stopped.`
-    : "The page was reloaded, and browsers keep no files. Choose the same files again."}</p>` : nothing}
+    ? SEND.interrupted(percent(sending.fraction)) : SEND.reloaded}</p>` : nothing}
       ${dropPart(!takesFiles())}
       ${sending.notes.map((note) => html`<p class="notice" role="status">${note}</p>`)}
       ${sending.rows.length ? fileTable({ sending, change, remove }) : nothing}
@@ -121,16 +119,16 @@ export function open(place) {
   function pairing(isLocked) {
     const { unpaired, unpairedRecordings, freeCameras: free } = sending;
     const listed = (names) => names.join(", ");
-    return html`<p class="notice">No camera's name, or more than one, is in the ${unpaired.length === 1 ? "name" : "names"} of ${listed(unpaired.map(({ name }) => name))}. ${free.length ? `Free cameras: ${listed(free)}. Choose the camera of each file.` : "No camera is free."}
-      ${free.length === unpairedRecordings.length ? html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.pairByOrder()}>Pair by the order of names</button>` : nothing}</p>`;
+    return html`<p class="notice">${SEND.unpaired(listed(unpaired.map(({ name }) => name)))} ${free.length ? SEND.free(listed(free)) : SEND.noneFree}
+      ${free.length === unpairedRecordings.length ? html`<button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.pairByOrder()}>${SEND.pair}</button>` : nothing}</p>`;
   }
 
   // Videos of cameras that have several, which may be the parts of a recording.
   function joining(isLocked) {
     const twice = findDoubled(sending.capture.views).filter(({ kind }) => kind === "video");
     if (twice.length === 0) return nothing;
-    return html`<p class="notice">One camera has two files: ${twice.map(({ name }) => name).join(", ")}.
-      <button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.join(twice)}>They are parts of one recording, in the order of their names</button></p>`;
+    return html`<p class="notice">${SEND.twice(twice.map(({ name }) => name).join(", "))}
+      <button type="button" class="button ghost" ?disabled=${isLocked} @click=${() => sending.join(twice)}>${SEND.join}</button></p>`;
   }
 
   function page() {
@@ -139,17 +137,17 @@ export function open(place) {
         @dragover=${(event) => { event.preventDefault(); if (!isOver) { isOver = true; draw(); } }}
         @dragleave=${(event) => { if (!place.contains(event.relatedTarget)) { isOver = false; draw(); } }}
         @drop=${(event) => { event.preventDefault(); isOver = false; draw(); if (takesFiles()) add(droppedFiles(event.dataTransfer)); }}>
-      <div class="bar"><h1 class="title">New capture</h1>
-        <label class="take"><span>Name of the take</span>
-          <input name="name" maxlength="200" placeholder="Handshake, take 3" autocomplete="off" .value=${typed(sending.capture.name)}
+      <div class="bar"><h1 class="title">${SEND.title}</h1>
+        <label class="take"><span>${SEND.name}</span>
+          <input name="name" maxlength="200" placeholder=${SEND.namePlaceholder} autocomplete="off" .value=${typed(sending.capture.name)}
             ?disabled=${isLocked} @input=${(event) => { sending.draft.name = event.target.value; sending.changed(); }}></label></div>
       <div class="steps">
         ${takesPanel(takes, failed)}
         ${filesPart(isLocked)}
-        <section class="panel" aria-labelledby="calibration-title"><h2 id="calibration-title">Calibration</h2>
+        <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
           ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (...chosen) => sending.readCalibration(...chosen) })}
         </section>
-        <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">Choices</h2>
+        <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">${SEND.options}</h2>
           ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, valueNote })}
         </section>
       </div>
@@ -165,7 +163,7 @@ export function open(place) {
   draw();
   for (const loading of [sending.loadOptions(), loadCalibrations(), characters.load(sending.draft.spec)]) loading.catch((problem) => { if (!isClosed) failed(problem); });
   return {
-    title: "New capture",
+    title: SEND.title,
     close() {
       isClosed = true;
       sending.removeEventListener("sent", onSent);
@@ -178,29 +176,28 @@ export function open(place) {
 
 // Part of the view Send that lists the takes of a folder.
 
-const TAKE_WORDS = { waiting: "waits", sent: "sent", before: "sent before", failed: "not sent" };
+const { folders: FOLDERS } = SEND;
 const TAKE_TONES = { sent: "good", before: "good", failed: "bad" };
-const AGAIN = { before: "Send again", failed: "Show" };
 
 function takesOffer(takes, failed) {
   const names = takes.offered.takes.map(({ name }) => name);
-  return html`<section class="panel" aria-labelledby="takes-title"><h2 id="takes-title">${count(names.length, "folder")}</h2>
-    <p>${names.join(", ")}: is each a take of all cameras?</p>
+  return html`<section class="panel" aria-labelledby="takes-title"><h2 id="takes-title">${COUNTS.folders(names.length)}</h2>
+    <p>${FOLDERS.offer(names.join(", "))}</p>
     <div class="actions">
-      <button type="button" class="button primary" @click=${() => takes.accept().catch(failed)}>They are ${names.length} takes</button>
-      <button type="button" class="button" @click=${() => takes.decline().catch(failed)}>All files are one capture</button>
+      <button type="button" class="button primary" @click=${() => takes.accept().catch(failed)}>${FOLDERS.accept(names.length)}</button>
+      <button type="button" class="button" @click=${() => takes.decline().catch(failed)}>${FOLDERS.decline}</button>
     </div></section>`;
 }
 
 function takeRow(take, takes, failed) {
   const { name, files, state, problem, job } = take;
   const tools = takes.isRunning ? nothing : html`
-    ${state in AGAIN ? html`<button type="button" class="button ghost" aria-label="${AGAIN[state]} ${name}" @click=${() => takes.again(take).catch(failed)}>${AGAIN[state]}</button>` : nothing}
-    ${state === "sent" ? nothing : html`<button type="button" class="button ghost icon" aria-label="Leave out ${name}" title="Leave out" @click=${() => takes.remove(take)}>✕</button>`}`;
+    ${state in FOLDERS.again ? html`<button type="button" class="button ghost" aria-label=${FOLDERS.againOf(FOLDERS.again[state], name)} @click=${() => takes.again(take).catch(failed)}>${FOLDERS.again[state]}</button>` : nothing}
+    ${state === "sent" ? nothing : html`<button type="button" class="button ghost icon" aria-label=${FOLDERS.leaveOutOf(name)} title=${FOLDERS.leaveOut} @click=${() => takes.remove(take)}>✕</button>`}`;
   return html`<li>
     <b>${job ? html`<a href=${address("jobs", job.id)}>${name}</a>` : name}</b>
-    <span class="quiet">${count(files.length, "file")}</span>
-    <span class="state" data-tone=${TAKE_TONES[state] ?? nothing}>${TAKE_WORDS[state]}</span>
+    <span class="quiet">${COUNTS.files(files.length)}</span>
+    <span class="state" data-tone=${TAKE_TONES[state] ?? nothing}>${FOLDERS.states[state]}</span>
     <span class="tools">${tools}</span>
     ${problemBox(problem)}</li>`;
 }
@@ -210,9 +207,9 @@ function takesPanel(takes, failed) {
   if (takes.list.length === 0) return nothing;
   const numSent = takes.list.filter(({ job }) => job).length;
   return html`<section class="panel" aria-labelledby="takes-title">
-    <h2 id="takes-title">${count(takes.list.length, "take")}, ${numSent} sent</h2>
-    <p class="quiet">All get the calibration and the choices below. A take that can't be sent does not stop the others.</p>
-    <ol class="takes" aria-label="Takes">${repeat(takes.list, ({ name }) => name, (take) => takeRow(take, takes, failed))}</ol></section>`;
+    <h2 id="takes-title">${FOLDERS.progress(COUNTS.captures(takes.list.length), numSent)}</h2>
+    <p class="quiet">${FOLDERS.hint}</p>
+    <ol class="takes" aria-label=${FOLDERS.list}>${repeat(takes.list, ({ name }) => name, (take) => takeRow(take, takes, failed))}</ol></section>`;
 }
 
 // The latest jobs in short, beside the form.
@@ -223,16 +220,16 @@ function recentJobs(feed) {
   const jobs = feed.newest().slice(0, SHOWN_JOBS);
   if (jobs.length === 0) return nothing;
   return html`<section class="panel recent" aria-labelledby="recent-title">
-    <h2 id="recent-title">Latest</h2>
+    <h2 id="recent-title">${SEND.recent}</h2>
     <ol>${repeat(jobs, ({ id }) => id, (job) => {
       const { words, tone } = jobState(job);
       return html`<li>
-        <a href=${address("jobs", job.id)}>${job.kind === "calibration" ? "Calibration: " : ""}${job.session_name}</a>
+        <a href=${address("jobs", job.id)}>${job.kind === "calibration" ? SEND.calibrationJob(job.session_name) : job.session_name}</a>
         <span class="state" data-tone=${tone}>${words}</span>
-        ${hasEnded(job) ? nothing : html`<progress max="1" .value=${job.progress} aria-label="Progress of ${job.session_name}"></progress>`}
+        ${hasEnded(job) ? nothing : html`<progress max="1" .value=${job.progress} aria-label=${SEND.progressOf(job.session_name)}></progress>`}
       </li>`;
     })}</ol>
-    <a class="all" href="#/captures">All captures</a>
+    <a class="all" href="#/captures">${SEND.allCaptures}</a>
   </section>`;
 }
 
@@ -249,7 +246,7 @@ async function fetchFile({ name, url, media_type: type }) {
 async function fetchSample() {
   const sample = await call("/v1/sample");
   if (!sample.installed) {
-    throw new RequestProblem({ detail: "The sample capture is not installed on the service.", hint: sample.install });
+    throw new RequestProblem({ detail: SEND.sampleMissing, hint: sample.install });
   }
   return { ...sample, files: await Promise.all(sample.files.map(fetchFile)) };
 }
@@ -258,7 +255,7 @@ async function fetchSample() {
 async function addSample(sending) {
   const { files, attribution } = await fetchSample();
   if (sending.rows.length) return false;
-  sending.draft.name ||= "Sample capture";
+  sending.draft.name ||= SEND.sampleName;
   await sending.add(files);
   sending.notes.push(attribution);
   return true;
@@ -269,7 +266,7 @@ function sampleButton({ sending, draw, failed }) {
     isSampleLoading = true;
     draw();
     try {
-      if (await sending.reading("the sample capture", addSample(sending))) await sending.send();
+      if (await sending.reading(SEND.unread.sample, addSample(sending))) await sending.send();
     } catch (problem) {
       failed(problem);
     } finally {
@@ -277,5 +274,5 @@ function sampleButton({ sending, draw, failed }) {
       draw();
     }
   };
-  return html`<button type="button" class="button ghost" ?disabled=${isSampleLoading} @click=${load}>${isSampleLoading ? "Loading the sample …" : "Try the sample capture"}</button>`;
+  return html`<button type="button" class="button ghost" ?disabled=${isSampleLoading} @click=${load}>${isSampleLoading ? SEND.sampleLoading : SEND.sample}</button>`;
 }

@@ -1,12 +1,14 @@
 // Requests to the service, by the browser's session or by the link that the page was opened with.
 
+import { PROBLEMS } from "./strings/common.js";
+
 // Refusals until others of the caller's own requests are answered.
 const BUSY = ["too_many_at_once", "too_many_checks"];
 
 export class RequestProblem extends Error {
   // body: a problem of RFC 9457, or null if the service did not answer.
   constructor(body, status = 0) {
-    super(body?.detail ?? "The service does not answer. It is asked again until it does.");
+    super(body?.detail ?? PROBLEMS.away);
     this.code = body?.code ?? null;
     this.items = body?.errors ?? [];
     this.hint = body?.hint ?? null;

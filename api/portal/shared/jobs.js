@@ -1,11 +1,9 @@
 // Jobs as words.
 
 import { day, moment, percent, roughly } from "./format.js";
+import { FORMATS, STATES } from "./strings/common.js";
 
-const STATES = {
-  queued: ["Waiting", "wait"], running: ["Running", "run"], canceling: ["Canceling", "wait"],
-  succeeded: ["Done", "good"], failed: ["Failed", "bad"], canceled: ["Canceled", "mute"], expired: ["Expired", "mute"],
-};
+const TONES = { queued: "wait", running: "run", canceling: "wait", succeeded: "good", failed: "bad" };
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 const STEADY_S = 2; // before that a rate says little
 
@@ -19,36 +17,36 @@ const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
 export function jobState(job) {
-  if (job.state === "succeeded" && foundNobody(job)) return { words: "Done: nobody was found", tone: "empty" };
-  if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: "Done: the edits leave nobody", tone: "empty" };
-  if (job.state === "succeeded" && job.warnings.some(({ severity }) => severity !== "info")) return { words: "Done, with warnings", tone: "warn" };
-  const [words, tone] = STATES[job.state] ?? [job.state, "mute"];
-  return { words: job.state === "running" ? `${words} ${percent(job.progress)}` : words, tone };
+  if (job.state === "succeeded" && foundNobody(job)) return { words: STATES.foundNobody, tone: "empty" };
+  if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: STATES.emptied, tone: "empty" };
+  if (job.state === "succeeded" && job.warnings.some(({ severity }) => severity !== "info")) return { words: STATES.doneWithWarnings, tone: "warn" };
+  const words = job.state === "running" ? STATES.runningAt(percent(job.progress)) : STATES[job.state];
+  return { words, tone: TONES[job.state] ?? "mute" };
 }
 
 // Facts of a job in short: times, attempts, its place in the queue, time left.
 export function jobFacts(job) {
   const facts = [moment(job.created_at)];
   // A change of the edits is an attempt too.
-  if (job.attempt > job.revision + 1) facts.push(`attempt ${job.attempt - job.revision}`);
-  if (job.revision > 0) facts.push(`revision ${job.revision}`);
-  if (job.state === "queued" && job.queue_position) facts.push(`number ${job.queue_position} in the queue`);
-  if (job.state === "running" && job.eta_s !== null) facts.push(`about ${roughly(job.eta_s)} left`);
+  if (job.attempt > job.revision + 1) facts.push(STATES.attempt(job.attempt - job.revision));
+  if (job.revision > 0) facts.push(STATES.revision(job.revision));
+  if (job.state === "queued" && job.queue_position) facts.push(STATES.inQueue(job.queue_position));
+  if (job.state === "running" && job.eta_s !== null) facts.push(STATES.timeLeft(roughly(job.eta_s)));
   if (hasEnded(job) && job.started_at && job.finished_at) {
-    facts.push(`took ${roughly((new Date(job.finished_at) - new Date(job.started_at)) / 1000)}`);
+    facts.push(STATES.took(roughly((new Date(job.finished_at) - new Date(job.started_at)) / 1000)));
   }
-  if (job.state === "succeeded" && job.expires_at) facts.push(`kept until ${day(job.expires_at)}`);
+  if (job.state === "succeeded" && job.expires_at) facts.push(STATES.keptUntil(day(job.expires_at)));
   return facts;
 }
 
 // Progress of a stage as words, with frames a second while it runs.
 export function describeProgress(stage) {
-  if (stage.state === "done") return stage.reused ? "done before" : "done";
+  if (stage.state === "done") return stage.reused ? STATES.doneBefore : STATES.done;
   if (stage.state === "waiting" || stage.done === 0) return "";
   const elapsed_s = (Date.now() - new Date(stage.started_at)) / 1000;
   const isRated = stage.unit === "frames" && stage.state === "running" && stage.started_at && elapsed_s > STEADY_S;
-  const rate = isRated ? `, ${(stage.done / elapsed_s).toFixed(stage.done < 10 * elapsed_s ? 1 : 0)} frames/s` : "";
-  return `${stage.done} of ${stage.total}${rate}`;
+  const rate = isRated ? `, ${STATES.rate((stage.done / elapsed_s).toFixed(stage.done < 10 * elapsed_s ? 1 : 0))}` : "";
+  return `${STATES.progress(stage.done, stage.total)}${rate}`;
 }
 
 // How long a reconstruction of videos will take: an estimate, from jobs of this service or from the measurements of one core.
@@ -76,7 +74,7 @@ function measurePace(job, options) {
 }
 
 // An estimate needs no seconds.
-const minutes = (seconds) => (seconds < 50 ? "less than a minute" : `about ${seconds < 90 ? "1 min" : roughly(seconds)}`);
+const minutes = (seconds) => (seconds < 50 ? STATES.shortTime : STATES.about(seconds < 90 ? FORMATS.minutes(1) : roughly(seconds)));
 
 // Estimate of a job with a spec on so many frames of all cameras, as `{ text, source }`; null without one.
 export function estimateTime(spec, numCameraFrames, jobs, options) {
@@ -86,7 +84,7 @@ export function estimateTime(spec, numCameraFrames, jobs, options) {
   const pace = paces.length ? paces[Math.floor(paces.length / 2)] : 1;
   return {
     text: minutes(numCameraFrames * frameS * pace),
-    source: paces.length ? "estimated from the last jobs of this service" : "estimated from measurements on one core; this service may be faster or slower",
+    source: paces.length ? STATES.fromJobs : STATES.fromMeasurements,
   };
 }
 

@@ -2,6 +2,7 @@
 
 import { Directive, directive } from "../vendor/lit-html/directive.js";
 import { html, noChange, nothing, render } from "../vendor/lit-html/lit-html.js";
+import { COMMON } from "./strings/common.js";
 
 export { html, nothing, render };
 export { svg } from "../vendor/lit-html/lit-html.js";
@@ -39,7 +40,7 @@ export const prose = (text) => text.split("`").map((part, index) => (index % 2 ?
 
 // A question before something is lost. The focus returns to where it was.
 
-export function confirm({ title, text, action, refusal = "Keep" }) {
+export function confirm({ title, text, action, refusal = COMMON.keep }) {
   return new Promise((resolve) => {
     const dialog = document.createElement("dialog");
     dialog.setAttribute("aria-labelledby", "dialog-title");
@@ -67,18 +68,28 @@ function where(item) {
   return [item.file, item.camera, item.field].filter(Boolean).join(", ") || item.pointer || "";
 }
 
+// Link to a page of the documentation, beside what it is about.
+export const helpLink = (topic, about) => html`<a class="help" href="/help/${topic}" target="_blank" rel="noopener"
+  aria-label=${COMMON.help(about)} title=${COMMON.help(about)}>?</a>`;
+
+// Link to what a code of a problem, a finding or a warning means, and what to do.
+export const moreLink = (code) => (code ? html` <a class="more" href="/help/problems#${code}" target="_blank" rel="noopener"
+  aria-label=${COMMON.moreAbout(code)}>${COMMON.more}</a>` : nothing);
+
 // Box with a problem and its parts; nothing without a problem.
 export function problemBox(problem) {
   if (!problem) return nothing;
   return html`<div class="problem" role="alert">
-    <p>${problem.message ?? problem.detail}${problem.hint ? html` <span class="hint">${problem.hint}</span>` : nothing}</p>
+    <p>${problem.message ?? problem.detail}${problem.hint ? html` <span class="hint">${problem.hint}</span>` : nothing}${moreLink(problem.code)}</p>
     ${problem.items?.length ? html`<ul>${problem.items.map((item) => html`<li>
       ${where(item) ? html`<b>${where(item)}:</b> ` : nothing}${item.message}
-      ${item.hint ? html`<span class="hint">${item.hint}</span>` : nothing}</li>`)}</ul>` : nothing}
+      ${item.hint ? html`<span class="hint">${item.hint}</span>` : nothing}${moreLink(item.code)}</li>`)}</ul>` : nothing}
   </div>`;
 }
 
-export function warningList(warnings, label = "Warnings") {
+// List of warnings; nothing without any. `notes` has what is known of warnings, by their codes.
+export function warningList(warnings, label, notes = {}) {
   if (!warnings?.length) return nothing;
-  return html`<ul class="warnings" aria-label=${label}>${warnings.map(({ message }) => html`<li>${message}</li>`)}</ul>`;
+  return html`<ul class="warnings" aria-label=${label}>${warnings.map(({ code, message, hint }) => html`<li>${message}
+    ${hint ? html`<span class="hint">${hint}</span>` : nothing} ${notes[code] ?? nothing}${moreLink(code)}</li>`)}</ul>`;
 }

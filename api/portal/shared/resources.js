@@ -2,6 +2,8 @@
 
 import { call, jsonPart } from "./api.js";
 import { day } from "./format.js";
+import { FORMATS } from "./strings/common.js";
+import { OPTIONS } from "./strings/send.js";
 
 const KEPT_MS = 30_000;
 
@@ -25,10 +27,10 @@ export function choiceText(choice, value) {
 export function describeSpec(spec, { choices }) {
   const differs = (choice) => JSON.stringify(spec[choice.name] ?? null) !== JSON.stringify(choice.default ?? null);
   const describe = (choice) => (choice.kind === "flag"
-    ? { label: spec[choice.name] ? "With" : "Without", value: choice.label }
+    ? { label: spec[choice.name] ? OPTIONS.with : OPTIONS.without, value: choice.label }
     : { label: choice.label, value: choiceText(choice, spec[choice.name]) });
   const changed = choices.filter((choice) => choice.name in spec && differs(choice)).map(describe);
-  return spec.character ? [...changed, { label: "With", value: "a character" }] : changed;
+  return spec.character ? [...changed, { label: OPTIONS.with, value: OPTIONS.aCharacter }] : changed;
 }
 
 // Stored calibrations as lists for people.
@@ -55,7 +57,7 @@ export function usable(calibrations) {
 }
 
 // Name and day of a calibration, as in a list to choose from.
-export const dated = ({ name, created_at: created }) => (created ? `${name} (${day(created)})` : name);
+export const dated = ({ name, created_at: created }) => (created ? FORMATS.dated(name, day(created)) : name);
 
 // The characters of one's own: their list, and those that were opened, with their bones.
 

@@ -1,23 +1,24 @@
 // Controls of the viewer: play head, view, shapes of people, and the keyboard.
 
+import { VIEWER } from "../shared/strings/viewer.js";
 import { clockText, el, icon, iconButton } from "./dom.js";
 import { SPEEDS } from "./player.js";
 
 export function transport(player) {
-  const play = iconButton("play", "Play", () => player.toggle(), { class: "look-button look-icon look-play" });
-  const loop = iconButton("loop", "Loop", () => player.setLooping(!player.isLooping), { "aria-pressed": "true" });
-  const speed = el("select", { class: "look-select", "aria-label": "Speed", onchange: () => player.setSpeed(Number(speed.value)) },
-    SPEEDS.map((value) => el("option", { value, selected: value === 1 }, `${value} ×`)));
+  const play = iconButton("play", VIEWER.play, () => player.toggle(), { class: "look-button look-icon look-play" });
+  const loop = iconButton("loop", VIEWER.loop, () => player.setLooping(!player.isLooping), { "aria-pressed": "true" });
+  const speed = el("select", { class: "look-select", "aria-label": VIEWER.speed, onchange: () => player.setSpeed(Number(speed.value)) },
+    SPEEDS.map((value) => el("option", { value, selected: value === 1 }, VIEWER.times(value))));
   const where = el("output", { class: "look-where" });
-  const element = el("div", { class: "look-transport", role: "group", "aria-label": "Playing" },
-    iconButton("start", "Go to the first frame (Home)", () => { player.pause(); player.seek(0); }),
-    iconButton("back", "One frame back (Left)", () => player.step(-1)),
+  const element = el("div", { class: "look-transport", role: "group", "aria-label": VIEWER.playing },
+    iconButton("start", VIEWER.first, () => { player.pause(); player.seek(0); }),
+    iconButton("back", VIEWER.back, () => player.step(-1)),
     play,
-    iconButton("forward", "One frame forward (Right)", () => player.step(1)),
-    iconButton("end", "Go to the last frame (End)", () => { player.pause(); player.seek(player.numFrames - 1); }),
+    iconButton("forward", VIEWER.forward, () => player.step(1)),
+    iconButton("end", VIEWER.last, () => { player.pause(); player.seek(player.numFrames - 1); }),
     loop, speed, where);
   const showState = () => {
-    const label = player.isPlaying ? "Pause (Space)" : "Play (Space)";
+    const label = player.isPlaying ? VIEWER.pause : VIEWER.play;
     play.replaceChildren(icon(player.isPlaying ? "pause" : "play"));
     play.setAttribute("aria-label", label);
     play.title = label;
@@ -25,8 +26,8 @@ export function transport(player) {
     speed.value = String(player.speed);
   };
   const showPlace = () => {
-    const source = player.firstSourceFrame === 0 ? "" : ` (${player.firstSourceFrame + player.frame} of the source)`;
-    where.textContent = `${clockText(player.frame / player.rateHz)} / ${clockText((player.numFrames - 1) / player.rateHz)} · frame ${player.frame} of ${player.numFrames}${source}`;
+    const [time, total] = [player.frame, player.numFrames - 1].map((frame) => clockText(frame / player.rateHz));
+    where.textContent = VIEWER.place(time, total, player.frame, player.numFrames, player.firstSourceFrame === 0 ? null : player.firstSourceFrame + player.frame);
   };
   // Screen readers read a changing output again and again: not while it runs.
   player.addEventListener("change", () => { showState(); where.setAttribute("aria-live", player.isPlaying ? "off" : "polite"); });
@@ -38,29 +39,29 @@ export function transport(player) {
 
 // Controls over the 3D view: what is shown, from where, and the keys.
 
-const DIRECTIONS = [["Fit", null], ["Top", "top"], ["Front", "front"], ["Side", "side"]];
-const LAYERS = [["body", "Bodies", true], ["skeleton", "Bones", false], ["trails", "Trails", true], ["contacts", "Foot contacts", true], ["cameras", "Cameras", true], ["names", "Names", true]];
+const DIRECTIONS = [["fit", null], ["top", "top"], ["front", "front"], ["side", "side"]];
+const LAYERS = [["body", true], ["skeleton", false], ["trails", true], ["contacts", true], ["cameras", true], ["names", true]];
 
 /** `onoptions` is called with what is to be shown whenever that changes; `shapes` is the choice of what people look like. */
 export function viewControls(viewer, shapes, onoptions) {
-  const options = Object.fromEntries(LAYERS.map(([name, , isShown]) => [name, isShown]));
-  const layers = LAYERS.map(([name, label]) => {
+  const options = Object.fromEntries(LAYERS.map(([name, isShown]) => [name, isShown]));
+  const layers = LAYERS.map(([name]) => {
     const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
-    return el("label", {}, box, ` ${label}`);
+    return el("label", {}, box, ` ${VIEWER.layers[name]}`);
   });
-  const directions = directionBar(viewer, { Fit: "Fit the view (F)" });
+  const directions = directionBar(viewer, { fit: VIEWER.fitTitle });
   const element = el("div", { class: "look-overlay" }, directions.element,
-    el("div", { class: "look-bar" }, menu("Show", [layers[0], shapes, ...layers.slice(1)]), menu("Keys", keys())));
+    el("div", { class: "look-bar" }, menu(VIEWER.show, [layers[0], shapes, ...layers.slice(1)]), menu(VIEWER.keys, keys())));
   return { element, showSeen: directions.showSeen };
 }
 
 /** Buttons and a choice of where the view is from; `viewer` has `fit`, `see` and `description.cameras`, `titles` are of buttons. */
 export function directionBar(viewer, titles = {}) {
-  const seen = el("select", { class: "look-select", "aria-label": "View", onchange: () => viewer.see(seen.value === "" ? null : Number(seen.value)) },
-    el("option", { value: "" }, "Orbit"),
-    viewer.description.cameras.map(({ name }, number) => el("option", { value: number }, `Through ${name}`)));
-  const element = el("div", { class: "look-bar", role: "group", "aria-label": "View" },
-    DIRECTIONS.map(([label, direction]) => el("button", { type: "button", class: "look-button", title: titles[label] ?? null, onclick: () => viewer.fit(direction) }, label)),
+  const seen = el("select", { class: "look-select", "aria-label": VIEWER.view, onchange: () => viewer.see(seen.value === "" ? null : Number(seen.value)) },
+    el("option", { value: "" }, VIEWER.orbit),
+    viewer.description.cameras.map(({ name }, number) => el("option", { value: number }, VIEWER.through(name))));
+  const element = el("div", { class: "look-bar", role: "group", "aria-label": VIEWER.view },
+    DIRECTIONS.map(([name, direction]) => el("button", { type: "button", class: "look-button", title: titles[name] ?? null, onclick: () => viewer.fit(direction) }, VIEWER.directions[name])),
     seen);
   return { element, showSeen: (number) => { seen.value = number === null ? "" : String(number); } };
 }
@@ -79,12 +80,11 @@ function menu(label, content) {
 }
 
 function keys() {
-  return el("dl", { class: "look-keys", id: "look-keys" }, KEYS.flatMap(([key, effect]) => [el("dt", {}, key), el("dd", {}, effect)]));
+  return el("dl", { class: "look-keys", id: "look-keys" }, VIEWER.keyTable.flatMap(([key, effect]) => [el("dt", {}, key), el("dd", {}, effect)]));
 }
 
 // Choice of what people look like in the 3D view: humans, capsules, or the job's character, which is loaded when it is chosen.
 
-const LABELS = { human: "Humans", capsule: "Capsules", character: "My character" };
 const MB = 1e6;
 
 export class ShapeChoice {
@@ -100,9 +100,9 @@ export class ShapeChoice {
     const shapes = viewer.description.body ? ["human", "capsule"] : ["capsule"];
     [this.#usual] = shapes;
     this.select = el("select", { class: "look-select", onchange: () => this.choose(this.select.value) },
-      shapes.map((shape) => el("option", { value: shape }, LABELS[shape])));
-    this.element = el("label", {}, "Bodies as ", this.select);
-    this.progress = el("progress", { class: "look-progress", max: 1, value: 0, "aria-label": "Loading the character" });
+      shapes.map((shape) => el("option", { value: shape }, VIEWER.shapes[shape])));
+    this.element = el("label", {}, VIEWER.bodiesAs, this.select);
+    this.progress = el("progress", { class: "look-progress", max: 1, value: 0, "aria-label": VIEWER.characterLoading });
     this.#showState(false);
   }
 
@@ -133,7 +133,7 @@ export class ShapeChoice {
       return;
     }
     this.#showState(true);
-    this.#viewer.say("Loading the character …");
+    this.#viewer.say(VIEWER.characterLoadingNow);
     try {
       await this.#viewer.view.characters.load(this.#files, signal, (share) => { this.progress.value = share; });
       this.#viewer.view.showAs("character");
@@ -162,7 +162,7 @@ export class ShapeChoice {
     const numBytes = files.reduce((sum, file) => sum + file.numBytes, 0);
     const size = `${(numBytes / MB).toFixed(1)} MB`;
     // The mesh is read once, though each file has it.
-    if (files.length > 0) this.select.append(el("option", { value: "character" }, `${LABELS.character} (${files.length > 1 ? "up to " : ""}${size})`));
+    if (files.length > 0) this.select.append(el("option", { value: "character" }, VIEWER.characterSize(VIEWER.shapes.character, size, files.length > 1)));
     this.#showState(false);
   }
 
@@ -174,7 +174,7 @@ export class ShapeChoice {
     this.select.value = this.#usual;
     this.#showUsual();
     this.#viewer.view?.characters.clear();
-    this.#viewer.say(`The character can't be shown: ${message}`);
+    this.#viewer.say(VIEWER.characterFailed(message));
   }
 
   #showState(isLoading) {
@@ -187,13 +187,6 @@ export class ShapeChoice {
 // Keyboard of the viewer.
 
 const TURN_RAD = 0.12;
-
-/** Keys for the help of the viewer: key, and what it does. */
-const KEYS = [
-  ["Space", "play or pause"], ["← →", "one frame back or forward, with Shift ten"], ["Home End", "first or last frame"],
-  ["N P", "next or previous spot that deserves a look"], ["1 – 9", "see through a camera, 0 orbit again"], ["F", "fit the view"],
-  ["L", "loop"], ["− +", "slower or faster"], ["A D W S", "turn the view", ], ["Q E", "closer or farther"],
-];
 
 /** Listen to the keys while the focus is in the viewer or nowhere; returns a function that ends it. */
 export function listenToKeys(viewer) {

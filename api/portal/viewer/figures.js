@@ -1,6 +1,8 @@
 // Figures of a take: tables of people and cameras, plots, gait, clocks, warnings.
 
 import { html, render, svg } from "../shared/lit.js";
+import { COMMON } from "../shared/strings/common.js";
+import { FIGURES } from "../shared/strings/viewer.js";
 import { el, figure } from "./dom.js";
 import { Plots } from "./plots.js";
 
@@ -16,12 +18,12 @@ export class FigureTabs {
     const gait = gaitPanel(description, player);
     const { warnings } = description;
     this.element = tabs([
-      { id: "people", label: "People", element: peopleTable(description, player, strips.spots) },
-      { id: "plots", label: "Plots", element: this.#plots.element, onshow: () => this.#plots.draw(true) },
-      ...(gait ? [{ id: "gait", label: "Gait and movement", element: gait }] : []),
-      { id: "cameras", label: "Cameras", element: camerasTable(description) },
-      ...(clocks ? [{ id: "clocks", label: "Clocks", element: clocks }] : []),
-      ...(warnings.length > 0 ? [{ id: "warnings", label: `Warnings (${warnings.length})`, element: el("ul", { class: "look-warnings" }, warnings.map(({ message }) => el("li", {}, message))) }] : []),
+      { id: "people", label: FIGURES.tabs.people, element: peopleTable(description, player, strips.spots) },
+      { id: "plots", label: FIGURES.tabs.plots, element: this.#plots.element, onshow: () => this.#plots.draw(true) },
+      ...(gait ? [{ id: "gait", label: FIGURES.tabs.gait, element: gait }] : []),
+      { id: "cameras", label: FIGURES.tabs.cameras, element: camerasTable(description) },
+      ...(clocks ? [{ id: "clocks", label: FIGURES.tabs.clocks, element: clocks }] : []),
+      ...(warnings.length > 0 ? [{ id: "warnings", label: FIGURES.warnings(warnings.length), element: el("ul", { class: "look-warnings" }, warnings.map(({ message, code }) => el("li", {}, `${message} `, code ? moreLink(code) : null))) }] : []),
     ], tab);
   }
 
@@ -38,44 +40,49 @@ export class FigureTabs {
   }
 }
 
+/** Link to what a warning means, and what to do. */
+function moreLink(code) {
+  return el("a", { href: `/help/problems#${code}`, target: "_blank", rel: "noopener", "aria-label": COMMON.moreAbout(code) }, COMMON.more);
+}
+
 /** Table of the people: where they are and how well they were seen. */
 function peopleTable(description, player, spots) {
   const rate = description.frame_rate_hz;
   const rows = description.people.map((person, number) => el("tr", {},
     el("th", { scope: "row" }, el("span", { class: "look-swatch" }), person.name),
-    el("td", {}, goTo(player, person.start_frame, `${person.start_frame} – ${person.start_frame + person.num_frames - 1}`, `${person.name}, frames`)),
+    el("td", {}, goTo(player, person.start_frame, `${person.start_frame} – ${person.start_frame + person.num_frames - 1}`, FIGURES.framesOf(person.name))),
     el("td", {}, figure(person.num_frames / rate, 1, " s")),
     el("td", {}, figure((person.coverage ?? NaN) * 100, 0, " %")),
     el("td", {}, figure(person.reprojection_error_px, 1, " px")),
     el("td", {}, figure(person.stature_m, 2, " m")),
     el("td", {}, figure(person.identity.confidence * 100, 0, " %"), doubts(player, person)),
     el("td", {}, String(person.contacts.length)),
-    el("td", {}, spots[number].length === 0 ? "none" : goTo(player, spots[number][0].from, String(spots[number].length), `${person.name}, spots to look at:`))));
+    el("td", {}, spots[number].length === 0 ? FIGURES.none : goTo(player, spots[number][0].from, String(spots[number].length), FIGURES.spotsOf(person.name)))));
   rows.forEach((row, number) => row.style.setProperty("--tint", description.people[number].color));
-  return table("People", ["Person", "Frames", "Length", "Measured", "Reprojection error", "Stature", "Identity", "Foot contacts", "Spots to look at"], rows);
+  return table(FIGURES.tabs.people, FIGURES.people, rows);
 }
 
 function camerasTable(description) {
   const { by_camera: errors } = description.reprojection_error_px;
-  return table(description.is_refined ? "Cameras (refined)" : "Cameras", ["Camera", "Picture", "Focal length", "Lens", "Median error", "Video"],
+  return table(description.is_refined ? FIGURES.refined : FIGURES.tabs.cameras, FIGURES.cameras,
     description.cameras.map((camera) => el("tr", {},
       el("th", { scope: "row" }, camera.name),
       el("td", {}, `${camera.size_px[0]} × ${camera.size_px[1]}`),
       el("td", {}, figure(camera.matrix[0][0], 0, " px")),
-      el("td", {}, camera.lens === "fisheye" ? "fisheye" : camera.distortion.some((value) => value !== 0) ? "distorted" : "ideal"),
+      el("td", {}, FIGURES.lenses[camera.lens === "fisheye" ? "fisheye" : camera.distortion.some((value) => value !== 0) ? "distorted" : "ideal"]),
       el("td", {}, figure(errors[camera.name] ?? NaN, 1, " px")),
-      el("td", {}, camera.video ?? "–"))));
+      el("td", {}, camera.video ?? FIGURES.unknown))));
 }
 
 function doubts(player, { name, identity }) {
-  return identity.doubts.map(({ frame, confidence }) => el("span", {}, " ", goTo(player, frame, `${figure(confidence * 100, 0, " %")} at ${frame}`, `${name}, identity:`)));
+  return identity.doubts.map(({ frame, confidence }) => el("span", {}, " ", goTo(player, frame, FIGURES.doubt(figure(confidence * 100, 0, " %"), frame), FIGURES.identityOf(name))));
 }
 
 // Tables of figures, and buttons in them that go to a frame.
 
 /** Button that goes to a frame; `about` tells it from the others in its name. */
 export function goTo(player, frame, text, about) {
-  return el("button", { type: "button", class: "look-link", title: `Go to frame ${frame}`, "aria-label": `${about} ${text}`, onclick: () => { player.pause(); player.seek(frame); } }, text);
+  return el("button", { type: "button", class: "look-link", title: FIGURES.goTo(frame), "aria-label": `${about} ${text}`, onclick: () => { player.pause(); player.seek(frame); } }, text);
 }
 
 /** Table with a caption, in a box that scrolls. */
@@ -87,57 +94,57 @@ export function table(caption, heads, rows) {
 
 // Gait and movements of the people as tables; a movement leads to its frame.
 
-// Heading, figure, decimals and unit of each column.
-const FIGURES = [
-  ["Stride length", "stride_length_m", 2, " m"],
-  ["Step width", "step_width_m", 2, " m"],
-  ["Cadence", "cadence_steps_per_min", 0, " steps/min"],
-  ["Speed", "speed_m_s", 2, " m/s"],
-  ["Stance", "stance_percent", 0, " %"],
-  ["Double support", "double_support_percent", 0, " %"],
+// Figure, decimals and unit of each column.
+const GAIT_FIGURES = [
+  ["stride_length_m", 2, " m"],
+  ["step_width_m", 2, " m"],
+  ["cadence_steps_per_min", 0, FIGURES.stepsPerMinute],
+  ["speed_m_s", 2, " m/s"],
+  ["stance_percent", 0, " %"],
+  ["double_support_percent", 0, " %"],
 ];
-const KINDS = { jump: "Jump", squat: "Squat", sit_to_stand: "Stands up from a seat", stand_to_sit: "Sits down" };
 
-/** Panel of gait and movements; null if nobody walks, jumps, squats or sits down. */
+/** Panel of gait and movements; null without walks, jumps, squats and sitting. */
 function gaitPanel(description, player) {
   const walkers = description.people.filter(({ gait }) => gait);
   const movers = description.people.filter(({ movements }) => movements?.length > 0);
   if (walkers.length === 0 && movers.length === 0) return null;
   return el("div", {},
-    walkers.length === 0 ? null : table("Gait", ["Person", "Side", "Strides", ...FIGURES.map(([heading]) => heading), "Confidence"], walkers.flatMap(gaitRows)),
-    movers.length === 0 ? null : table("Movements", ["Person", "Movement", "Frame", "Duration", "Height or depth", "Confidence"],
+    walkers.length === 0 ? null : table(FIGURES.gait, [...FIGURES.gaitHead, ...FIGURES.gaitFigures, FIGURES.confidence], walkers.flatMap(gaitRows)),
+    movers.length === 0 ? null : table(FIGURES.movements, FIGURES.movementHead,
       movers.flatMap((person) => person.movements.map((movement) => movementRow(description, player, person, movement)))));
 }
 
 function gaitRows({ name, gait }) {
   return ["both", "left", "right"].map((side) => el("tr", {},
     el("th", { scope: "row" }, name),
-    el("td", {}, side),
+    el("td", {}, FIGURES.sides[side]),
     el("td", {}, String(gait[side].stride_time_s?.num ?? 0)),
-    FIGURES.map(([, key, decimals, unit]) => el("td", {}, spread(gait[side][key], decimals, unit))),
+    GAIT_FIGURES.map(([key, decimals, unit]) => el("td", {}, spread(gait[side][key], decimals, unit))),
     el("td", {}, figure(gait.confidence * 100, 0, " %"))));
 }
 
 function movementRow({ start_time_s: startS, frame_rate_hz: rate }, player, { name }, movement) {
   const frame = Math.max(0, Math.round((movement.start_s - startS) * rate));
+  const kind = FIGURES.movementKinds[movement.kind] ?? movement.kind;
   return el("tr", {},
     el("th", { scope: "row" }, name),
-    el("td", {}, KINDS[movement.kind] ?? movement.kind),
-    el("td", {}, goTo(player, frame, String(frame), `${name}, ${KINDS[movement.kind] ?? movement.kind}:`)),
+    el("td", {}, kind),
+    el("td", {}, goTo(player, frame, String(frame), FIGURES.movementOf(name, kind))),
     el("td", {}, figure(movement.duration_s, 2, " s")),
     el("td", {}, amount(movement)),
     el("td", {}, figure(movement.confidence * 100, 0, " %")));
 }
 
 function amount({ height_by_flight_m: byFlightM, height_by_hips_m: byHipsM, depth_m: depthM }) {
-  if (depthM !== undefined) return figure(depthM, 2, " m deep");
-  return [byFlightM === undefined ? null : figure(byFlightM, 2, " m by flight time"), figure(byHipsM, 2, " m by the hips")]
+  if (depthM !== undefined) return figure(depthM, 2, FIGURES.deep);
+  return [byFlightM === undefined ? null : figure(byFlightM, 2, FIGURES.byFlight), figure(byHipsM, 2, FIGURES.byHips)]
     .filter((text) => text !== null).join(", ");
 }
 
 /** Mean, and the standard deviation if there is one. */
 function spread(value, decimals, unit) {
-  if (!value) return "–";
+  if (!value) return FIGURES.unknown;
   return value.std === null ? figure(value.mean, decimals, unit) : `${figure(value.mean, decimals)} ± ${figure(value.std, decimals, unit)}`;
 }
 
@@ -149,16 +156,16 @@ const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [420, 150, 44, 10, 10, 26];
 function clocksPanel({ clocks }) {
   if (!clocks) return null;
   const panel = el("div", { class: "look-clocks" });
-  render(html`<p class="look-quiet">Offsets were measured from people in motion. A curve shows the share of moving joints that disagree with the other cameras, were the offset another one: one narrow valley is a good answer.</p>
+  render(html`<p class="look-quiet">${FIGURES.clocks}</p>
     <div class="look-curves">${clocks.map((clock) => html`<figure>${curve(clock)}<figcaption>${caption(clock)}</figcaption></figure>`)}</div>`, panel);
   return panel;
 }
 
 function caption({ camera, offset_s: offsetS, sigma_s: sigmaS, rate }) {
-  const spread = sigmaS === null ? ", standard deviation unknown" : ` ± ${figure(sigmaS * 1000, 1)} ms`;
+  const spread = sigmaS === null ? FIGURES.spreadUnknown : FIGURES.spread(figure(sigmaS * 1000, 1));
   const drift = (1 - rate) * 1e6;
-  const fast = Math.abs(drift) < 0.05 ? "" : `, clock ${drift > 0 ? "fast" : "slow"} by ${figure(Math.abs(drift), 1)} ppm`;
-  return html`<b>${camera}</b> starts at ${figure(offsetS, 3)} s${spread}${fast}`;
+  const fast = Math.abs(drift) < 0.05 ? "" : FIGURES.drift(drift > 0, figure(Math.abs(drift), 1));
+  return html`<b>${camera}</b>${FIGURES.startsAt(figure(offsetS, 3), spread, fast)}`;
 }
 
 function curve({ camera, offset_s: foundS, sigma_s: sigmaS, offsets_s: offsetsS, disagreement }) {
@@ -168,7 +175,7 @@ function curve({ camera, offset_s: foundS, sigma_s: sigmaS, offsets_s: offsetsS,
   const seconds = Array.from({ length: Math.max(0, Math.floor(highS) - Math.ceil(lowS) + 1) }, (_, number) => Math.ceil(lowS) + number);
   const spread = Math.max(2, x(foundS + (sigmaS ?? 0)) - x(foundS - (sigmaS ?? 0)));
   const points = offsetsS.map((valueS, number) => [x(valueS), y(disagreement[number]), valueS]);
-  return html`<svg viewBox="0 0 ${WIDTH} ${HEIGHT}" role="img" aria-label="${camera}: disagreement over the offset">
+  return html`<svg viewBox="0 0 ${WIDTH} ${HEIGHT}" role="img" aria-label=${FIGURES.clockCurve(camera)}>
     <path class="look-axis" d="M${LEFT},${y(0)}H${WIDTH - RIGHT}M${LEFT},${y(1)}H${WIDTH - RIGHT}"></path>
     ${[0, 0.5, 1].map((share) => svg`<text x=${LEFT - 6} y=${y(share) + 4} text-anchor="end">${100 * share} %</text>`)}
     ${seconds.map((second) => svg`<text x=${x(second)} y=${HEIGHT - 8} text-anchor="middle">${second} s</text>`)}
@@ -198,7 +205,7 @@ export function tabs(items, first = null) {
     type: "button", role: "tab", id: `${group}-${id}`, "aria-controls": `${group}-panel-${id}`, class: "look-tab", onclick: () => show(number),
   }, label));
   const panels = items.map(({ id, element }) => el("div", { role: "tabpanel", id: `${group}-panel-${id}`, "aria-labelledby": `${group}-${id}` }, element));
-  const list = el("div", { role: "tablist", class: "look-tablist", "aria-label": "Figures of the take" }, buttons);
+  const list = el("div", { role: "tablist", class: "look-tablist", "aria-label": FIGURES.title }, buttons);
   const show = (chosen) => {
     buttons.forEach((button, number) => {
       button.setAttribute("aria-selected", String(number === chosen));

@@ -1,5 +1,6 @@
 // Entry of the viewer: `mount(element, source)` shows a job's motion, `mountPair` two jobs on the same clock.
 
+import { VIEWER } from "../shared/strings/viewer.js";
 import { transport } from "./controls.js";
 import { el } from "./dom.js";
 import { FigureTabs } from "./figures.js";
@@ -46,7 +47,7 @@ function viewJob(element, source, description, player, options) {
 }
 
 async function describe(element, sources) {
-  element.replaceChildren(el("p", { class: "look-loading", role: "status" }, "Loading the motion …"));
+  element.replaceChildren(el("p", { class: "look-loading", role: "status" }, VIEWER.loadingMotion));
   try {
     const descriptions = await Promise.all(sources.map((source) => source.description()));
     const origin = chooseOrigin(descriptions[0]);
@@ -133,7 +134,7 @@ async function part(address, from, to, { signal, onbytes = () => {} }) {
     place += value.length;
     onbytes(value.length);
   }
-  if (place !== bytes.length) throw new Error("The service sent another part of the file than it was asked for.");
+  if (place !== bytes.length) throw new Error(VIEWER.fileChanged);
   return bytes.buffer;
 }
 
@@ -141,5 +142,5 @@ async function get(address, signal, headers = {}) {
   const answer = await fetch(address, { signal, headers });
   if (answer.ok) return answer;
   const problem = await answer.json().catch(() => ({}));
-  throw new Error([problem.detail ?? `The service answers with ${answer.status}.`, problem.hint].filter(Boolean).join(" "));
+  throw new Error([problem.detail ?? VIEWER.answers(answer.status), problem.hint].filter(Boolean).join(" "));
 }

@@ -1,5 +1,6 @@
 // Plots around the play head: reprojection error by camera and joint, joint angles, bends, speeds.
 
+import { FIGURES } from "../shared/strings/viewer.js";
 import uPlot from "../vendor/uPlot.esm.js";
 import { el } from "./dom.js";
 import { angleGroups, ANGLES, bendDeg, speedMS, SPEEDS } from "./motion/kinematics.js";
@@ -8,12 +9,8 @@ const HALF_WINDOW_S = 4;
 const HEIGHT_PX = 230;
 // Distinct on a dark ground, also for people who do not see red and green apart (Okabe and Ito 2008, brightened).
 const TINTS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e07a3f", "#d98cc0", "#9fb4ff", "#c9c9c9", "#7ad3f7", "#ffb347"];
-const KINDS = {
-  cameras: { label: "Error by camera", unit: "px" },
-  joints: { label: "Error by joint", unit: "px" },
-  angles: { label: "Bends of joints", unit: "°" },
-  speeds: { label: "Speeds", unit: "m/s" },
-};
+const UNITS = { cameras: "px", joints: "px", angles: "°", speeds: "m/s" };
+const KINDS = Object.fromEntries(Object.entries(UNITS).map(([kind, unit]) => [kind, { label: FIGURES.plots[kind], unit }]));
 
 export class Plots {
   #store;
@@ -35,21 +32,21 @@ export class Plots {
     this.#store = store;
     this.#player = player;
     const { people, angle_names: angleNames = [] } = store.description;
-    const groups = angleGroups(angleNames).map(({ name, angles }) => [`angles-${name}`, { label: `Angles: ${name}`, unit: "°", angles }]);
+    const groups = angleGroups(angleNames).map(({ name, angles }) => [`angles-${name}`, { label: FIGURES.anglesOf(name), unit: "°", angles }]);
     this.#kinds = { ...KINDS, ...Object.fromEntries(groups) };
     const choose = (label, values, onchange) => el("label", { class: "look-choice" }, `${label} `,
       el("select", { class: "look-select", "aria-label": label, onchange }, values.map(([value, text]) => el("option", { value }, text))));
     this.#place = el("div", { class: "look-plot" });
     this.element = el("div", { class: "look-plots" },
       el("div", { class: "look-choices" },
-        this.#swatch, choose("Person", people.map(({ name }, number) => [number, name]), (event) => this.#choose({ person: Number(event.target.value) })),
-        choose("Plot", Object.entries(this.#kinds).map(([kind, { label }]) => [kind, label]), (event) => this.#choose({ kind: event.target.value }))),
+        this.#swatch, choose(FIGURES.person, people.map(({ name }, number) => [number, name]), (event) => this.#choose({ person: Number(event.target.value) })),
+        choose(FIGURES.plot, Object.entries(this.#kinds).map(([kind, { label }]) => [kind, label]), (event) => this.#choose({ kind: event.target.value }))),
       this.#place);
     this.#showTint();
     this.#resizing = new ResizeObserver(() => this.#fit());
     this.#resizing.observe(this.#place);
     if (!(kind in this.#kinds)) this.#kind = "cameras";
-    this.element.querySelector("[aria-label=Plot]").value = this.#kind;
+    this.element.querySelectorAll("select")[1].value = this.#kind;
     player.addEventListener("time", () => this.draw(), this.#listening);
     store.addEventListener("load", () => this.draw(true), this.#listening);
   }
@@ -139,10 +136,10 @@ export class Plots {
     const plot = new uPlot({
       width: this.#place.clientWidth, height: HEIGHT_PX,
       scales: { x: { time: false }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(1, (high ?? 1) * 1.08)] } },
-      axes: [{ ...axis, values: (_, all) => all.map((frame) => (Number.isInteger(frame) ? String(frame) : "")) }, { ...axis, label: `${label} (${unit})`, labelSize: 22, size: 46, labelFont: axis.font }],
-      series: [{ label: "frame" }, ...series.map((line, number) => ({
+      axes: [{ ...axis, values: (_, all) => all.map((frame) => (Number.isInteger(frame) ? String(frame) : "")) }, { ...axis, label: FIGURES.axis(label, unit), labelSize: 22, size: 46, labelFont: axis.font }],
+      series: [{ label: FIGURES.frame }, ...series.map((line, number) => ({
         label: line.label, stroke: TINTS[number % TINTS.length], width: 1.5, dash: number >= TINTS.length ? [4, 3] : [], points: { show: false },
-        value: (_, value) => (value === null ? "–" : `${value.toFixed(unit === "°" ? 0 : 1)} ${unit}`),
+        value: (_, value) => (value === null ? FIGURES.unknown : `${value.toFixed(unit === "°" ? 0 : 1)} ${unit}`),
       }))],
       cursor: { y: false, drag: { x: false, y: false }, bind: { mousemove: () => null, mouseleave: () => null } },
       legend: { live: true },

@@ -1,5 +1,6 @@
 // Time line: a slider for the play head, and below it heat strips of each person on the same scale.
 
+import { VIEWER } from "../shared/strings/viewer.js";
 import { el, iconButton } from "./dom.js";
 import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "./motion/strips.js";
 
@@ -10,8 +11,8 @@ const HEIGHT = Object.values(BANDS).reduce((sum, height) => sum + height + GAP, 
 const SOURCES = [["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"]];
 const EMPTY = "#232a28";
 const LEGEND = [
-  ["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"], ["large error", "#f0e14a"],
-  ["few cameras", "#5b3f8f"], ["doubtful identity", "#e0529c"],
+  ["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"], ["error", "#f0e14a"],
+  ["cameras", "#5b3f8f"], ["identity", "#e0529c"],
 ];
 
 export class Strips {
@@ -30,14 +31,14 @@ export class Strips {
     this.spots = description.people.map((_, person) => badSpots(description, person));
     this.#range = el("input", {
       type: "range", class: "look-range", min: 0, max: Math.max(0, description.num_frames - 1), step: 1, value: 0,
-      "aria-label": "Play head", oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
+      "aria-label": VIEWER.head, oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
     });
     this.#head = el("div", { class: "look-head", "aria-hidden": "true" });
     const rows = description.people.map((person, number) => this.#row(person, number, onperson, isShown(number)));
     this.element = el("div", { class: "look-timeline" },
       el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#range)),
-      el("div", { class: "look-rows", role: "group", "aria-label": "Quality of each person over time" }, rows, this.#head),
-      rows.length === 0 ? el("p", { class: "look-quiet" }, "There is nobody in this take.") : this.#legend());
+      el("div", { class: "look-rows", role: "group", "aria-label": VIEWER.quality }, rows, this.#head),
+      rows.length === 0 ? el("p", { class: "look-quiet" }, VIEWER.empty) : this.#legend());
     player.addEventListener("time", () => this.draw(), { signal });
     this.draw();
   }
@@ -45,11 +46,11 @@ export class Strips {
   draw() {
     const { frame, numFrames, rateHz, startS } = this.#player;
     this.#range.value = frame;
-    this.#range.setAttribute("aria-valuetext", `frame ${frame}, ${(startS + frame / rateHz).toFixed(2)} seconds`);
+    this.#range.setAttribute("aria-valuetext", VIEWER.headAt(frame, (startS + frame / rateHz).toFixed(2)));
     this.#head.style.setProperty("--place", numFrames > 1 ? (frame + 0.5) / numFrames : 0.5);
   }
 
-  /** Go to the next or the previous spot that deserves a look, of a person or of anybody. */
+  /** Go to the next or the previous spot to check, of a person or of all people. */
   goToSpot(direction, person = null) {
     const all = (person === null ? this.spots.flatMap((spots, number) => spots.map((spot) => ({ ...spot, number })))
       : this.spots[person].map((spot) => ({ ...spot, number: person }))).sort((a, b) => a.from - b.from);
@@ -58,40 +59,38 @@ export class Strips {
     const isNext = (spot) => (direction > 0 ? spot.from > frame : spot.from < frame);
     const found = direction > 0 ? all.find(isNext) : all.findLast(isNext);
     if (!found) {
-      this.#announce(direction > 0 ? "No later spot deserves a look." : "No earlier spot deserves a look.");
+      this.#announce(direction > 0 ? VIEWER.noLaterSpot : VIEWER.noEarlierSpot);
       return;
     }
     this.#player.pause();
     this.#player.seek(found.from);
     const { name } = this.#description.people[found.number];
-    this.#announce(`${name}, frame ${found.from}: ${found.reason}.`);
+    this.#announce(VIEWER.spotAt(name, found.from, found.reason));
   }
 
   #row(person, number, onperson, isShown) {
     const strips = decodeStrips(this.#description, number);
     const canvas = el("canvas", {
       class: "look-strip", height: HEIGHT, width: strips.measured.length, role: "img",
-      "aria-label": `${person.name}: ${this.#summary(number)}`, title: "Click to go there",
+      "aria-label": this.#summary(number), title: VIEWER.stripTitle,
     });
     paint(canvas.getContext("2d"), this.#description, strips, person, badErrorPx(this.#description, number));
     this.#listen(canvas);
-    const swatch = el("input", { type: "checkbox", checked: isShown, "aria-label": `Show ${person.name}`, onchange: () => onperson(number, swatch.checked) });
+    const swatch = el("input", { type: "checkbox", checked: isShown, "aria-label": VIEWER.showPerson(person.name), onchange: () => onperson(number, swatch.checked) });
     const name = el("label", { class: "look-line-name" }, swatch, el("span", { class: "look-swatch" }), el("span", { class: "look-ellipsis" }, person.name));
     name.style.setProperty("--tint", person.color);
     const numSpots = this.spots[number].length;
     return el("div", { class: "look-line" }, name,
       el("div", { class: "look-track" }, canvas),
       el("div", { class: "look-spots" },
-        iconButton("previous", `${person.name}: previous spot that deserves a look`, () => this.goToSpot(-1, number), { disabled: numSpots === 0 }),
-        el("span", { class: "look-count", title: "Spots that deserve a look" }, String(numSpots)),
-        iconButton("next", `${person.name}: next spot that deserves a look`, () => this.goToSpot(1, number), { disabled: numSpots === 0 })));
+        iconButton("previous", VIEWER.previousSpot(person.name), () => this.goToSpot(-1, number), { disabled: numSpots === 0 }),
+        el("span", { class: "look-count", title: VIEWER.spots }, String(numSpots)),
+        iconButton("next", VIEWER.nextSpot(person.name), () => this.goToSpot(1, number), { disabled: numSpots === 0 })));
   }
 
   #summary(number) {
-    const { coverage } = this.#description.people[number];
-    const numSpots = this.spots[number].length;
-    const measured = coverage === null ? "" : `${Math.round(100 * coverage)} % of the joints measured, `;
-    return `${measured}${numSpots} ${numSpots === 1 ? "spot deserves" : "spots deserve"} a look`;
+    const { name, coverage } = this.#description.people[number];
+    return VIEWER.strip(name, coverage === null ? null : Math.round(100 * coverage), this.spots[number].length);
   }
 
   #listen(canvas) {
@@ -110,8 +109,8 @@ export class Strips {
   }
 
   #legend() {
-    return el("ul", { class: "look-legend", "aria-label": "Colours of the strips" }, LEGEND.map(([label, color]) => {
-      const item = el("li", {}, el("span", { class: "look-swatch" }), label);
+    return el("ul", { class: "look-legend", "aria-label": VIEWER.colours }, LEGEND.map(([name, color]) => {
+      const item = el("li", {}, el("span", { class: "look-swatch" }), VIEWER.legend[name]);
       item.style.setProperty("--tint", color);
       return item;
     }));

@@ -1,5 +1,6 @@
 // Viewer of one take: 3D view and time line around a play head, and what a page puts beside them: videos and figures.
 
+import { VIEWER } from "../shared/strings/viewer.js";
 import { listenToKeys, ShapeChoice, transport, viewControls } from "./controls.js";
 import { el, graphics } from "./dom.js";
 import { frameRange, SPEEDS } from "./player.js";
@@ -146,7 +147,7 @@ export class Viewer {
     this.#ofStore = new AbortController();
     const { signal } = this.#ofStore;
     this.store.addEventListener("load", () => this.#show(true), { signal });
-    this.store.addEventListener("problem", () => this.say(`The frames could not be loaded: ${this.store.problem.message}`), { signal });
+    this.store.addEventListener("problem", () => this.say(VIEWER.framesFailed(this.store.problem.message)), { signal });
   }
 
   #build(element, source, videos) {
@@ -159,7 +160,7 @@ export class Viewer {
     this.controls = viewControls(this, this.shapes.element, (options) => this.view?.apply(options));
     const draws = graphics().hasWebGL;
     const drawn = draws ? [this.canvas, layer, this.controls.element]
-      : [el("p", { class: "look-no-3d" }, "This browser draws no 3D (WebGL 2). The videos, the time line and the figures below work without it.")];
+      : [el("p", { class: "look-no-3d" }, VIEWER.no3d)];
     this.wall = videos(this);
     this.#buildFigures();
     this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
@@ -185,7 +186,7 @@ export class Viewer {
 
   #sceneName() {
     const { people, cameras } = this.description;
-    return `3D view of ${people.length} ${people.length === 1 ? "person" : "people"} and ${cameras.length} cameras`;
+    return VIEWER.scene(people.length, cameras.length);
   }
 
   #setShown(person, isShown) {

@@ -4,23 +4,25 @@ import { pickCharacter, choicesForm } from "../send/choices.js";
 import { findingList, cameraPicture } from "../send/rows.js";
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { count, length, moment, size } from "../shared/format.js";
+import { length, moment, size } from "../shared/format.js";
 import { countCameraFrames, estimateTime, hasEnded } from "../shared/jobs.js";
 import { confirm, html, nothing, problemBox, repeat } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
+import { CAPTURES } from "../shared/strings/captures.js";
+import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { jobRow } from "./job_row.js";
 
 function captureFacts(session) {
   const { cameras, timebase } = session.preflight;
   return [
     moment(session.created_at),
-    count(cameras.length, "camera"),
+    COUNTS.cameras(cameras.length),
     length(session.duration_s),
-    `${timebase.num_frames} frames at ${Number(timebase.frame_rate_hz.toFixed(2))} Hz`,
+    CAPTURES.frames(timebase.num_frames, Number(timebase.frame_rate_hz.toFixed(2))),
     size(session.num_bytes),
-    ...(session.videos_deleted_at ? ["videos deleted"] : []),
-    ...(session.shows_blurred ? ["faces blurred"] : []),
+    ...(session.videos_deleted_at ? [CAPTURES.videosDeleted] : []),
+    ...(session.shows_blurred ? [CAPTURES.facesBlurred] : []),
   ];
 }
 
@@ -40,12 +42,12 @@ function cameraTable(view, session) {
     view.draw();
   };
   return html`<details class="cameras" @toggle=${toggle}>
-    <summary>Cameras${findings.length ? html` <span class="badge" data-tone="warn">${count(findings.length, "finding")}</span>` : nothing}</summary>
-    <div class="scroll" role="group" aria-label="Cameras of ${session.name}" tabindex="0"><table>
-      <thead><tr><th scope="col">Camera</th><th scope="col">File</th><th scope="col">Picture</th><th scope="col">Rate</th><th scope="col">Frames</th><th scope="col">Starts at</th><th scope="col">Size</th></tr></thead>
+    <summary>${COMMON.cameras}${findings.length ? html` <span class="badge" data-tone="warn">${COUNTS.findings(findings.length)}</span>` : nothing}</summary>
+    <div class="scroll" role="group" aria-label=${CAPTURES.camerasOf(session.name)} tabindex="0"><table>
+      <thead><tr>${CAPTURES.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
       <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
-        <td>${camera.size_px.join(" × ")}</td><td>${Number(camera.frame_rate_hz.toFixed(2))} Hz</td><td>${camera.num_frames}</td>
-        <td>${camera.start_time_s.toFixed(3)} s</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
+        <td>${camera.size_px.join(" × ")}</td><td>${COMMON.hz(Number(camera.frame_rate_hz.toFixed(2)))}</td><td>${camera.num_frames}</td>
+        <td>${CAPTURES.startsAt(camera.start_time_s.toFixed(3))}</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
         ${findingList(findings.filter((finding) => finding.camera === camera.name), cameras, (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
     </table></div>
     ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)), cameras)}
@@ -57,7 +59,7 @@ function pictureOfCapture({ name, preflight }) {
   const camera = preflight.cameras.find(({ thumbnails }) => thumbnails?.length);
   if (!camera) return nothing;
   const { url } = camera.thumbnails[Math.floor(camera.thumbnails.length / 2)];
-  return html`<img class="cover" src=${url} alt="${name}, seen by ${camera.name}" loading="lazy">`;
+  return html`<img class="cover" src=${url} alt=${CAPTURES.seenBy(name, camera.name)} loading="lazy">`;
 }
 
 function beginRename(view, session) {
@@ -82,14 +84,14 @@ function renameForm(view, session) {
       const renamed = await call(session.urls.self, { method: "PATCH", body: { name } });
       view.sessions = view.sessions.map((other) => (other.id === session.id ? renamed : other));
       end();
-      announce(`Renamed to ${name}.`);
+      announce(COMMON.renamed(name));
       await feed.refresh(); // jobs bear the name too
     });
   };
   return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
-    <input name="name" maxlength="200" required aria-label="New name of ${session.name}" value=${session.name} autocomplete="off">
-    <button class="button small primary">Save</button>
-    <button type="button" class="button small" @click=${end}>Cancel</button>
+    <input name="name" maxlength="200" required aria-label=${COMMON.newName(session.name)} value=${session.name} autocomplete="off">
+    <button class="button small primary">${COMMON.save}</button>
+    <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
   </form>`;
 }
 
@@ -100,17 +102,15 @@ export function captureCard(view, session) {
   const isFootage = jobs.length > 0 && jobs.every(({ kind }) => kind === "calibration");
 
   const remove = async () => {
-    const question = {
-      title: `Delete ${session.name}?`, action: "Delete the capture",
-      text: `Its videos (${size(session.num_bytes)}), its jobs and all results are deleted for good.`,
-    };
+    const { title, text, action, said } = CAPTURES.deleting;
+    const question = { title: title(session.name), text: text(size(session.num_bytes)), action };
     if (!await confirm(question)) return;
     await view.act(session.id, async () => {
       await call(session.urls.self, { method: "DELETE" });
       for (const job of jobs) feed.remove(job.id);
       view.sessions = view.sessions.filter(({ id }) => id !== session.id);
       view.draw();
-      announce(`${session.name} is deleted.`);
+      announce(said(session.name));
       view.focusList();
     });
   };
@@ -118,17 +118,15 @@ export function captureCard(view, session) {
   const hasResults = jobs.some(({ results_revision: revision }) => revision !== null);
   const removeVideos = async () => {
     const bytes = session.files.reduce((sum, { kind, num_bytes: more }) => sum + (kind === "video" ? more : 0), 0);
-    const question = {
-      title: `Delete the videos of ${session.name}?`, action: "Delete the videos",
-      text: `Its videos (${size(bytes)}) and pictures of them are deleted for good. Results stay, and people can be edited. Nobody can be detected or drawn over the videos any more.`,
-    };
+    const { title, text, action, said } = CAPTURES.deletingVideos;
+    const question = { title: title(session.name), text: text(size(bytes)), action };
     if (!await confirm(question)) return;
     await view.act(session.id, async () => {
       await call(`${session.urls.self}/videos`, { method: "DELETE" });
       const changed = await call(session.urls.self);
       view.sessions = view.sessions.map((other) => (other.id === session.id ? changed : other));
       view.draw();
-      announce(`The videos of ${session.name} are deleted.`);
+      announce(said(session.name));
       view.focusList();
     });
   };
@@ -148,30 +146,31 @@ export function captureCard(view, session) {
     view.place.querySelector(`#again-${session.id} input, #again-${session.id} select`)?.focus();
   };
 
+  const run = jobs.length ? CAPTURES.runAgain : CAPTURES.reconstruct;
   return html`<li class="panel capture" aria-labelledby="name-${session.id}">
     <div class="head">
       ${pictureOfCapture(session)}
       <div>
-        ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? "Calibration: " : ""}${session.name}</h2>`}
+        ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? CAPTURES.ofCalibration(session.name) : session.name}</h2>`}
         <p class="quiet facts">${captureFacts(session).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${view.canWrite ? html`<div class="actions">
         ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
-          ?disabled=${!view.options} id="run-${session.id}" aria-label="${jobs.length ? "Run again" : "Reconstruct"}: ${session.name}" @click=${toggleForm}>${jobs.length ? "Run again" : "Reconstruct"}</button>`}
+          ?disabled=${!view.options} id="run-${session.id}" aria-label=${CAPTURES.actionOf(run, session.name)} @click=${toggleForm}>${run}</button>`}
         <button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
-          aria-label="Other calibration: ${session.name}" @click=${recalibrate}>Other calibration</button>
-        <button type="button" class="button small" id="rename-${session.id}" aria-label="Rename ${session.name}" @click=${() => beginRename(view, session)}>Rename</button>
-        ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Its job needs them." : nothing}
-          aria-label="Delete videos of ${session.name}" @click=${removeVideos}>Delete videos</button>` : nothing}
-        <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? "Cancel its job first." : nothing}
-          aria-label="Delete ${session.name}" @click=${remove}>Delete</button>
+          aria-label=${CAPTURES.actionOf(CAPTURES.recalibrate, session.name)} @click=${recalibrate}>${CAPTURES.recalibrate}</button>
+        <button type="button" class="button small" id="rename-${session.id}" aria-label=${COMMON.renameOf(session.name)} @click=${() => beginRename(view, session)}>${COMMON.rename}</button>
+        ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.neededByJob : nothing}
+          aria-label=${CAPTURES.deleteVideosOf(session.name)} @click=${removeVideos}>${CAPTURES.deleteVideos}</button>` : nothing}
+        <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.cancelFirst : nothing}
+          aria-label=${CAPTURES.deleteOf(session.name)} @click=${remove}>${COMMON.delete}</button>
       </div>` : nothing}
     </div>
     ${problemBox(view.problems.get(session.id))}
     ${view.recalibrated.has(session.id) ? otherCalibrationForm(view, session) : nothing}
     ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
-    ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null))}</ol>`
-      : html`<p class="quiet">No job yet.</p>`}
+    ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null, session.notes))}</ol>`
+      : html`<p class="quiet">${CAPTURES.noJobs}</p>`}
     ${cameraTable(view, session)}
   </li>`;
 }
@@ -208,7 +207,7 @@ function runAgainForm(view, session) {
       const job = await call(session.urls.jobs, { method: "POST", body: { ...usual, ...spec } });
       feed.put(job);
       close();
-      announce(`Another job of ${session.name} waits.`);
+      announce(CAPTURES.again.said(session.name));
     });
   };
   const { preflight } = session;
@@ -218,10 +217,10 @@ function runAgainForm(view, session) {
     const wanted = { ...spec, profile: value };
     return isVideo && choice.name === "profile" ? estimateTime(wanted, countCameraFrames(counts, wanted), feed.newest(), view.options)?.text : null;
   };
-  return html`<form class="again" id="again-${session.id}" aria-label="Run ${session.name} again" @submit=${submit}>
+  return html`<form class="again" id="again-${session.id}" aria-label=${CAPTURES.again.label(session.name)} @submit=${submit}>
     ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, valueNote })}
-    <div class="actions"><button class="button primary">Reconstruct without uploading</button>
-      <button type="button" class="button" @click=${close}>Close</button></div>
+    <div class="actions"><button class="button primary">${CAPTURES.again.submit}</button>
+      <button type="button" class="button" @click=${close}>${COMMON.close}</button></div>
   </form>`;
 }
 
@@ -242,18 +241,18 @@ function otherCalibrationForm(view, session) {
       const made = await call("/v1/sessions", { method: "POST", body });
       close();
       await view.load();
-      announce(`${made.name} is there. Reconstruct it.`);
+      announce(CAPTURES.other.said(made.name));
       view.place.querySelector(`#run-${made.id}`)?.focus();
     });
   };
-  return html`<form class="again" aria-label="Other calibration for ${session.name}" @submit=${submit}>
+  return html`<form class="again" aria-label=${CAPTURES.other.label(session.name)} @submit=${submit}>
     <div class="pair">
-      <label class="field"><span>Calibration</span><select name="calibration" required>
+      <label class="field"><span>${COMMON.calibration}</span><select name="calibration" required>
         ${calibrations.map((calibration) => html`<option value=${calibration.id}>${dated(calibration)}</option>`)}</select></label>
-      <label class="field"><span>Name of the new capture</span><input name="name" maxlength="200" value=${session.name} autocomplete="off"></label>
+      <label class="field"><span>${CAPTURES.other.name}</span><input name="name" maxlength="200" value=${session.name} autocomplete="off"></label>
     </div>
-    ${calibrations.length ? "" : html`<p class="quiet">No calibration is stored. <a href="#/calibrations">Add one.</a></p>`}
-    <div class="actions"><button class="button primary" ?disabled=${calibrations.length === 0}>Make a capture of the same footage</button>
-      <button type="button" class="button" @click=${close}>Close</button></div>
+    ${calibrations.length ? "" : html`<p class="quiet">${CAPTURES.other.none} <a href="#/calibrations">${CAPTURES.other.add}</a></p>`}
+    <div class="actions"><button class="button primary" ?disabled=${calibrations.length === 0}>${CAPTURES.other.submit}</button>
+      <button type="button" class="button" @click=${close}>${COMMON.close}</button></div>
   </form>`;
 }

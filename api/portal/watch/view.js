@@ -6,20 +6,19 @@ import { jobState } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters, readOptions } from "../shared/resources.js";
+import { CAPTURES } from "../shared/strings/captures.js";
+import { COMMON } from "../shared/strings/common.js";
 import { captureCard } from "./capture_card.js";
 
 const PAGE = 20;
 const MOST = 200; // sessions that the service lists in one answer
 const TYPING_MS = 250;
-const FILTERS = [
-  ["", "All"], ["running", "Running"], ["queued", "Waiting"], ["succeeded", "Done"], ["failed", "Failed"], ["canceled", "Canceled"],
-];
 
 export function open(place, route, caller) {
   const view = new Captures(place, caller);
   view.search = route.query.get("name") ?? "";
   view.start();
-  return { title: "Captures", close: () => view.close() };
+  return { title: CAPTURES.title, close: () => view.close() };
 }
 
 class Captures {
@@ -111,7 +110,7 @@ class Captures {
     let isOld = this.isLoaded && feed.newest().some((job) => !known.has(job.session_id) && job.session_id > newest);
     for (const job of feed.jobs.values()) {
       const before = this.#states.get(job.id);
-      if (before !== undefined && before !== job.state) announce(`${job.session_name}: ${jobState(job).words}`);
+      if (before !== undefined && before !== job.state) announce(CAPTURES.stateOf(job.session_name, jobState(job).words));
       isOld ||= before !== job.state && this.filter !== "";
       this.#states.set(job.id, job.state);
     }
@@ -144,20 +143,19 @@ class Captures {
     const isFiltered = this.search.trim() !== "" || this.filter !== "";
     return html`
       <div class="bar">
-        <h1 class="title" id="captures-title" tabindex="-1">Captures</h1>
-        <label class="search"><span class="unseen">Search by name</span>
-          <input type="search" placeholder="Search by name" maxlength="200" .value=${typed(this.search)} @input=${(event) => { this.search = event.target.value; this.reload(TYPING_MS); }}></label>
-        <label class="filter"><span class="unseen">State of the newest job</span>
+        <h1 class="title" id="captures-title" tabindex="-1">${CAPTURES.title}</h1>
+        <label class="search"><span class="unseen">${CAPTURES.search}</span>
+          <input type="search" placeholder=${CAPTURES.search} maxlength="200" .value=${typed(this.search)} @input=${(event) => { this.search = event.target.value; this.reload(TYPING_MS); }}></label>
+        <label class="filter"><span class="unseen">${CAPTURES.state}</span>
           <select @change=${(event) => { this.filter = event.target.value; this.reload(); }}>
-            ${FILTERS.map(([state, label]) => html`<option value=${state}>${label}</option>`)}</select></label>
-        ${this.canWrite ? html`<a class="button primary" href="#/new">New capture</a>` : nothing}
+            ${Object.entries(CAPTURES.filters).map(([state, label]) => html`<option value=${state}>${label}</option>`)}</select></label>
+        ${this.canWrite ? html`<a class="button primary" href="#/new">${CAPTURES.new}</a>` : nothing}
       </div>
       ${problemBox(this.problem)}
-      ${this.isLoaded && this.sessions.length === 0 ? html`<p class="panel empty">${isFiltered ? "No capture fits. Change the search or the filter."
-        : "No captures yet. Send the videos of a capture and their calibration."}</p>` : nothing}
-      ${this.isLoaded || this.problem ? nothing : html`<p class="quiet">Loading …</p>`}
+      ${this.isLoaded && this.sessions.length === 0 ? html`<p class="panel empty">${isFiltered ? CAPTURES.noneFits : CAPTURES.none}</p>` : nothing}
+      ${this.isLoaded || this.problem ? nothing : html`<p class="quiet">${COMMON.loading}</p>`}
       <ol class="captures">${repeat(this.sessions, ({ id }) => id, (session) => captureCard(this, session))}</ol>
-      ${this.cursor ? html`<button type="button" class="button" @click=${() => this.act("more", () => this.load({ isMore: true }))}>Show more</button>` : nothing}
+      ${this.cursor ? html`<button type="button" class="button" @click=${() => this.act("more", () => this.load({ isMore: true }))}>${CAPTURES.showMore}</button>` : nothing}
       ${problemBox(this.problems.get("more"))}`;
   }
 }

@@ -1,8 +1,9 @@
 // What can be done with the chosen person and with the take, at the play head.
 
-import { count } from "../../shared/format.js";
 import { confirm, html, nothing, typed } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
+import { COMMON, COUNTS } from "../../shared/strings/common.js";
+import { PEOPLE } from "../../shared/strings/take.js";
 import { numFrames, sharedFrames } from "./person_names.js";
 
 const MAX_NAME = 100;
@@ -12,16 +13,16 @@ export function actions(panel) {
   const { selected, people } = panel;
   const isCut = people.start_frame > 0 || people.stop_frame < people.num_frames;
   return html`<div class="at-head">
-      <label class="field frame"><span>Frame</span>
+      <label class="field frame"><span>${PEOPLE.frame}</span>
         <input class="frame-field" type="number" min=${people.start_frame} max=${people.stop_frame - 1} step="1"
           @change=${(event) => seek(panel, event.target)} @keydown=${(event) => { if (event.key === "Enter") seek(panel, event.target); }}></label>
-      <p class="quiet">The frame at the play head. ${isCut ? `Frames count from the start of the whole take; ${people.start_frame} to ${people.stop_frame - 1} are kept.` : ""}</p>
+      <p class="quiet">${isCut ? PEOPLE.frameHintCut(people.start_frame, people.stop_frame - 1) : PEOPLE.frameHint}</p>
     </div>
     ${selected === null ? nothing : personActions(panel)}
-    <fieldset class="doing"><legend>The take</legend><div class="actions">
-      ${panel.button("Start the take here", () => cut(panel, panel.frame, people.stop_frame))}
-      ${panel.button("End the take here", () => cut(panel, people.start_frame, panel.frame + 1))}
-      <span class="quiet">${panel.lengthText} of ${people.num_frames} kept</span></div></fieldset>`;
+    <fieldset class="doing"><legend>${PEOPLE.take}</legend><div class="actions">
+      ${panel.button(PEOPLE.startHere, () => cut(panel, panel.frame, people.stop_frame))}
+      ${panel.button(PEOPLE.endHere, () => cut(panel, people.start_frame, panel.frame + 1))}
+      <span class="quiet">${PEOPLE.kept(COUNTS.frames(people.stop_frame - people.start_frame), people.num_frames)}</span></div></fieldset>`;
 }
 
 function seek(panel, field) {
@@ -35,19 +36,19 @@ function personActions(panel) {
   const others = people.people.filter(({ id }) => id !== person);
   return html`<fieldset class="doing"><legend>${name}</legend>
     <form class="actions" @submit=${(event) => rename(panel, event)}>
-      <label class="field"><span class="unseen">New name of ${name}</span>
+      <label class="field"><span class="unseen">${COMMON.newName(name)}</span>
         <input name="name" maxlength=${MAX_NAME} required autocomplete="off" .value=${typed(name)}></label>
-      <button class="button small" aria-label="Rename ${name}">Rename</button>
+      <button class="button small" aria-label=${COMMON.renameOf(name)}>${COMMON.rename}</button>
     </form>
     <div class="actions">
-      ${panel.button("Split here", () => split(panel))}
-      ${panel.button(`Delete ${name}`, () => panel.add({ action: "remove", person }), { style: "danger-quiet" })}
+      ${panel.button(PEOPLE.splitHere, () => split(panel))}
+      ${panel.button(PEOPLE.actions.remove(name), () => panel.add({ action: "remove", person }), { style: "danger-quiet" })}
     </div>
     ${other === null ? nothing : html`<div class="actions">
-      <label class="with"><span>With</span> <select aria-label="Other person" @change=${(event) => { panel.other = Number(event.target.value); panel.draw(); }}>
+      <label class="with"><span>${PEOPLE.with}</span> <select aria-label=${PEOPLE.other} @change=${(event) => { panel.other = Number(event.target.value); panel.draw(); }}>
         ${others.map(({ id, name: label }) => html`<option value=${id} .selected=${id === other}>${label}</option>`)}</select></label>
-      ${panel.button(`Merge into ${panel.personName(other)}`, () => merge(panel))}
-      ${panel.button(`Exchange with ${panel.personName(other)} from here on`, () => exchange(panel))}
+      ${panel.button(PEOPLE.mergeInto(panel.personName(other)), () => merge(panel))}
+      ${panel.button(PEOPLE.exchangeWith(panel.personName(other)), () => exchange(panel))}
     </div>`}
   </fieldset>`;
 }
@@ -56,7 +57,7 @@ function rename(panel, event) {
   event.preventDefault();
   const { selected: person } = panel;
   const name = event.target.elements.name.value.trim();
-  if (name === panel.personName(person)) return announce(`The name is ${name} already.`);
+  if (name === panel.personName(person)) return announce(PEOPLE.sameName(name));
   return panel.add({ action: "rename", person, name });
 }
 
@@ -74,8 +75,9 @@ async function merge(panel) {
   const [lost, kept] = [selected, other].map((id) => panel.people.people.find((person) => person.id === id));
   const shared = sharedFrames(lost, kept);
   if (shared.num > 0) {
-    const text = `Both are there in ${count(shared.num, "frame")}, from ${shared.first} to ${shared.last}. There ${kept.name} counts, and ${shared.num} of the ${count(numFrames(lost), "frame")} of ${lost.name} are lost. Undo brings them back.`;
-    if (!await confirm({ title: `Merge ${lost.name} into ${kept.name}?`, text, action: "Merge", refusal: "Keep both" })) return;
+    const { title, text, action, refusal } = PEOPLE.merging;
+    const facts = { ...shared, shared: COUNTS.frames(shared.num), kept: kept.name, lost: lost.name, total: COUNTS.frames(numFrames(lost)) };
+    if (!await confirm({ title: title(lost.name, kept.name), text: text(facts), action, refusal })) return;
   }
   await panel.add({ action: "merge", person: other, other: selected });
   if (panel.people.people.every(({ id }) => id !== selected)) panel.select(other);
@@ -84,7 +86,7 @@ async function merge(panel) {
 function cut(panel, start, stop) {
   const { people } = panel;
   if (start === people.start_frame && stop === people.stop_frame) {
-    return announce(start === panel.frame ? "The take starts here already." : "The take ends here already.");
+    return announce(start === panel.frame ? PEOPLE.startsHere : PEOPLE.endsHere);
   }
   return panel.add({ action: "cut", start_frame: start, stop_frame: stop });
 }

@@ -4,6 +4,7 @@ import { call, persistently, readTagged } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { hasEnded } from "../../shared/jobs.js";
 import { announce } from "../../shared/page.js";
+import { PEOPLE } from "../../shared/strings/take.js";
 import { describe } from "./person_names.js";
 
 // Event `change`: something that is shown has changed.
@@ -78,13 +79,13 @@ export class EditQueue extends EventTarget {
     const isSame = (edits) => JSON.stringify(edits) === JSON.stringify(before);
     const change = (edits) => (isSame(edits) ? edits.filter((_, number) => number < index || (number > index && !withLater)) : null);
     this.#undone.push(before);
-    return this.#make(`Undo: ${describe(before[index], this.people)}`, change);
+    return this.#make(PEOPLE.actions.undo(describe(before[index], this.people)), change);
   }
 
   // Make again what was undone last.
   redo() {
     const list = this.#undone.pop();
-    return this.#make("Redo", () => list);
+    return this.#make(PEOPLE.actions.redo, () => list);
   }
 
   // Make the refused changes on somebody else's edits.
@@ -132,7 +133,7 @@ export class EditQueue extends EventTarget {
     await persistently(() => this.#read(), { isOver });
     this.#waiting.shift();
     this.job = job;
-    announce(`${words}. The files follow.`);
+    announce(PEOPLE.said.sent(words));
     feed.put(job);
   }
 
@@ -160,7 +161,7 @@ export class EditQueue extends EventTarget {
     this.notice = null;
     const words = given.map((edit) => edit.words).join("; ");
     this.conflict = { words, changes: given.filter(({ change }) => change(this.people.edits) !== null) };
-    announce(`Somebody else has changed the edits meanwhile. Not done: ${words}.`);
+    announce(PEOPLE.said.refused(words));
   }
 
   // Problem whose parts name the edit that can't be made in words.
@@ -178,12 +179,12 @@ export class EditQueue extends EventTarget {
     this.#earlier.set(this.people.revision, this.people);
     if (known === null || this.people.revision === known.revision || this.#own.has(this.people.revision)) return;
     this.#undone = [];
-    this.notice = "Somebody else has changed the edits. These are theirs.";
+    this.notice = PEOPLE.othersEdits;
     if (!this.isSending) announce(this.notice);
   }
 
   #tellEnd(job) {
-    announce(job.state === "succeeded" ? `The files of revision ${job.revision} are there.` : `The files of revision ${job.revision} could not be made.`);
+    announce(PEOPLE.said[job.state === "succeeded" ? "ready" : "failed"](job.revision));
   }
 
   #changed() {

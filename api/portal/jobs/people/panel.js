@@ -1,11 +1,12 @@
-// Panel Put right: the identity timeline, what can be done at the play head, and the list of edits.
+// Panel Edit people: the identity timeline, what can be done at the play head, and the list of edits.
 
 import { call } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
-import { count, percent } from "../../shared/format.js";
+import { percent } from "../../shared/format.js";
 import { hasEnded } from "../../shared/jobs.js";
-import { html, nothing, problemBox, render, repeat, styled } from "../../shared/lit.js";
+import { helpLink, html, nothing, problemBox, render, repeat, styled } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
+import { PEOPLE } from "../../shared/strings/take.js";
 import { actions } from "./actions.js";
 import { EditQueue } from "./edit_queue.js";
 import { personColor, describe, isNumbering, personName } from "./person_names.js";
@@ -80,7 +81,7 @@ export class PeoplePanel {
   #panel() {
     const { editing } = this;
     return html`<section class="panel people" aria-labelledby="people-title" @keydown=${(event) => this.#key(event)}>
-      <div class="head"><h2 id="people-title">Put right who is who</h2>${this.#state()}</div>
+      <div class="head"><div class="with-help"><h2 id="people-title">${PEOPLE.title}</h2>${helpLink("people-and-edits", PEOPLE.title)}</div>${this.#state()}</div>
       ${this.#notices()}
       ${lanes(this)}
       ${actions(this)}
@@ -91,10 +92,10 @@ export class PeoplePanel {
   // Revision that is shown, and how far its files are. Edits need not wait for them.
   #state() {
     const { job, isSending } = this.editing;
-    if (isSending) return html`<p class="quiet">Being sent …</p>`;
-    if (hasEnded(job)) return html`<p class="quiet">${job.revision === 0 ? "As found, no edits" : `Revision ${job.revision}`}</p>`;
-    const label = `Files of revision ${job.revision} are being made`;
-    return html`<div class="making"><span>${label}: ${percent(job.progress)}</span><progress max="1" .value=${job.progress} aria-label=${label}></progress></div>`;
+    if (isSending) return html`<p class="quiet">${PEOPLE.sending}</p>`;
+    if (hasEnded(job)) return html`<p class="quiet">${job.revision === 0 ? PEOPLE.unedited : PEOPLE.revision(job.revision)}</p>`;
+    const label = PEOPLE.inWork(job.revision);
+    return html`<div class="making"><span>${PEOPLE.inWorkAt(label, percent(job.progress))}</span><progress max="1" .value=${job.progress} aria-label=${label}></progress></div>`;
   }
 
   #notices() {
@@ -102,35 +103,35 @@ export class PeoplePanel {
     const { conflict, notice, job } = editing;
     const isBroken = !editing.isSending && job.revision > 0 && (job.state === "failed" || job.state === "canceled");
     return html`${problemBox(editing.problem)}
-      ${conflict ? html`<div class="problem" role="alert"><p>Somebody else has changed the edits meanwhile. The list shows theirs.
-          Not done: <b>${conflict.words}</b>. ${conflict.changes.length ? "Check the timeline, then do it on their edits, or leave it." : "Check the list before you undo something of theirs."}</p>
-        <div class="actions">${conflict.changes.length ? this.button("Do it on their edits", () => editing.repeat()) : nothing}
-          <button type="button" class="button small" @click=${() => editing.dismiss()}>Leave it</button></div></div>` : nothing}
+      ${conflict ? html`<div class="problem" role="alert"><p>${PEOPLE.conflict}
+          ${PEOPLE.notDone} <b>${conflict.words}</b>. ${conflict.changes.length ? PEOPLE.conflictRepeat : PEOPLE.conflictLost}</p>
+        <div class="actions">${conflict.changes.length ? this.button(PEOPLE.repeat, () => editing.repeat()) : nothing}
+          <button type="button" class="button small" @click=${() => editing.dismiss()}>${PEOPLE.drop}</button></div></div>` : nothing}
       ${notice ? html`<p class="notice">${notice}</p>` : nothing}
-      ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>You deleted everybody.</p>
-        ${this.button("Undo", () => editing.undo(), { name: "Undo, so that people come back" })}</div>` : nothing}
-      ${isBroken ? html`<div class="problem" role="alert"><p>The files of these edits were not made. Retry, or undo the last edit.</p>
-        ${job.urls.retry ? html`<div class="actions">${this.button("Retry", () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
+      ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>${PEOPLE.emptied}</p>
+        ${this.button(PEOPLE.undo, () => editing.undo(), { name: PEOPLE.emptiedUndo })}</div>` : nothing}
+      ${isBroken ? html`<div class="problem" role="alert"><p>${PEOPLE.broken}</p>
+        ${job.urls.retry ? html`<div class="actions">${this.button(PEOPLE.retry, () => this.#retry())}</div>` : nothing}</div>` : nothing}`;
   }
 
   #list() {
     const { editing } = this;
     const { edits } = editing;
     return html`<div class="edits">
-      <div class="head"><h3 id="edits-title" tabindex="-1">Edits</h3><div class="actions">
-        ${this.button("Undo", () => editing.undo(), { isOff: edits.length === 0, why: "There is no edit to undo." })}
-        ${this.button("Redo", () => editing.redo(), { isOff: !editing.canRedo, why: "Nothing was undone." })}</div></div>
-      ${edits.length === 0 ? html`<p class="quiet">No edits. What you change is listed here and can be undone.</p>`
-        : html`<ol aria-label="Edits">${edits.map((edit, index) => this.#item(edit, index))}</ol>`}
+      <div class="head"><h3 id="edits-title" tabindex="-1">${PEOPLE.edits}</h3><div class="actions">
+        ${this.button(PEOPLE.undo, () => editing.undo(), { isOff: edits.length === 0, why: PEOPLE.nothingToUndo })}
+        ${this.button(PEOPLE.redo, () => editing.redo(), { isOff: !editing.canRedo, why: PEOPLE.nothingToRedo })}</div></div>
+      ${edits.length === 0 ? html`<p class="quiet">${PEOPLE.noEdits}</p>`
+        : html`<ol aria-label=${PEOPLE.edits}>${edits.map((edit, index) => this.#item(edit, index))}</ol>`}
     </div>`;
   }
 
   #item(edit, index) {
     const words = describe(edit, this.people);
     const withLater = isNumbering(this.editing.edits, index);
-    const label = withLater ? "Undo from here on" : "Undo";
+    const label = withLater ? PEOPLE.undoFrom : PEOPLE.undo;
     return html`<li><span>${words}</span>
-      ${this.button(label, () => this.editing.remove(index, { withLater }), { name: `${label}: ${words}`, style: "ghost" })}</li>`;
+      ${this.button(label, () => this.editing.remove(index, { withLater }), { name: PEOPLE.undoOf(label, words), style: "ghost" })}</li>`;
   }
 
   // Button that keeps the focus while it can't be used, and says why.
@@ -155,7 +156,7 @@ export class PeoplePanel {
     event.preventDefault();
     if (isRedo && this.editing.canRedo) this.editing.redo();
     else if (!isRedo && this.editing.canUndo) this.editing.undo();
-    else announce(isRedo ? "Nothing was undone." : "There is no edit to undo.");
+    else announce(isRedo ? PEOPLE.nothingToRedo : PEOPLE.nothingToUndo);
   }
 
   // Move the line of the play head and the number of its frame, without drawing anything else.
@@ -167,10 +168,6 @@ export class PeoplePanel {
     for (const field of place.querySelectorAll(".frame-field")) if (field !== document.activeElement) field.value = this.frame;
     for (const text of place.querySelectorAll(".frame-text")) text.textContent = this.frame;
   }
-
-  get lengthText() {
-    return count(this.people.stop_frame - this.people.start_frame, "frame");
-  }
 }
 
 // Identity timeline: a lane a person with their frames, the cut, and the play head.
@@ -180,7 +177,7 @@ export function lanes(panel) {
   const { people } = panel;
   const cut = [people.start_frame, people.num_frames - people.stop_frame];
   return html`<fieldset class="lanes">
-    <legend>Person</legend>
+    <legend>${PEOPLE.person}</legend>
     <div class="lanes-rows">
       ${repeat(people.people, ({ id }) => id, (person) => lane(panel, person))}
       <div class="lanes-over" aria-hidden="true">
@@ -205,7 +202,7 @@ function lane(panel, person) {
     <label class="lane-name">
       <input type="radio" name="edited-person" .checked=${panel.selected === id} @change=${() => panel.select(id)}>
       <span class="look-swatch" ${styled({ "--tint": personColor(id) })}></span>
-      <span class="lane-text"><b>${name}</b> <span class="quiet">frames ${first} to ${last}</span></span>
+      <span class="lane-text"><b>${name}</b> <span class="quiet">${PEOPLE.framesOf(first, last)}</span></span>
     </label>
     <div class="lane-track" aria-hidden="true" @click=${go}>${pieces.map((piece) => bar(id, piece, people))}</div>
   </div>`;
@@ -214,5 +211,5 @@ function lane(panel, person) {
 // Frames of a person in their one colour; hatched where they were another person's as found.
 function bar(id, { person, start_frame: start, stop_frame: stop }, { num_frames: numFrames }) {
   const place = { "--from": start / numFrames, "--share": (stop - start) / numFrames, "--tint": personColor(id) };
-  return html`<span class="bar-of ${person === id ? "" : "of-other"}" title="Frames ${start} to ${stop - 1}: person ${person} as found" ${styled(place)}></span>`;
+  return html`<span class="bar-of ${person === id ? "" : "of-other"}" title=${PEOPLE.barTitle(start, stop - 1, person)} ${styled(place)}></span>`;
 }

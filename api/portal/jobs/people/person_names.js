@@ -1,5 +1,7 @@
 // Edits of people as words, and people by their numbers.
 
+import { PEOPLE } from "../../shared/strings/take.js";
+
 const HUE_STEP = 0.618034; // as in pipeline/export/scene.py
 
 // Colour of a person by number, as in the 3D view and of the exported models.
@@ -22,19 +24,16 @@ export function personName(id, { people, edits }) {
 export function describe(edit, document) {
   const person = personName(edit.person, document);
   const other = personName(edit.other, document);
+  const { start_frame: start, stop_frame: stop = null } = edit;
   const words = {
-    rename: () => `Rename person-${edit.person} to ${edit.name}`,
-    remove: () => `Delete ${person}`,
-    merge: () => `Merge ${other} into ${person}`,
-    split: () => `Split ${person} at frame ${edit.frame}`,
-    exchange: () => `Exchange ${person} and ${other} ${during(edit)}`,
-    cut: () => `Keep frames ${edit.start_frame} to ${edit.stop_frame - 1}`,
+    rename: () => PEOPLE.actions.rename(edit.person, edit.name),
+    remove: () => PEOPLE.actions.remove(person),
+    merge: () => PEOPLE.actions.merge(other, person),
+    split: () => PEOPLE.actions.split(person, edit.frame),
+    exchange: () => PEOPLE.actions.exchange(person, other, start, stop),
+    cut: () => PEOPLE.actions.cut(start, stop),
   };
   return words[edit.action]();
-}
-
-function during({ start_frame: start, stop_frame: stop }) {
-  return stop === null || stop === undefined ? `from frame ${start} on` : `in frames ${start} to ${stop - 1}`;
 }
 
 // Number of frames of a person, of the whole reconstruction.

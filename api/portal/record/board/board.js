@@ -1,6 +1,8 @@
 // Page of the board: full screen, sized by a bank card that is laid on the screen, or printed.
 
 import { html, nothing, render, svg, typed } from "../../shared/lit.js";
+import { FRAME } from "../../shared/strings/frame.js";
+import { BOARD } from "../../shared/strings/phone.js";
 import { blackParts, boardName, COLS, keepBoard, ROWS, shownBoard } from "./charuco.js";
 
 const CARD_MM = [85.6, 53.98]; // ISO/IEC 7810 ID-1
@@ -62,31 +64,31 @@ function print(name) {
 function printed() {
   const { name, squareMm } = PAPERS[paper];
   const [width, height] = [COLS, ROWS].map((count) => `${(count + 2 * MARGIN) * squareMm}mm`);
-  return html`<div class="board-print ${paper}" aria-hidden="true">${picture(width, height, `Board for ${name}`)}
+  return html`<div class="board-print ${paper}" aria-hidden="true">${picture(width, height, BOARD.ofPaper(name))}
     <p><svg width="${RULER_MM}mm" height="4mm" viewBox="0 0 ${RULER_MM} 4"><path class="rule" d="M0 0v4M${RULER_MM} 0v4M0 2H${RULER_MM}"></path></svg>
-      This line is ${RULER_MM} mm long if the page was printed at 100 %. Board: ${boardName(squareMm)}</p></div>`;
+      ${BOARD.rule(RULER_MM, boardName(squareMm))}</p></div>`;
 }
 
 function draw() {
   const side = squarePx();
   const squareMm = side / pxPerMm;
   const name = boardName(squareMm);
-  const shown = picture((COLS + 2 * MARGIN) * side, (ROWS + 2 * MARGIN) * side, `Board of ${COLS} by ${ROWS} squares`);
+  const shown = picture((COLS + 2 * MARGIN) * side, (ROWS + 2 * MARGIN) * side, BOARD.ofSquares(COLS, ROWS));
   if (isShown) keepBoard(name);
   document.body.classList.toggle("board-shown", isShown);
   const [cardWidth, cardHeight] = CARD_MM.map((side) => side * pxPerMm);
   render(isShown ? html`<div class="board-full" @click=${hide}>${shown}</div>` : html`
-    <h1 class="title">Calibration board</h1>
-    <section class="panel" aria-labelledby="screen-title"><h2 id="screen-title">On this screen</h2>
-      <p>Lay a bank card on the frame and move the slider until the frame is as large as the card. A tablet or a laptop serves well.</p>
-      <label class="field"><span>Size of the frame</span><input type="range" min=${MIN_PX_PER_MM} max=${MAX_PX_PER_MM} step="0.005" .value=${typed(pxPerMm)} @input=${rescale}></label>
-      <svg class="board-card" width=${cardWidth} height=${cardHeight} role="img" aria-label="Frame of a bank card"><rect x="1" y="1" width=${cardWidth - 2} height=${cardHeight - 2} rx=${3 * pxPerMm}></rect></svg>
-      <p class="quiet">The size of its squares follows from the frame. After it was shown, the board is named here as the form of a calibration asks for it. Touch it to come back.</p>
-      <div class="actions"><button type="button" class="button primary" @click=${show}>Show full screen</button></div>
-      ${shownBoard() ? html`<p>Shown or printed last: <code class="board-name">${shownBoard()}</code></p>` : nothing}</section>
-    <section class="panel" aria-labelledby="print-title"><h2 id="print-title">On paper</h2>
-      <p>Print at 100 %, without fitting to the page, or save as PDF. Glue it on something flat.</p>
-      <div class="actions">${Object.entries(PAPERS).map(([key, { name: label, squareMm: mm }]) => html`<button type="button" class="button" @click=${() => print(key)}>Print on ${label} (squares of ${mm} mm)</button>`)}</div></section>
+    <h1 class="title">${BOARD.title}</h1>
+    <section class="panel" aria-labelledby="screen-title"><h2 id="screen-title">${BOARD.screen}</h2>
+      <p>${BOARD.screenSteps}</p>
+      <label class="field"><span>${BOARD.size}</span><input type="range" min=${MIN_PX_PER_MM} max=${MAX_PX_PER_MM} step="0.005" .value=${typed(pxPerMm)} @input=${rescale}></label>
+      <svg class="board-card" width=${cardWidth} height=${cardHeight} role="img" aria-label=${BOARD.frame}><rect x="1" y="1" width=${cardWidth - 2} height=${cardHeight - 2} rx=${3 * pxPerMm}></rect></svg>
+      <p class="quiet">${BOARD.screenHint}</p>
+      <div class="actions"><button type="button" class="button primary" @click=${show}>${BOARD.show}</button></div>
+      ${shownBoard() ? html`<p>${BOARD.last} <code class="board-name">${shownBoard()}</code></p>` : nothing}</section>
+    <section class="panel" aria-labelledby="print-title"><h2 id="print-title">${BOARD.paper}</h2>
+      <p>${BOARD.paperSteps}</p>
+      <div class="actions">${Object.entries(PAPERS).map(([key, { name: label, squareMm: mm }]) => html`<button type="button" class="button" @click=${() => print(key)}>${BOARD.print(label, mm)}</button>`)}</div></section>
     ${printed()}`, place);
 }
 
@@ -94,4 +96,5 @@ addEventListener("resize", draw);
 document.addEventListener("fullscreenchange", () => { if (!document.fullscreenElement) hide(); });
 addEventListener("keydown", ({ key }) => { if (key === "Escape") hide(); });
 place.replaceChildren();
+document.title = FRAME.title(BOARD.title);
 draw();

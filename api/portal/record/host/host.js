@@ -3,9 +3,11 @@
 import { call, persistently } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { moment } from "../../shared/format.js";
-import { confirm, html, nothing, problemBox, render, repeat } from "../../shared/lit.js";
+import { confirm, helpLink, html, nothing, problemBox, prose, render, repeat } from "../../shared/lit.js";
 import { announce, go } from "../../shared/page.js";
 import { readCalibrations, readOptions, usable } from "../../shared/resources.js";
+import { COMMON } from "../../shared/strings/common.js";
+import { RECORD } from "../../shared/strings/record.js";
 import { shownBoard } from "../board/charuco.js";
 import { cleanName, isOfThisMachine, keepJoin } from "../room.js";
 import { HostedRecording } from "./recording.js";
@@ -84,7 +86,7 @@ export class RecordingView {
     if (!newest || this.#chosen.has(newest)) return;
     this.#chosen.add(newest);
     this.calibrationId = newest;
-    announce("The calibration of the phones is chosen.");
+    announce(RECORD.calibrationChosen);
   }
 
   // A calibration of a take may be ready: the list is read again, once.
@@ -104,8 +106,7 @@ export class RecordingView {
 
   async #remove() {
     const { name } = this.recording.state.recording;
-    const text = "Phones are sent away, and takes of which no capture was made are removed.";
-    if (!await confirm({ title: `Delete ${name}?`, text, action: "Delete the recording" })) return;
+    if (!await confirm({ title: RECORD.deleting.title(name), text: RECORD.deleting.text, action: RECORD.delete })) return;
     try {
       await call(this.recording.path, { method: "DELETE" });
       keepJoin(this.recording.id, null);
@@ -121,14 +122,14 @@ export class RecordingView {
     const { recording } = this;
     const { state, problem } = recording;
     if (state === null) {
-      render(html`<h1 class="title">Record</h1>${problem ? problemBox(problem) : html`<p class="quiet">Loading …</p>`}<p><a href="#/record">All recordings</a></p>`, this.place);
+      render(html`<h1 class="title">${RECORD.title}</h1>${problem ? problemBox(problem) : html`<p class="quiet">${COMMON.loading}</p>`}<p><a href="#/record">${RECORD.all}</a></p>`, this.place);
       return;
     }
-    render(html`<div class="bar"><h1 class="title">${state.recording.name}</h1><a href="#/record">All recordings</a>
-        <button type="button" class="button small danger-quiet record-delete" @click=${() => this.#remove()}>Delete the recording</button></div>
+    render(html`<div class="bar"><div class="with-help"><h1 class="title">${state.recording.name}</h1>${helpLink("phones", RECORD.title)}</div><a href="#/record">${RECORD.all}</a>
+        <button type="button" class="button small danger-quiet record-delete" @click=${() => this.#remove()}>${RECORD.delete}</button></div>
       ${problemBox(problem)}
-      ${recording.isConnected ? nothing : html`<p class="notice" role="status">The service does not answer. It is asked again until it does; phones that record go on.</p>`}
-      ${state.relay === "away" ? html`<p class="notice" role="status">The broker of the service does not answer: some phones are seen late, or not at all. Recording goes on.</p>` : nothing}
+      ${recording.isConnected ? nothing : html`<p class="notice" role="status">${RECORD.away}</p>`}
+      ${state.relay === "away" ? html`<p class="notice" role="status">${RECORD.relayAway}</p>` : nothing}
       <div class="record-room">
         <div class="record-side">${joinPart(recording)}${calibrationPart(this)}</div>
         <div class="record-main">${recordPart(this, recording)}${phonesPart(this, recording)}${takesPart(this, recording)}</div>
@@ -142,17 +143,16 @@ export class RecordingView {
 function joinPart(recording) {
   const { join } = recording;
   const renew = async () => {
-    const text = "Phones that have joined need the new link, too, before they record or send again.";
-    if (join && !await confirm({ title: "Make a new link?", text, action: "Make a new link", refusal: "Keep the link" })) return;
+    if (join && !await confirm(RECORD.renewing)) return;
     await recording.renewJoin();
   };
-  return html`<section class="panel record-join" aria-labelledby="join-title"><h2 id="join-title">Phones join by this code</h2>
-    ${join ? html`<img class="record-code" alt="QR code of the link" src=${`data:image/svg+xml,${encodeURIComponent(join.qr_svg)}`}>
+  return html`<section class="panel record-join" aria-labelledby="join-title"><h2 id="join-title">${RECORD.join}</h2>
+    ${join ? html`<img class="record-code" alt=${RECORD.code} src=${`data:image/svg+xml,${encodeURIComponent(join.qr_svg)}`}>
       <a class="record-link" href=${join.url} target="_blank" rel="noopener">${join.url}</a>
-      ${isOfThisMachine(join.url) ? html`<p class="notice" role="status">Only this machine can open this address. Start the service with <code>multicap serve --https</code>, and open this page by the address that it prints.</p>` : nothing}
-      <p class="quiet">It opens this recording alone, until ${moment(join.expires_at)}. Whoever has it can join.</p>`
-    : html`<p class="quiet">The link is shown once, in the browser that made the recording.</p>`}
-    <div class="actions"><button type="button" class="button small" @click=${renew}>New link</button></div></section>`;
+      ${isOfThisMachine(join.url) ? html`<p class="notice" role="status">${prose(RECORD.localOnly)}</p>` : nothing}
+      <p class="quiet">${RECORD.joinHint(moment(join.expires_at))}</p>`
+    : html`<p class="quiet">${RECORD.joinGone}</p>`}
+    <div class="actions"><button type="button" class="button small" @click=${renew}>${RECORD.newLink}</button></div></section>`;
 }
 
 function phoneCard(view, recording, phone) {
@@ -160,8 +160,8 @@ function phoneCard(view, recording, phone) {
   const [words, tone] = phoneState(live);
   const picture = recording.pictures.get(number);
   const remove = async () => {
-    const text = "It can't come back. Clips that it has sent stay.";
-    if (await confirm({ title: `Remove ${name}?`, text, action: "Remove the phone" })) recording.send({ type: "remove", phone: number });
+    const { title, text, action } = RECORD.removing;
+    if (await confirm({ title: title(name), text, action })) recording.send({ type: "remove", phone: number });
   };
   const rename = (event) => {
     event.preventDefault();
@@ -171,20 +171,20 @@ function phoneCard(view, recording, phone) {
     view.draw();
   };
   return html`<li class="record-phone" data-tone=${tone}>
-    <div class="record-picture">${picture && live?.is_connected ? html`<img src=${picture} alt="Picture of ${name}">` : html`<span class="quiet">no picture</span>`}</div>
+    <div class="record-picture">${picture && live?.is_connected ? html`<img src=${picture} alt=${RECORD.pictureOf(name)}>` : html`<span class="quiet">${RECORD.noPicture}</span>`}</div>
     <div class="head">${view.renamed === number
-    ? html`<form class="rename" @submit=${rename}><input name="name" maxlength="64" required aria-label="New name of ${name}" value=${name} autocomplete="off"><button class="button small primary">Save</button></form>`
+    ? html`<form class="rename" @submit=${rename}><input name="name" maxlength="64" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off"><button class="button small primary">${COMMON.save}</button></form>`
     : html`<h3>${name}</h3>`}<span class="state" data-tone=${tone}>${words}</span></div>
     <p class="quiet facts">${phoneFacts(live).map(({ text, isWorse }) => html`<span class=${isWorse ? "worse" : ""}>${text}</span>`)}</p>
     <p class="quiet">${device}</p>
     ${live?.status?.error ? html`<p class="problem">${live.status.error}</p>` : nothing}
-    <div class="actions"><button type="button" class="button small" aria-label="Rename ${name}" @click=${() => { view.renamed = number; view.draw(); }}>Rename</button>
-      <button type="button" class="button small danger-quiet" aria-label="Remove ${name}" @click=${remove}>Remove</button></div></li>`;
+    <div class="actions"><button type="button" class="button small" aria-label=${COMMON.renameOf(name)} @click=${() => { view.renamed = number; view.draw(); }}>${COMMON.rename}</button>
+      <button type="button" class="button small danger-quiet" aria-label=${RECORD.removeOf(name)} @click=${remove}>${RECORD.remove}</button></div></li>`;
 }
 
 function phonesPart(view, recording) {
   const { phones } = recording;
-  return html`<section class="panel" aria-labelledby="phones-title"><h2 id="phones-title">Phones</h2>
-    ${phones.length ? html`<ul class="record-phones" aria-label="Phones">${repeat(phones, ({ number }) => number, (phone) => phoneCard(view, recording, phone))}</ul>`
-    : html`<p class="quiet">No phone has joined yet. Two see people in three dimensions, four around them see them well.</p>`}</section>`;
+  return html`<section class="panel" aria-labelledby="phones-title"><h2 id="phones-title">${RECORD.phones}</h2>
+    ${phones.length ? html`<ul class="record-phones" aria-label=${RECORD.phones}>${repeat(phones, ({ number }) => number, (phone) => phoneCard(view, recording, phone))}</ul>`
+    : html`<p class="quiet">${RECORD.noPhones}</p>`}</section>`;
 }

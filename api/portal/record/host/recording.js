@@ -3,6 +3,8 @@
 import { call, persistently } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
 import { announce } from "../../shared/page.js";
+import { PROBLEMS } from "../../shared/strings/common.js";
+import { RECORD } from "../../shared/strings/record.js";
 import { ServerClock } from "../service_clock.js";
 import { keptJoin, keepJoin, RoomConnection } from "../room.js";
 
@@ -86,7 +88,7 @@ export class HostedRecording extends EventTarget {
 
   /** Send a message of the host. */
   send(message) {
-    this.problem = this.#room?.send(message) ? null : { message: "The service does not answer.", hint: "Phones that record go on." };
+    this.problem = this.#room?.send(message) ? null : { message: PROBLEMS.away, hint: RECORD.phonesContinue };
     this.#changed();
   }
 
@@ -96,7 +98,7 @@ export class HostedRecording extends EventTarget {
       const { join } = await call(`${this.path}/join`, { method: "POST" });
       this.join = join;
       keepJoin(this.id, join);
-      announce("There is a new link. The one before has ended.");
+      announce(RECORD.renewed);
     });
   }
 
@@ -107,7 +109,7 @@ export class HostedRecording extends EventTarget {
       const made = await call(`${this.path}/takes/${take.number}/session`, { method: "POST", body });
       this.warnings.set(take.number, made.warnings);
       await feed.refresh();
-      announce(`${take.name} is being reconstructed.`);
+      announce(RECORD.reconstructing(take.name));
       return made;
     });
   }
@@ -117,7 +119,7 @@ export class HostedRecording extends EventTarget {
     return this.#act(async () => {
       const job = await call(`${this.path}/takes/${take.number}/calibration`, { method: "POST", body: choices });
       feed.put(job);
-      announce("The calibration is being made.");
+      announce(RECORD.calibrationStarted);
       return job;
     });
   }

@@ -1,20 +1,18 @@
 // Takes, clips and phones of a recording as words.
 
 import { length, percent, size } from "../../shared/format.js";
+import { COMMON } from "../../shared/strings/common.js";
+import { RECORD } from "../../shared/strings/record.js";
 
 const GOOD_CLOCK_S = 0.01;
 const LOW_BATTERY = 0.15;
 const LOW_BYTES = 500e6;
-const PHONE_STATES = {
-  idle: ["no camera", "wait"], ready: ["ready", "good"], recording: ["recording", "bad"], stopping: ["stopping", "wait"], sending: ["sending", "run"],
-  hidden: ["not in front", "warn"], failed: ["trouble", "bad"],
-};
-const AWAY = ["not connected", "mute"];
+const PHONE_TONES = { idle: "wait", ready: "good", recording: "bad", stopping: "wait", sending: "run", hidden: "warn", failed: "bad", joining: "wait", away: "mute" };
 
 /** Words and tone of a phone's state; `live` is what is known of it at the moment. */
 export function phoneState(live) {
-  if (!live?.is_connected) return AWAY;
-  return PHONE_STATES[live.status?.state] ?? ["joining", "wait"];
+  const state = live?.is_connected ? live.status?.state ?? "joining" : "away";
+  return [RECORD.phoneStates[state], PHONE_TONES[state]];
 }
 
 /** Facts of a phone: `{ text, isWorse }` each. */
@@ -25,11 +23,11 @@ export function phoneFacts(live) {
   const isGiven = (value) => value !== undefined && value !== null;
   return [
     track && { text: `${track.width} × ${track.height}` },
-    track && { text: `${Math.round(10 * track.frame_rate_hz) / 10} Hz` },
-    isGiven(battery) && { text: `battery ${percent(battery)}`, isWorse: battery < LOW_BATTERY && !charging },
-    isGiven(clock) && { text: `clock ± ${Math.max(1, Math.round(1000 * clock.std_s))} ms`, isWorse: clock.std_s > GOOD_CLOCK_S },
-    isGiven(free) && { text: `${size(free)} free`, isWorse: free < LOW_BYTES },
-    dropped > 0 && { text: `${dropped} dropped`, isWorse: true },
+    track && { text: COMMON.hz(Math.round(10 * track.frame_rate_hz) / 10) },
+    isGiven(battery) && { text: RECORD.battery(percent(battery)), isWorse: battery < LOW_BATTERY && !charging },
+    isGiven(clock) && { text: RECORD.clock(Math.max(1, Math.round(1000 * clock.std_s))), isWorse: clock.std_s > GOOD_CLOCK_S },
+    isGiven(free) && { text: RECORD.freeSpace(size(free)), isWorse: free < LOW_BYTES },
+    dropped > 0 && { text: RECORD.droppedFrames(dropped), isWorse: true },
   ].filter(Boolean);
 }
 
@@ -38,20 +36,21 @@ export function clipState(clip, live, take) {
   const { started, stopped, files } = clip;
   const sending = live?.status?.sending;
   const isHere = files.length > 0 && files.length >= Math.max(stopped?.num_parts ?? 1, started?.part ?? 1);
-  if (isHere) return { words: "here", tone: "good", isHere };
-  if (sending?.take === take) return { words: `${percent(sending.sent_bytes / Math.max(1, sending.num_bytes))} sent`, tone: "run", isHere };
-  if (!live?.is_connected) return { words: "on the phone, which is not connected", tone: "warn", isHere };
-  if (stopped) return { words: "on the phone", tone: "wait", isHere };
-  return started ? { words: "recording", tone: "bad", isHere } : { words: "not begun", tone: "wait", isHere };
+  const { clipStates: words } = RECORD;
+  if (isHere) return { words: words.here, tone: "good", isHere };
+  if (sending?.take === take) return { words: words.sent(percent(sending.sent_bytes / Math.max(1, sending.num_bytes))), tone: "run", isHere };
+  if (!live?.is_connected) return { words: words.unreachable, tone: "warn", isHere };
+  if (stopped) return { words: words.onPhone, tone: "wait", isHere };
+  return started ? { words: words.recording, tone: "bad", isHere } : { words: words.notBegun, tone: "wait", isHere };
 }
 
 /** Sentences about what a phone lost of a take that started at `startS`. */
 export function clipLosses(clip, startS) {
   const lost = clip.files.flatMap(({ facts }) => facts.lost ?? []);
-  const times = lost.map(({ from_s: from, to_s: to }) => `lost ${(to - from).toFixed(1)} s, from ${length(Math.max(0, from - startS))} to ${length(Math.max(0, to - startS))}`);
-  const unsaid = lost.length === 0 && clip.stopped?.lost_s > 0 ? [`lost ${clip.stopped.lost_s.toFixed(1)} s`] : [];
+  const times = lost.map(({ from_s: from, to_s: to }) => RECORD.lostTime((to - from).toFixed(1), length(Math.max(0, from - startS)), length(Math.max(0, to - startS))));
+  const unsaid = lost.length === 0 && clip.stopped?.lost_s > 0 ? [RECORD.lost(clip.stopped.lost_s.toFixed(1))] : [];
   const dropped = clip.stopped?.dropped_frames ?? 0;
-  return [...times, ...unsaid, ...(dropped > 0 ? [`${dropped} frames dropped`] : [])];
+  return [...times, ...unsaid, ...(dropped > 0 ? [RECORD.framesDropped(dropped)] : [])];
 }
 
 /** Duration of a take in seconds at a time of the service. */
@@ -82,4 +81,4 @@ export function bestVideo(videos) {
 }
 
 /** Size and rate as words. */
-export const videoWords = ({ width, height, frame_rate_hz: rateHz }) => `${width} × ${height}, ${rateHz} Hz`;
+export const videoWords = ({ width, height, frame_rate_hz: rateHz }) => RECORD.videoWords(width, height, rateHz);

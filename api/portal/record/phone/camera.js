@@ -1,5 +1,6 @@
 // Camera of the phone: opened at a size and rate, its exposure, focus and white balance held still.
 
+import { PHONE } from "../../shared/strings/phone.js";
 import { cleanName } from "../room.js";
 
 // Sound as it is: what makes calls pleasant would take the claps and beeps out that clocks are measured by.
@@ -87,10 +88,9 @@ export const discardedFrames = (track) => track.stats?.discardedFrames ?? null;
 
 /** Sentence of a camera that can't be opened. */
 export function cameraProblem({ name }) {
-  if (!globalThis.isSecureContext) return { message: "Browsers give the camera to encrypted pages only.", hint: "Open the link that begins with https." };
-  if (name === "NotAllowedError") return { message: "The camera is not allowed.", hint: "Allow it in the settings of the browser for this page, and try again." };
-  if (name === "NotFoundError") return { message: "This device has no camera.", hint: null };
-  return { message: "The camera can't be opened.", hint: "Close other apps that use it, and try again." };
+  const causes = { NotAllowedError: PHONE.cameraRefused, NotFoundError: PHONE.cameraMissing };
+  const [message, hint] = globalThis.isSecureContext ? causes[name] ?? PHONE.cameraBusy : PHONE.cameraInsecure;
+  return { message, hint };
 }
 
 // Times at which the camera took its frames, by the callbacks of the picture that the phone shows.

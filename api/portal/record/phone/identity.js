@@ -1,5 +1,7 @@
 // Identity of this phone: the link that it was opened by, a secret of its own for each recording, and its name.
 
+import { PHONE } from "../../shared/strings/phone.js";
+
 const KEY = "multicap.phone";
 const MAX_KEPT = 20;
 
@@ -43,7 +45,7 @@ export function describeDevice(userAgent) {
   const browsers = [["Edg", "Edge"], ["OPR", "Opera"], ["SamsungBrowser", "Samsung Internet"], ["Firefox", "Firefox"], ["FxiOS", "Firefox"], ["CriOS", "Chrome"], ["Chrome", "Chrome"], ["Safari", "Safari"]];
   const systems = [["iPhone", "iPhone"], ["iPad", "iPad"], ["Android", "Android"], ["CrOS", "ChromeOS"], ["Windows", "Windows"], ["Mac OS X", "Mac"], ["Linux", "Linux"]];
   const named = (names) => names.find(([part]) => userAgent.includes(part))?.[1];
-  return [named(browsers) ?? "Browser", named(systems)].filter(Boolean).join(" on ");
+  return PHONE.device(named(browsers), named(systems));
 }
 
 // Reserves of the phone: its battery, its storage, and a screen that stays on.

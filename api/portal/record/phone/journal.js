@@ -1,5 +1,7 @@
 // Recordings that the browser keeps, through the worker that writes them.
 
+import { PHONE } from "../../shared/strings/phone.js";
+
 const FOLDER = "multicap-takes";
 
 /** What this browser has recorded. */
@@ -16,7 +18,7 @@ export class TakeJournal {
       else reject(new Error(error));
     });
     this.#worker.addEventListener("error", (event) => {
-      for (const { reject } of this.#waiting.values()) reject(new Error(event.message || "The browser can't keep recordings."));
+      for (const { reject } of this.#waiting.values()) reject(new Error(event.message || PHONE.storageFailed));
       this.#waiting.clear();
     });
   }

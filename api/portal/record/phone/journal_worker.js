@@ -3,6 +3,7 @@
 // A part of a take is a folder with `video`, the bytes so far, and `journal`, a line of JSON a fact. Handles for synchronous access
 // write in place and flush: what was appended is there after the tab was killed. Pages have no such handles, workers have.
 
+import { PHONE } from "../../shared/strings/phone.js";
 import { parseJournal } from "./journal.js";
 
 const FOLDER = "multicap-takes";
@@ -22,7 +23,7 @@ function write(handle, bytes) {
   const written = handle.write(bytes, { at });
   if (written < bytes.byteLength) {
     handle.truncate(at);
-    throw new Error("The browser's storage is full.");
+    throw new Error(PHONE.storageFull);
   }
   handle.flush();
 }

@@ -1,5 +1,7 @@
 // The phone of a recording: its camera, its clock, what it records when the host says so, and what it sends.
 
+import { PHONE } from "../../shared/strings/phone.js";
+import { RECORD } from "../../shared/strings/record.js";
 import { ServerClock } from "../service_clock.js";
 import { cleanName, RoomConnection } from "../room.js";
 import { adjust, cameraProblem, trackFacts, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
@@ -18,6 +20,7 @@ const LINK_CODES = ["link_unknown", "recording_link_ended"];
 const MAX_ERROR = 100; // characters of what the host sees
 
 const nowS = () => performance.now() / 1000;
+const problemOf = ([message, hint]) => ({ message, hint });
 
 /** The phone. It tells by the event `change` that something is to be drawn again. */
 export class PhoneCamera extends EventTarget {
@@ -101,7 +104,7 @@ export class PhoneCamera extends EventTarget {
       this.#changed();
       return;
     }
-    this.problem = recordableTypes().length ? null : { message: "This browser can't record videos.", hint: "Open the link in another browser." };
+    this.problem = recordableTypes().length ? null : problemOf(PHONE.noRecorder);
     this.track.addEventListener("ended", () => this.#cameraGone());
     this.video.srcObject = this.stream;
     this.video.play().catch(() => null);
@@ -190,7 +193,7 @@ export class PhoneCamera extends EventTarget {
     await this.#begin(number, startS, { latest_stop_s: stopS, settings });
   }
 
-  async #begin(number, atServerS, { name = `Take ${number}`, latest_stop_s: stopS, settings }) {
+  async #begin(number, atServerS, { name = RECORD.takeDefault(number), latest_stop_s: stopS, settings }) {
     this.takes.set(number, { parts: [], is_upload_wanted: false, ...this.takes.get(number), number, name, state: "recording", start_s: atServerS, stop_s: stopS });
     if (this.recorder || !this.track) return;
     while (!this.clock.isKnown) await new Promise((resolve) => { setTimeout(resolve, FIRST_PING_MS); });
@@ -224,7 +227,7 @@ export class PhoneCamera extends EventTarget {
   async #ended(recorder) {
     if (this.recorder === recorder) this.recorder = null;
     this.isStopping = false;
-    if (recorder.problem) this.problem = { message: `The recording stopped: ${recorder.problem.message}`, hint: "Free some storage of this phone." };
+    if (recorder.problem) this.problem = problemOf([PHONE.stopped(recorder.problem.message), PHONE.stoppedHint]);
     await this.#readParts();
     if (this.track) release(this.track);
     if (recorder.isTurned) this.room.again(); // the service answers with the take, and another part begins
@@ -325,7 +328,7 @@ export class PhoneCamera extends EventTarget {
   // Another app took the camera, such as a call: what was recorded so far is a part.
   #cameraGone() {
     this.#closeCamera();
-    this.problem = { message: "Another app took the camera.", hint: "Tap Allow the camera to go on." };
+    this.problem = problemOf(PHONE.cameraTaken);
     this.#changed();
   }
 

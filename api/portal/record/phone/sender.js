@@ -1,5 +1,6 @@
 // Uploads of the parts that this phone recorded, one after the other, by tus. They go on after the page was closed.
 
+import { PHONE } from "../../shared/strings/phone.js";
 import "../../vendor/tus.min.js";
 import { fileEnding } from "./take_recorder.js";
 
@@ -12,9 +13,9 @@ const CHUNK_BYTES = 8 * 2 ** 20;
 /** Sentence about an upload that failed: the service's own, if it answered. */
 export function failureReason(error) {
   try {
-    return JSON.parse(error.originalResponse.getBody()).detail ?? "The service refused it.";
+    return JSON.parse(error.originalResponse.getBody()).detail ?? PHONE.serviceRefused;
   } catch {
-    return error.originalResponse ? "The service refused it." : "The service does not answer.";
+    return error.originalResponse ? PHONE.serviceRefused : PHONE.serviceAway;
   }
 }
 

@@ -1,9 +1,11 @@
 // Starts the phone's page, which `/record` is.
 
+import { PHONE } from "../../shared/strings/phone.js";
+
 import("./phone_view.js").then(({ open }) => open(document.getElementById("phone")), () => {
   const place = document.getElementById("phone");
   const say = (tag, text) => place.append(Object.assign(document.createElement(tag), { textContent: text }));
   place.replaceChildren();
-  say("h1", "The page could not be started");
-  say("p", "Reload it. The libraries of the page may not be installed: the operator installs them by make setup.");
+  say("h1", PHONE.startTitle);
+  say("p", PHONE.startHint);
 });

@@ -1,5 +1,7 @@
 // A character in motion as its GLB file has it: what the file describes, and the keys of its motion (docs/start/own-character.md).
 
+import { VIEWER } from "../../shared/strings/viewer.js";
+
 const HEAD_BYTES = 2 ** 16;
 const CHUNK_START = 20;
 const CHUNK_HEAD_BYTES = 8;
@@ -34,7 +36,7 @@ function endOfDescription(file, head) {
 }
 
 function damaged({ name }) {
-  return new Error(`${name} is no character in motion, or is damaged.`);
+  return new Error(VIEWER.characterDamaged(name));
 }
 
 /** Motion of one person's character: `channels` are `{ node, path, values }`, a row of values for each frame of the file. */

@@ -1,10 +1,14 @@
 // Bends of joints and speeds from positions of the animation skeleton. Pure functions of typed arrays; NaN stays NaN.
 
+import { FIGURES } from "../../shared/strings/viewer.js";
+
+const bendLabel = (side, joint) => FIGURES.bends(FIGURES.bendSides[side], FIGURES.bendJoints[joint]);
+
 /** Bends that plots offer: the angle at `at` between the bones from `from` and to `to`; 0 is straight. */
 export const ANGLES = ["Left", "Right"].flatMap((side) => [
-  { label: `${side} elbow`, from: `${side}Arm`, at: `${side}ForeArm`, to: `${side}Hand` },
-  { label: `${side} knee`, from: `${side}UpLeg`, at: `${side}Leg`, to: `${side}Foot` },
-  { label: `${side} hip`, from: "Spine", at: `${side}UpLeg`, to: `${side}Leg` },
+  { label: bendLabel(side, "elbow"), from: `${side}Arm`, at: `${side}ForeArm`, to: `${side}Hand` },
+  { label: bendLabel(side, "knee"), from: `${side}UpLeg`, at: `${side}Leg`, to: `${side}Foot` },
+  { label: bendLabel(side, "hip"), from: "Spine", at: `${side}UpLeg`, to: `${side}Leg` },
 ]);
 
 /** Groups of joint angles for a plot each: name, and the angles with their numbers among `names`. */
@@ -19,7 +23,7 @@ export function angleGroups(names) {
 }
 
 /** Joints whose speeds plots offer. */
-export const SPEEDS = [["Hips", "hips"], ["LeftHand", "left hand"], ["RightHand", "right hand"], ["LeftFoot", "left foot"], ["RightFoot", "right foot"]];
+export const SPEEDS = Object.entries(FIGURES.speedJoints);
 
 /** Bend in degrees at the joint `at`: the angle by which the second bone leaves the first one's direction. */
 export function bendDeg(positions, from, at, to) {

@@ -1,5 +1,7 @@
 // Records of frames: what an answer of GET /v1/jobs/{id}/motion holds (docs/reference/file-contents.md, "Motion for viewers").
 
+import { VIEWER } from "../../shared/strings/viewer.js";
+
 const HEAD_BYTES = 16;
 const FIELDS = { joints: "numJoints", skeleton: "numBones" };
 
@@ -11,7 +13,7 @@ export function parsePieces(buffer) {
     const [id, firstFrame, numFrames, numBytes] = [0, 4, 8, 12].map((offset) => view.getUint32(place + offset, true));
     const start = place + HEAD_BYTES;
     place = start + numFrames * numBytes;
-    if (numBytes === 0 || place > buffer.byteLength) throw new Error("The frames of the motion are cut short.");
+    if (numBytes === 0 || place > buffer.byteLength) throw new Error(VIEWER.motionCut);
     pieces.push({ id, firstFrame, numFrames, start });
   }
   return pieces;

@@ -1,5 +1,6 @@
-// Heat strips of people, and the spots in them that deserve a look.
+// Heat strips of people, and the spots in them to check.
 
+import { VIEWER } from "../../shared/strings/viewer.js";
 import { integers } from "./records.js";
 
 export const UNKNOWN_ERROR = 255;
@@ -31,7 +32,7 @@ export function badErrorPx(description, person) {
 }
 
 /**
- * Spots of a person that deserve a look, as `{ from, to, reason }`; frames `from` up to but without `to`, in order.
+ * Spots of a person to check, as `{ from, to, reason }`; frames `from` up to but without `to`, in order.
  *
  * Neighbouring buckets with the same reason are one spot.
  */
@@ -56,10 +57,10 @@ export function badSpots(description, person, strips = decodeStrips(description,
 
 function refusalReason(description, strips, bucket, limitPx) {
   const [measured, interpolated, predicted] = ["measured", "interpolated", "predicted"].map((name) => strips[name][bucket] / 255);
-  if (strips.identity[bucket] / 255 < MIN_IDENTITY) return "the identity is doubtful";
-  if (1 - measured - interpolated - predicted > MAX_ABSENT) return "most joints are absent";
-  if (predicted > MAX_PREDICTED) return "many joints are predicted";
-  if (strips.cameras[bucket] < MIN_CAMERAS) return "fewer than two cameras see the person";
-  if (bucketErrorPx(description, strips, bucket) > limitPx) return "the reprojection error is large";
+  if (strips.identity[bucket] / 255 < MIN_IDENTITY) return VIEWER.reasons.identity;
+  if (1 - measured - interpolated - predicted > MAX_ABSENT) return VIEWER.reasons.absent;
+  if (predicted > MAX_PREDICTED) return VIEWER.reasons.predicted;
+  if (strips.cameras[bucket] < MIN_CAMERAS) return VIEWER.reasons.cameras;
+  if (bucketErrorPx(description, strips, bucket) > limitPx) return VIEWER.reasons.error;
   return null;
 }

@@ -1,5 +1,6 @@
 // The people of a take as a character of the user's own: one mesh for all, a skeleton for each.
 
+import { VIEWER } from "../../shared/strings/viewer.js";
 import * as THREE from "../../vendor/three/three.module.js";
 import { isCompressed, readCharacter, simplify } from "../motion/character.js";
 
@@ -29,7 +30,7 @@ export class CharacterFigures {
     const motions = [];
     for (const file of files) motions.push(await readCharacter(file, signal));
     const [first, ...others] = motions;
-    if (isCompressed(first.document)) throw new Error("Its meshes are compressed (Draco), which the viewer does not read. Export the character without compression.");
+    if (isCompressed(first.document)) throw new Error(VIEWER.characterCompressed);
     const nodes = JSON.stringify(first.document.nodes);
     const isNew = this.#model?.nodes !== nodes;
     const read = reader(isNew ? [[0, first.file.numBytes], ...others.map(({ range }) => range)] : motions.map(({ range }) => range), signal, onshare);

@@ -2,6 +2,7 @@
 // the last key for each picture.
 
 import { readIndex } from "../../shared/mp4.js";
+import { VIEWER } from "../../shared/strings/viewer.js";
 
 const BLOCK_BYTES = 2 ** 20;
 const MAX_BLOCKS = 8;
@@ -27,7 +28,7 @@ export class Film {
     const read = async (start, stop) => {
       const answer = await fetch(url, { headers: { Range: `bytes=${start}-${stop - 1}` } });
       if (answer.status === 416) return new ArrayBuffer(0); // beyond the end
-      if (answer.status !== 206) throw new Error(`A part of the video could not be read (${answer.status}).`);
+      if (answer.status !== 206) throw new Error(VIEWER.videoPartFailed(answer.status));
       return answer.arrayBuffer();
     };
     const index = await readIndex(read);
@@ -110,7 +111,7 @@ export class Film {
 
   #begin(frame, callbacks) {
     // It came to nothing before: the decoder leaves this picture out.
-    if (frame === this.#begunFor) throw new Error(`Frame ${frame} can't be decoded.`);
+    if (frame === this.#begunFor) throw new Error(VIEWER.frameFailed(frame));
     this.#begunFor = frame;
     if (this.#decoder === null) {
       this.#decoder = new VideoDecoder(callbacks);

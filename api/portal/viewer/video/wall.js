@@ -1,5 +1,6 @@
 // All cameras' videos beside the 3D view.
 
+import { VIEWER } from "../../shared/strings/viewer.js";
 import { el, graphics, iconButton } from "../dom.js";
 import { between } from "../motion/kinematics.js";
 import { FrameClock } from "./frame_times.js";
@@ -19,7 +20,7 @@ export class Wall {
     const onthrough = (number) => viewer.see(viewer.seen === number ? null : number);
     const isShown = (person) => viewer.shown[person];
     this.tiles = store.description.cameras.map((camera, number) => new Tile(camera, number, store, player, { onthrough, isShown, onenlarge: (tile) => this.#enlarge(tile) }));
-    this.element = el("div", { class: "look-wall", role: "group", "aria-label": "Videos" }, this.tiles.map((tile) => tile.element));
+    this.element = el("div", { class: "look-wall", role: "group", "aria-label": VIEWER.videos }, this.tiles.map((tile) => tile.element));
     for (const tile of this.tiles) this.#load(tile, source);
     this.resizing = new ResizeObserver(() => this.#arrange());
     this.resizing.observe(this.element);
@@ -142,12 +143,12 @@ export class Tile {
     this.#clock = new FrameClock(camera.clock);
     this.video = el("video", { muted: true, playsinline: true, preload: "auto", tabindex: -1, "aria-hidden": "true" });
     this.video.muted = true;
-    this.canvas = el("canvas", { role: "img", "aria-label": `Picture of ${camera.name} with the skeletons over it` });
-    this.note = el("p", { class: "look-tile-note" }, "No video");
+    this.canvas = el("canvas", { role: "img", "aria-label": VIEWER.picture(camera.name) });
+    this.note = el("p", { class: "look-tile-note" }, VIEWER.noVideo);
     this.element = el("figure", { class: "look-tile" },
       el("div", { class: "look-picture" }, this.video, this.canvas, this.note),
-      el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: `See through ${camera.name} (${number + 1})`, onclick: () => onthrough(number) }, camera.name),
-        iconButton("enlarge", `Enlarge ${camera.name}`, () => onenlarge(this), { "aria-pressed": "false" })));
+      el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: VIEWER.seeThrough(camera.name, number + 1), onclick: () => onthrough(number) }, camera.name),
+        iconButton("enlarge", VIEWER.enlarge(camera.name), () => onenlarge(this), { "aria-pressed": "false" })));
     this.element.style.setProperty("--ratio", `${camera.size_px[0]} / ${camera.size_px[1]}`);
     this.#numVideos = store.description.cameras.length;
     this.#overlay = new SkeletonDrawing(this.canvas, camera, store.description);
@@ -180,7 +181,7 @@ export class Tile {
   /** Show a video, `{ url, startS }`; null if there is none. */
   setVideo(video) {
     if (video === null || !this.#clock.hasVideo) return;
-    this.note.textContent = "Loading …";
+    this.note.textContent = VIEWER.loading;
     this.#startS = video.startS;
     this.#open(video.url);
   }
@@ -365,7 +366,7 @@ export class Tile {
       this.#isShowing = false;
       this.#shown = null;
       this.note.hidden = false;
-      this.note.textContent = "This video can't be shown here";
+      this.note.textContent = VIEWER.videoFailed;
       this.draw();
     });
     const onPicture = (mediaTime) => {

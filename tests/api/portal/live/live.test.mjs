@@ -47,7 +47,7 @@ test("what can't be played is named", async () => {
   await assert.rejects(openRecording(sorted, ["left", "right"], 25), /cam_1, cam_2/);
   await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,0,0") }, ["cam_1", "cam_2"], null), /Frames of cam_1/);
   await assert.rejects(openRecording({ ...sorted, timestamps: times("cam_1,x,0") }, ["cam_1", "cam_2"], null), /Line 2/);
-  await assert.rejects(listEntries(new File(["nothing"], "a.zip")), /no zip/);
+  await assert.rejects(listEntries(new File(["nothing"], "a.zip")), /not a zip/);
   assert.throws(() => parsePeople("[]"), /OpenPose/);
   assert.deepEqual(parsePeople('{"people": [null, {}, {"pose_keypoints_2d": "x"}, {"pose_keypoints_2d": [1, 2, 0.5]}]}'), [[1, 2, 0.5]]);
 });

@@ -40,5 +40,5 @@ test("another file of a name takes its place", async () => {
   const { notes, forgotten, names } = await added(draft, openFile("a.mp4", "other"));
   assert.deepEqual(names, ["a.mp4"]);
   assert.equal(forgotten.length, 1);
-  assert.match(notes[0], /a\.mp4 takes the place/);
+  assert.match(notes[0], /a\.mp4 replaces/);
 });

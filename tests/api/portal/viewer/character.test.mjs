@@ -68,7 +68,7 @@ test("damaged files are refused by name", async () => {
     harmed((copy) => copy.writeUInt32LE(0xffffffff, 12)), harmed((copy) => copy.fill(0, 0, 4)), harmed((copy) => copy.fill(0x20, 20, 60)),
   ];
   for (const [number, content] of files.entries()) {
-    await assert.rejects(readCharacter(openFile(content)), /person-1\.character\.glb is no character in motion, or is damaged/, `file ${number}`);
+    await assert.rejects(readCharacter(openFile(content)), /person-1\.character\.glb is not an animated character, or is damaged/, `file ${number}`);
   }
 });
 

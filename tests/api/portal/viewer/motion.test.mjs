@@ -142,7 +142,7 @@ test("strips and spots", () => {
   assert.equal(bucketErrorPx(description, strips, 45), 2.5);
   assert.ok(Number.isNaN(bucketErrorPx(description, strips, 95)));
   const spots = badSpots(description, 1);
-  assert.deepEqual(spots[0], { from: 30, to: 61, reason: "the identity is doubtful" });
+  assert.deepEqual(spots[0], { from: 30, to: 61, reason: "doubtful identity" });
   assert.ok(spots.slice(1).every(({ from }) => from > 60));
 });
 
