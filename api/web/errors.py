@@ -24,6 +24,7 @@ from pipeline.core.problems.request_codes import (
     ARTIFACT_DAMAGED,
     ARTIFACTS_REFUSED,
     ARTIFACTS_UNAVAILABLE,
+    CHANGED_MEANWHILE,
     CLIENT_DISCONNECTED,
     CLIENT_TOO_SLOW,
     CONFLICT,
@@ -50,6 +51,7 @@ from worker.store.errors import (
     ArtifactsRefused,
     DamagedArtifact,
     DamagedDatabase,
+    EditedMeanwhile,
     JobStoreError,
     KeyBusy,
     KeyReused,
@@ -358,6 +360,9 @@ def _from_conflict(error: JobStoreError) -> ApiError:
         case NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
             return ApiError(NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
+        case EditedMeanwhile():
+            hint = "Read the people again, then send the edits with their present ETag."
+            return ApiError(CHANGED_MEANWHILE, str(error), hint=hint)
         case VideosDeleted():
             return ApiError(VIDEOS_DELETED, str(error), hint=VIDEOS_DELETED_HINT)
         case _:

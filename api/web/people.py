@@ -12,7 +12,7 @@ from api.web.contract.schemas import ResponseModel
 from api.web.dependencies import POLL_AFTER_S, JobId, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
-from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, matches
+from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, require_tag
 from api.web.jobs.schemas import JobOut
 from pipeline.core.errors import InputError
 from pipeline.core.options.edits import MAX_EDITS, MAX_PIECES, EditedPerson, PeopleEdit, PersonSpan, apply_edits
@@ -128,13 +128,13 @@ def get_job_people(job_id: JobId, records: RecordsDep, if_none_match: IfNoneMatc
     return conditional_by(_tag(job), lambda: PeopleOut.from_job(job, found), if_none_match)
 
 
-@router.patch(
+@router.put(
     "/{job_id}/people",
     operation_id="editJobPeople",
     summary="Edit a job's people",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 413, 415, 422, 429, 507)},
+    responses={**_ACCEPTED, **problems(400, 404, 409, 412, 413, 415, 422, 429, 507)},
 )
 def edit_job_people(
     job_id: JobId,
@@ -151,12 +151,8 @@ def edit_job_people(
     """
     job = records.jobs.get(job_id)
     found = _found(job)
-    if if_match is not None and not matches(if_match, _tag(job)):
-        raise ApiError(
-            CONFLICT,
-            "The edits have changed since this version.",
-            hint="Read the people again, then send the edits with their present ETag.",
-        )
+    if if_match is not None:
+        require_tag(_tag(job), if_match)
     try:
         apply_edits(found, edits.edits, motion_frames(job), MAX_PIECES)
     except InputError as error:

@@ -36,7 +36,7 @@ def service(tmp_path: Path) -> Iterator[Served]:
 def edited(served: Served, job_id: str, *edits: dict[str, Any]) -> float:
     """Replace the edits of a job; seconds from the request to the list of the new files."""
     start_s = time.monotonic()
-    answer = served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits})
+    answer = served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits})
     assert answer.status_code == 202, answer.text
     while (job := served.job(job_id))["state"] not in {"succeeded", "failed"}:
         time.sleep(0.05)

@@ -47,7 +47,7 @@ class ServedPeople:
     def edit(self, *edits: dict[str, Any]) -> None:
         path = f"/v1/jobs/{self.job_id}/people"
         self.wait()
-        self.client.patch(path, json={"edits": edits}).raise_for_status()
+        self.client.put(path, json={"edits": edits}).raise_for_status()
         self.wait()
 
     @contextlib.contextmanager
@@ -362,7 +362,7 @@ def test_refused_edit_keeps_others(page: Page, portal: ServedPeople) -> None:
     held: list[Route] = []
 
     def hold_the_first(route: Route) -> None:
-        if route.request.method == "PATCH" and not held:
+        if route.request.method == "PUT" and not held:
             held.append(route)
         else:
             route.continue_()

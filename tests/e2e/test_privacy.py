@@ -107,7 +107,7 @@ def test_heads_are_gone_and_then_videos(served: Served, sample: Sample) -> None:
 
     people = served.client.get(f"/v1/jobs/{job_id}/people").raise_for_status().json()["found"]
     edits = {"edits": [{"action": "rename", "person": people[0]["id"], "name": "Anna"}]}
-    served.client.patch(f"/v1/jobs/{job_id}/people", json=edits).raise_for_status()
+    served.client.put(f"/v1/jobs/{job_id}/people", json=edits).raise_for_status()
     edited = served.wait_for_end(job_id)
     assert (edited["state"], edited["results_revision"]) == ("succeeded", 1)
     again = served.client.post(f"{address}/jobs", json={"profile": "fast", "exports": ["csv"], "frame_range": FRAMES})

@@ -56,7 +56,7 @@ def test_report_and_overlays_follow_edit(served: Served, sample: Sample) -> None
     people = served.client.get(f"/v1/jobs/{job_id}/people").raise_for_status().json()["found"]
     longest = max(people, key=lambda person: person["num_frames"])
     rename = {"action": "rename", "person": longest["id"], "name": "Anna"}
-    served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": [rename]}).raise_for_status()
+    served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": [rename]}).raise_for_status()
     job = served.wait_for_end(job_id)
     assert (job["state"], job["results_revision"]) == ("succeeded", 1)
     assert not {"draw_overlay", "write_report"} & {stage["name"] for stage in job["stages"]}

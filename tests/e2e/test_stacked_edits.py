@@ -76,7 +76,7 @@ def test_last_of_stacked_edits_wins_while_workers_are_killed(service: Served, tm
 
 
 def edit(served: Served, job_id: str, edits: list[dict[str, Any]]) -> dict[str, Any]:
-    answer = served.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits})
+    answer = served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits})
     assert answer.status_code == 202, answer.text
     return dict(answer.json())
 

@@ -8,6 +8,7 @@
     │   ├── NotFinished      a job without results yet
     │   ├── NoResults        a job that failed or was canceled has no results
     │   ├── PhoneRemoved     the host has removed the phone of a recording
+    │   ├── EditedMeanwhile  the job has another revision than the caller knows
     │   ├── VideosDeleted    the session's videos were deleted, and the work needs them
     │   └── KeyBusy          the request of an idempotency key is at work
     ├── KeyReused            an idempotency key came with another request
@@ -52,6 +53,13 @@ class NoResults(Conflict):
     def __init__(self, state: str, reason: str | None, retryable: bool) -> None:
         self.state, self.reason, self.retryable = state, reason, retryable
         super().__init__(f"The job is {state} and has no results.")
+
+
+class EditedMeanwhile(Conflict):
+    """The edits of the job's people were changed after the caller read them."""
+
+    def __init__(self, revision: int, known: int) -> None:
+        super().__init__(f"The job has the revision {revision} now, not {known}.")
 
 
 class VideosDeleted(Conflict):

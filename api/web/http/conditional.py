@@ -112,7 +112,11 @@ def _answer(etag: str, if_none_match: str | None, body: Callable[[], bytes]) -> 
 
 def require_match(record: BaseModel, if_match: str) -> None:
     """Raise 412 unless the client's version of a record, by its ``If-Match`` header, is the present one."""
-    _, etag = _tagged(record)
+    require_tag(_tagged(record)[1], if_match)
+
+
+def require_tag(etag: str, if_match: str) -> None:
+    """Raise 412 unless an ``If-Match`` header names the entity tag of the present version."""
     if not matches(if_match, etag):
         raise ApiError(
             CHANGED_MEANWHILE,

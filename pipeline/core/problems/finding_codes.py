@@ -178,7 +178,7 @@ NOBODY_FOUND = WARNINGS.code("nobody_found", "warning", "finding")
 """No person was found. | Check that the calibration belongs to the videos, and that two cameras see a person at the
 same time."""
 EVERYBODY_REMOVED = WARNINGS.code("everybody_removed", "warning")
-"""Edits removed everybody who was found. | Undo an edit: `PATCH /v1/jobs/{id}/people` with the list without it."""
+"""Edits removed everybody who was found. | Undo an edit: `PUT /v1/jobs/{id}/people` with the list without it."""
 BODIES_CLUSTERED = WARNINGS.code("bodies_clustered", "warning", "command")
 """Clustering got whole bodies, in which it connects joints of one detection only. | Use a
 detector of part affinity fields with videos, or `method: tracking`."""
@@ -222,10 +222,10 @@ LIMB_MISMEASURED = WARNINGS.code("limb_mismeasured", "warning")
 Look at this limb: it may be hidden for most of the take. See
 [the fit](../methods/fit.md#lengths-of-limbs)."""
 PERSON_NEVER_MOVES = WARNINGS.code("person_never_moves", "warning")
-"""A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PATCH
+"""A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PUT
 /v1/jobs/{id}/people`); see [likenesses](../methods/identity.md#likenesses)."""
 MIRROR_IMAGE = WARNINGS.code("mirror_image", "warning")
-"""A person is the mirror image of another one. | Remove the image (`PATCH /v1/jobs/{id}/people`), or cover the mirror;
+"""A person is the mirror image of another one. | Remove the image (`PUT /v1/jobs/{id}/people`), or cover the mirror;
 see [likenesses](../methods/identity.md#likenesses)."""
 CALIBRATION_REFINED = WARNINGS.code("calibration_refined", "warning")
 """Cameras were moved to fit the people of the take. | Use the result calibration.json for other takes; see

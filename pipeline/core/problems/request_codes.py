@@ -340,7 +340,7 @@ RECORDING_LINK_ENDED = RECORDINGS.code("recording_link_ended", "recording")
 
 EDITS = CodeGroup(
     "Edits of people",
-    "Values of `code` in `errors` of `PATCH /v1/jobs/{id}/people`; `pointer` leads to the edit.",
+    "Values of `code` in `errors` of `PUT /v1/jobs/{id}/people`; `pointer` leads to the edit.",
 )
 
 EDIT_IMPOSSIBLE = EDITS.code("edit_impossible", 422)

@@ -32,7 +32,7 @@ def people(live: Live, job_id: str) -> dict[str, Any]:
 
 
 def edit(live: Live, job_id: str, *edits: object, **headers: str) -> Any:
-    return live.client.patch(f"/v1/jobs/{job_id}/people", json={"edits": edits}, headers=headers)
+    return live.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits}, headers=headers)
 
 
 def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
@@ -68,12 +68,12 @@ def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
     assert people(live, job_id) == before | {"revision": 2}
 
 
-def test_old_entity_tag_is_conflict(live: Live, job_id: str) -> None:
+def test_old_entity_tag_is_refused(live: Live, job_id: str) -> None:
     etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
     assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
     assert edit(live, job_id, ANNA, **{"If-Match": etag}).status_code == 202
     live.finish(job_id, people=FOUND)
-    problem_of(edit(live, job_id, **{"If-Match": etag}), 409, "conflict")
+    problem_of(edit(live, job_id, **{"If-Match": etag}), 412, "changed_meanwhile")
     assert people(live, job_id)["edits"] == [ANNA]
 
 
@@ -84,7 +84,7 @@ def test_edits_are_not_applied_for_unchanged_answer(live: Live, job_id: str, mon
     applied: list[object] = []
     monkeypatch.setattr("api.web.people.apply_edits", lambda *arguments: applied.append(arguments))
     assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
-    problem_of(edit(live, job_id, **{"If-Match": '"old"'}), 409, "conflict")
+    problem_of(edit(live, job_id, **{"If-Match": '"old"'}), 412, "changed_meanwhile")
     assert applied == []
 
 

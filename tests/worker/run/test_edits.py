@@ -15,7 +15,7 @@ from tests.cases import slow_but
 from tests.worker.conftest import FOUND, RESULT, RunnerBench
 from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_job
-from worker.store.errors import Conflict
+from worker.store.errors import Conflict, EditedMeanwhile
 from worker.store.files.file_keys import results_prefix
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
@@ -122,7 +122,7 @@ def test_files_of_earlier_revisions_are_removed(bench: RunnerBench, done: JobRec
 
 def test_edits_of_another_revision_are_refused(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
-    with pytest.raises(Conflict, match="revision 1 now"):
+    with pytest.raises(EditedMeanwhile, match="revision 1 now"):
         edit(bench, done, NOBODY)
 
 

@@ -15,7 +15,7 @@ from worker.store.database.connection import now
 from worker.store.database.rows import read_edits, read_job_character, read_jobs, read_making, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
-from worker.store.errors import Conflict, NotFound
+from worker.store.errors import Conflict, EditedMeanwhile, NotFound
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
@@ -213,15 +213,15 @@ class Jobs:
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
         caller publishes that there is work. ``stages`` are the plan with these edits, ``revision`` is the one that they
         were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, ``VideosDeleted``
-        if people would have to be detected again, or ``Conflict`` if the job is expired, has no people yet, or has
-        another revision.
+        if people would have to be detected again, ``EditedMeanwhile`` if it has another revision, or ``Conflict`` if
+        the job is expired or has no people yet.
         """
         with self._access.writing() as connection:
             state = job_row(connection, self._access, job_id).state
             self._access.require_room(connection, unfinished_jobs=int(state in FINISHED))
             job = job_row(connection, self._access, job_id, lock=True)
             if revision is not None and revision != job.revision:
-                raise Conflict(f"The job has the revision {job.revision} now, not {revision}.")
+                raise EditedMeanwhile(job.revision, revision)
             if job.people is None:
                 raise Conflict("The job has no results yet, so its people can't be edited.")
             require_videos(connection, job.session_id, stages, _row_config(job, tuple(edits), job.revision + 1))

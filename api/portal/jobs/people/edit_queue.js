@@ -126,7 +126,7 @@ export class EditQueue extends EventTarget {
 
   // Send a list as soon as the service can be reached.
   async #send(edits, words) {
-    const request = { method: "PATCH", body: { edits }, headers: { "If-Match": this.#etag } };
+    const request = { method: "PUT", body: { edits }, headers: { "If-Match": this.#etag } };
     const isOver = () => this.#isClosed;
     const job = await persistently(() => call(this.job.urls.people, request), { isOver });
     this.#own.add(job.revision);
@@ -140,7 +140,7 @@ export class EditQueue extends EventTarget {
   // Give the change up that was sent. If somebody else has changed the edits, those that wait are given up with it.
   async #refused(problem, edits) {
     const known = this.people.revision;
-    if (problem.status === 409) {
+    if ([409, 412].includes(problem.status)) {
       await this.#read().catch(() => null);
       await feed.refresh();
     }

@@ -108,7 +108,7 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
     names_others = case.method == "POST" and case.path.removesuffix("/from-uploads") in INTAKES
     # Nor which people a job has, which files a link may name, and what a take is calibrated from.
     named = ("/links", "/people", "/session", "/calibration")
-    names_others = names_others or (case.method in {"PATCH", "POST"} and case.path.endswith(named))
+    names_others = names_others or (case.method in {"POST", "PUT"} and case.path.endswith(named))
     # Nor the service's limit of a recording's lifetime.
     names_others = names_others or (case.method == "POST" and case.path == "/v1/recordings")
     if names_others or {"idempotency-key", "if-match"} & {name.lower() for name in case.headers}:

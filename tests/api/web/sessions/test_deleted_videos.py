@@ -55,7 +55,7 @@ def test_edits_go_on_and_detection_does_not(live: Live) -> None:
     job_id = finished(live, address)
     live.client.delete(f"{address}/videos").raise_for_status()
     edits = {"edits": [{"action": "rename", "person": 1, "name": "Anna"}]}
-    answer = live.client.patch(f"/v1/jobs/{job_id}/people", json=edits)
+    answer = live.client.put(f"/v1/jobs/{job_id}/people", json=edits)
     assert answer.status_code == 202, answer.text
     live.finish(job_id, people=[PersonSpan(1, 0, 20)])
     assert live.client.get(f"/v1/jobs/{job_id}").json()["results_revision"] == 1
