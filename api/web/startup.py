@@ -18,7 +18,7 @@ def require_keys_if_exposed(settings: Settings, store: JobStore) -> None:
     if settings.is_exposed and not store.keys.exist():
         data = "" if settings.data_dir == default_data_dir() else f" --data {shlex.quote(str(settings.data_dir))}"
         raise ExposedError(
-            f"{settings.host} can be reached from other machines, and there are no keys: anybody could use the "
+            f"{settings.host} can be reached from other machines, and there are no keys: anyone could use the "
             f"service. Create a key with `multicap keys create NAME{data}`, or listen on 127.0.0.1."
         )
 

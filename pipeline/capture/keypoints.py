@@ -231,7 +231,7 @@ def open_keypoints(
     read = _in_layout(frames, counts, camera_of, posed, chosen, findings, problems)
     joints = _joint_set(frames, problems)
     if joints is not None and max_joints is not None and _num_joints(frames, joints) > max_joints:
-        message = f"With hands for everybody the session has more than {max_joints:,} joints."
+        message = f"With hands for all people the session has more than {max_joints:,} joints."
         problems.append(Problem(SESSION_TOO_LARGE, message, hint=_LARGE_HINT))
         raise InputError(problems)
     people_by_camera = {camera: frames[name] for camera, name in pairs.items()}
@@ -254,7 +254,7 @@ def open_keypoints(
         message = f"The keypoints are read in the form of {' and '.join(sorted(forms))}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
     findings += [
-        Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw nobody.", camera, hint="Check the detector's output.")
+        Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw no people.", camera, hint="Check the detector's output.")
         for camera, by_frame in people_by_camera.items()
         if not sum(map(len, by_frame.values()))
     ]

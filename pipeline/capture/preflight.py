@@ -174,7 +174,10 @@ def _with_findings(preflight: preflight_record.Preflight, findings: Sequence[Fin
 
 
 def _no_archive(path: Path) -> Problem:
-    message, hint = "The file is no zip archive of photographs.", "Send one zip archive for each camera, named as it."
+    message, hint = (
+        "The file is not a zip archive of photographs.",
+        "Send one zip archive for each camera, named as it.",
+    )
     return Problem(IMAGES_ARCHIVE, message, file=path.name, hint=hint)
 
 

@@ -83,7 +83,7 @@ def open_detector(name: str = "movenet-multipose") -> Detector:
     """
     entry = find_entry(name)
     if entry.head.reads_crops or entry.own is not None:
-        raise ModelError(f"{name} reads landmarks in crops, which other networks find: it is no detector alone.")
+        raise ModelError(f"{name} reads landmarks in crops, which other networks find: it is not a detector by itself.")
     return Detector(open_network(verify(_to_run(entry))), entry.input, entry.head, entry.joints, entry.fields)
 
 

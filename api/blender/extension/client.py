@@ -85,7 +85,7 @@ def service_address(text: str) -> str:
         If it is no address of a web service.
     """
     text = text.strip()
-    wrong = RequestError("This is no address of a service. Write one such as http://127.0.0.1:8000.")
+    wrong = RequestError("This is not the address of a service. An example is http://127.0.0.1:8000.")
     try:
         parts = urlsplit(text if "://" in text else f"http://{text}")
         port = parts.port

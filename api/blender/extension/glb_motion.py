@@ -22,7 +22,7 @@ _MAX_FRAMES = 2_000_000
 _FLOAT = 5126
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, _FLOAT: 4}
 _NUM_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_WRONG = "The file of the service is no GLB that this extension can open."
+_WRONG = "This extension can't open the GLB file of the service."
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,7 +238,7 @@ class MulticapImport(_FreeOperator):
         job, numbers = _selected(state)
         has_cameras, has_timeline = state.has_cameras, state.has_timeline
         if not numbers and not has_cameras:
-            raise RequestError("Choose somebody to import.")
+            raise RequestError("Choose a person to import.")
         folder = current.folder = Path(tempfile.mkdtemp(prefix="multicap-"))
 
         def then(result: tuple[list[tuple[str, Path]], Path | None, GlbFacts | None]) -> None:

@@ -61,7 +61,7 @@ class LiveReceiver:
             except OSError:  # nothing has come
                 break
             if not self._person.take(packet) and not self._is_moving:
-                say(f"What comes to port {self._port} is no live capture (VMC).", is_error=True)
+                say(f"What comes to port {self._port} is not a live capture (VMC).", is_error=True)
         if not self._person.is_new or not self._person.is_complete or armature.mode == "EDIT":
             return
         rest = self._person.rest()

@@ -77,7 +77,7 @@ class Intake:
         head = KeypointsHead.decode(packet)
         if head is None:
             raise SocketProblem(
-                request_codes.LIVE_PACKET, "A packed message is no packet of keypoints of the length that it states."
+                request_codes.LIVE_PACKET, "A packed message is not a packet of keypoints of its stated length."
             )
         if head.num_people and head.num_points != self._num_points:
             detail = f"The packet states {head.num_points} points a person, and the layout has {self._num_points}."

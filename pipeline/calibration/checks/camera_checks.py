@@ -168,7 +168,7 @@ def certain_errors(cameras: Sequence[Camera]) -> list[Finding]:
 def _check_number(cameras: Sequence[Camera]) -> list[Finding]:
     if len(cameras) >= MIN_CAMERAS:
         return []
-    message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: nobody can be located."
+    message = f"The calibration has {len(cameras)} camera{'s' * (len(cameras) != 1)}: no person can be located."
     hint = "Give a calibration of at least two cameras."
     return [Finding(finding_codes.TOO_FEW_CAMERAS, message, None, "error", hint, {"num_cameras": len(cameras)})]
 

@@ -57,10 +57,10 @@ def require_linked_by_people(
             continue
         own = [pose for pose in relatives if number in (pose.first, pose.second)]
         if own:
-            message = "What the camera sees of the people disagrees with the other cameras."
+            message = "The people in this camera disagree with the other cameras."
             problems.append(Problem(session_codes.PEOPLE_DISAGREE, message, camera=camera.name, hint=_CHECK))
         else:
-            message = "The camera sees nobody at the same time as another camera, or can't be told to."
+            message = "The camera never sees a person together with another camera, or this is uncertain."
             problems.append(Problem(session_codes.PEOPLE_UNLINKED, message, camera=camera.name, hint=_FILM))
     if problems:
         raise InputError(problems)
@@ -70,7 +70,7 @@ def require_linked_by_people(
 def world_or_refused(world: PeopleWorld | None) -> PeopleWorld:
     """World. Raises ``InputError`` if there is none."""
     if world is None:
-        message = "Nobody is seen from the shoulders to the ankles for a second; scale and vertical are unknown."
+        message = "No person is seen from shoulders to ankles for a second. Scale and vertical are unknown."
         raise InputError([Problem(session_codes.PEOPLE_NOT_WHOLE, message, hint=_FILM)])
     return world
 
@@ -90,8 +90,8 @@ def people_warnings(
     for report, share in zip(reports, fitting.tolist(), strict=True):
         if share < _MIN_FITTING * float(np.median(fitting)):
             message = (
-                f"{100 * share:.0f} % of what the camera sees of the people fit the other cameras, of whose own "
-                f"{100 * np.median(fitting):.0f} % do: it may stand elsewhere."
+                f"{100 * share:.0f} % of the people's joints in this camera fit the other cameras; usual are "
+                f"{100 * np.median(fitting):.0f} %. The camera may stand elsewhere."
             )
             yield Problem(finding_codes.PEOPLE_POOR_FIT, message, camera=report.name, hint=f"{_CHECK} Or film longer.")
         if report.reprojection_error_px > _POOR_FIT * median_px:
@@ -126,7 +126,7 @@ def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[
         message = f"More people are seen at once than statures are given ({given} m)."
         yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)
     if unused := [f"{stature_m[number]:.2f}" for number in range(len(stature_m)) if number not in world.statures]:
-        message = f"Of the statures {given} m, nobody was given {', '.join(unused)} m: fewer people are seen whole."
+        message = f"Of the statures {given} m, no person has {', '.join(unused)} m: fewer people are seen whole."
         yield Problem(finding_codes.PEOPLE_STATURES, message, field="stature_m", hint=hint)
     pairs = [
         (own_m, stature_m[number])

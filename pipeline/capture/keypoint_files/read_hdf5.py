@@ -108,7 +108,7 @@ def texts(array: np.ndarray | None) -> list[str]:
     found = [text(value) for value in ([] if array is None else array.ravel().tolist())]
     names = [name for name in found if name is not None]
     if len(names) < len(found):
-        raise KeypointsError("Names in the HDF5 file are no texts.")
+        raise KeypointsError("Names in the HDF5 file are not texts.")
     return names
 
 

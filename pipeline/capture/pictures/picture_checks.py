@@ -103,7 +103,7 @@ def _check_frozen(camera: CameraPictures, cameras: Sequence[CameraPictures]) -> 
     if moving:
         message = (
             f"The picture stays the same from {start_s:.1f} to {stop_s:.1f} s, while {moving[0]} sees motion: the "
-            "video is frozen, or nobody is in its view."
+            "video is frozen, or no person is in its view."
         )
         hint = "Look at the video; export it again, or leave the camera out."
         seen = _seen(camera, [first, last])

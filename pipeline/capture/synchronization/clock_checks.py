@@ -77,7 +77,7 @@ def _unlinked(
         shared_s = max((min(a[1], b[1]) - max(a[0], b[0]) for a, b in pairs), default=0.0)
         if all(moving[k] < _MIN_MOTION for k in split.cameras) or all(moving[k] < _MIN_MOTION for k in others):
             still = number if moving[number] < _MIN_MOTION else min(others, key=lambda k: moving[k])
-            message = "The camera sees nobody who moves."
+            message = "The camera sees no moving person."
             yield Problem(finding_codes.SYNC_NO_MOTION, message, camera=cameras[still].name, hint=f"{_FILM} {_DECLARE}")
         elif shared_s < _MIN_SHARED_S:
             message = f"The camera shares {max(shared_s, 0.0):.1f} s with the others."

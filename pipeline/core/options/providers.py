@@ -74,7 +74,7 @@ def chosen_provider() -> ProviderChoice:
         if name == choice:
             return name
     names = ", ".join(get_args(ProviderChoice))
-    raise PipelineError(f"{SETTING}={choice} is no provider; choose one of {names}.")
+    raise PipelineError(f"{SETTING}={choice} is not a provider; choose one of {names}.")
 
 
 def choose_provider(choice: ProviderChoice) -> None:

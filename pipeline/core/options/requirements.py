@@ -80,7 +80,7 @@ def _faults(schema: Schema, value: Any, steps: Steps) -> Iterator[tuple[Steps, C
 
 
 def _fault(schema: Schema, value: Any) -> Code | None:
-    """Code of what is wrong with a value that is no list."""
+    """Code of what is wrong with a value that is not a list."""
     match schema:
         case {"enum": names}:
             code: Code | None = request_codes.VALUE_NOT_ALLOWED if value not in names else None

@@ -164,7 +164,7 @@ def format_problems(exports: Collection[Export], installed: Collection[str]) -> 
             hint = f"Install it by Multicap's extra: {command}. Or use another format."
         else:
             needed = f"the package {form.package.name} and {form.file.name}"
-            message = f"{export.upper()} files need {needed}, of which one or both are not installed."
+            message = f"{export.upper()} files need {needed}, and one or both are not installed."
             hint = f"Install them: {command}, then {form.file.install}. Or use another format."
         yield Problem(request_codes.FORMAT_NOT_INSTALLED, message, field="exports", hint=hint)
 

@@ -222,7 +222,7 @@ LIMB_MISMEASURED = WARNINGS.code("limb_mismeasured", "warning")
 Look at this limb: it may be hidden for most of the take. See
 [the fit](../methods/fit.md#lengths-of-limbs)."""
 PERSON_NEVER_MOVES = WARNINGS.code("person_never_moves", "warning")
-"""A person never moves: a poster, a mannequin, or somebody who sleeps. | Remove the picture if it is one (`PUT
+"""A person never moves: a poster, a mannequin, or a person who sleeps. | Remove the picture if it is one (`PUT
 /v1/jobs/{id}/people`); see [likenesses](../methods/identity.md#likenesses)."""
 MIRROR_IMAGE = WARNINGS.code("mirror_image", "warning")
 """A person is the mirror image of another one. | Remove the image (`PUT /v1/jobs/{id}/people`), or cover the mirror;

@@ -45,7 +45,7 @@ def describe_character(path: Path, table: Path | None) -> dict[str, Any]:
     stated = {} if table is None else read_bone_table(table)
     file = read_character_file(path)
     if not np.isfinite(file.rig.worlds).all():
-        message = "Places of bones are no finite numbers, once all nodes above them are applied."
+        message = "Places of bones are not finite numbers, once all nodes above them are applied."
         hint = "Apply the scales of the nodes above the bones before the export."
         raise InputError([Problem(CHARACTER_UNREADABLE, message, file=path.name, hint=hint)])
     figure = measure(file, map_bones(file, stated))

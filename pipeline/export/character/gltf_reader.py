@@ -102,7 +102,7 @@ def _format(document: Mapping[str, Any]) -> Format:
 def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
     """JSON and buffer of a file."""
     if len(content) < _HEAD.size + _CHUNK.size or not content.startswith(b"glTF"):
-        raise CharacterFileError("The file is no GLB, VRM or FBX.", CHARACTER_FORMAT)
+        raise CharacterFileError("The file is not a GLB, VRM or FBX file.", CHARACTER_FORMAT)
     _, version, _ = _HEAD.unpack_from(content)
     if version != 2:
         raise CharacterFileError(f"The file is glTF {version}; glTF 2.0 is read.", CHARACTER_FORMAT)
@@ -115,9 +115,9 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
     try:
         document = read_json(content[start : start + length])
     except UnreadableError as error:
-        raise CharacterFileError("The description of the file is no JSON.") from error
+        raise CharacterFileError("The description of the file is not a JSON.") from error
     if not isinstance(document, dict):
-        raise CharacterFileError("The description of the file is no JSON object.")
+        raise CharacterFileError("The description of the file is not a JSON object.")
     binary = memoryview(b"")
     place = start + length
     if len(content) >= place + _CHUNK.size:
@@ -234,7 +234,7 @@ class GltfDocument:
             return None
         all_positions = np.concatenate(positions)
         if not np.isfinite(all_positions).all():
-            raise CharacterFileError("A mesh has positions that are no numbers.")
+            raise CharacterFileError("A mesh has positions that are not numbers.")
         return Skinned(read_only(all_positions), read_only(np.concatenate(bones)))
 
     def humanoid(self) -> dict[str, int]:
@@ -298,14 +298,14 @@ class GltfDocument:
             matrix = _numbers(node["matrix"], 16).reshape(4, 4).T
             found = decomposed(matrix)
             if found is None:
-                raise CharacterFileError("A node has a matrix that is no translation, rotation and scale.")
+                raise CharacterFileError("A node has a matrix that is not a translation, rotation and scale.")
             return found
         translation = _numbers(node.get("translation", (0.0, 0.0, 0.0)), 3)
         rotation = _numbers(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), 4)
         scales = _numbers(node.get("scale", (1.0, 1.0, 1.0)), 3)
         length = np.linalg.norm(rotation)
         if not 0.1 < length < 10.0:
-            raise CharacterFileError("A node has a rotation that is no unit quaternion.")
+            raise CharacterFileError("A node has a rotation that is not a unit quaternion.")
         # Scale 0 hides things; it has no inverse, which nobody needs unless a bone has it.
         if np.abs(translation).max() > MAX_COORDINATE or np.abs(scales).max() > MAX_SCALE:
             raise CharacterFileError("A node is too far away, or too large.")
@@ -323,7 +323,7 @@ class GltfDocument:
             else:
                 matrices = np.asarray(rows[:num_joints], float).reshape(-1, 4, 4).swapaxes(1, 2)
             if not (np.abs(matrices) < MAX_COORDINATE).all():
-                raise CharacterFileError("A skin has matrices that are no numbers, or too large.")
+                raise CharacterFileError("A skin has matrices that are not numbers, or too large.")
             self._bind[skin] = matrices
         return self._bind[skin]
 
@@ -376,13 +376,13 @@ class GltfDocument:
     def _indices(self, owner: Mapping[str, Any], name: str, targets: Sequence[object]) -> tuple[int, ...]:
         numbers = owner.get(name, [])
         if not isinstance(numbers, list) or len(numbers) > MAX_NODES:
-            raise CharacterFileError(f"The field {name} is no list.")
+            raise CharacterFileError(f"The field {name} is not a list.")
         return tuple(self.index({name: number}, name, targets) for number in numbers)
 
     def _count(self, owner: Mapping[str, Any], name: str) -> int:
         number = owner.get(name, 0)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**40:
-            raise CharacterFileError(f"The field {name} is no count.")
+            raise CharacterFileError(f"The field {name} is not a count.")
         return number
 
 
@@ -393,14 +393,14 @@ def objects_in(owner: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     """List of objects in a field of a file."""
     values = owner.get(name, [])
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise CharacterFileError(f"The field {name} is no list of objects.")
+        raise CharacterFileError(f"The field {name} is not a list of objects.")
     return values
 
 
 def _numbers(value: Any, count: int) -> Float[np.ndarray, " count"]:
     is_list = isinstance(value, (list, tuple)) and len(value) == count
     if not is_list or not all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in value):
-        raise CharacterFileError("A node has a place that is no list of numbers.")
+        raise CharacterFileError("A node has a place that is not a list of numbers.")
     numbers = np.array(value, float)
     if not np.isfinite(numbers).all():
         raise CharacterFileError("A node has a place that is not finite.")

@@ -90,7 +90,7 @@ def bone_table(document: Any, name: str | None = None) -> dict[str, str | None]:
             hint = f"Joints are {bone_names.HIPS}, {', '.join(bone_names.REQUIRED)}, {', '.join(bone_names.OPTIONAL)}."
             problems.append(Problem(BONES_INVALID, f"There is no joint {printable(joint)}.", file=name, hint=hint))
         elif not (bone is None or isinstance(bone, str)):
-            problems.append(Problem(BONES_INVALID, f"The bone of {joint} is no name.", file=name, hint=_HINT))
+            problems.append(Problem(BONES_INVALID, f"The bone of {joint} is not a name.", file=name, hint=_HINT))
     if problems:
         raise InputError(problems)
     return bones

@@ -168,7 +168,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
     if take.is_emptied:
         yield (
             finding_codes.EVERYBODY_REMOVED,
-            "The edits leave nobody of the people who were found. Undo an edit to get them back.",
+            "The edits removed all people. Undo an edit to restore them.",
         )
         return
     check = take.check
@@ -183,7 +183,7 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
         detected = f"People were detected ({people}, at {check.num_instants} instants)"
         reason = f"{detected}, but not matched across cameras. {reason}"
-    yield finding_codes.NOBODY_FOUND, f"Nobody was found. {reason}"
+    yield finding_codes.NOBODY_FOUND, f"No person was found. {reason}"
 
 
 def _reasons(check: SessionCheck) -> Iterator[Finding]:
@@ -210,12 +210,12 @@ def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator
     if len(unused) == 1:
         yield (
             finding_codes.CAMERA_WITHOUT_PEOPLE,
-            f"Nobody was matched in {unused[0]}: its video, calibration or timing may be wrong.",
+            f"No person was matched in {unused[0]}: its video, calibration or timing may be wrong.",
         )
     elif unused:
         yield (
             finding_codes.CAMERA_WITHOUT_PEOPLE,
-            f"Nobody was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
+            f"No person was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
             "timing may be wrong.",
         )
 
@@ -252,7 +252,7 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]
         described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
         yield (
             finding_codes.UNCERTAIN_IDENTITY,
-            f"It is uncertain who is who: {first_names(described)}. Look at these moments; `identity.doubts` in "
+            f"Some people may be confused: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
 
@@ -303,8 +303,8 @@ def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[Code, str]]
         ]
         yield (
             finding_codes.LIMB_MISMEASURED,
-            f"A limb was located with a wrong length in most frames: {first_names(described)}. Views, frames and the "
-            "proportions of the body tell the length that is used. The limb may be hidden.",
+            f"A limb was located with a wrong length in most frames: {first_names(described)}. The length in "
+            "use comes from other frames and the body's proportions. The limb may be hidden.",
         )
 
 
@@ -318,8 +318,8 @@ def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple
         subject = "A person never moves" if len(people) == 1 else f"{len(people)} people never move"
         yield (
             finding_codes.PERSON_NEVER_MOVES,
-            f"{subject}: {first_names(people)}. It is a picture, a figure, or somebody who sleeps, and counts neither "
-            "for the floor nor for the refinement of the calibration. Of a number of people to keep it is the last.",
+            f"{subject}: {first_names(people)}. It may be a picture, a mannequin or a "
+            "sleeping person. The floor and the refined calibration ignore it, and a limit of people drops it first.",
         )
 
 
@@ -333,8 +333,8 @@ def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tupl
         subject = "A person is the mirror image of another one" if len(images) == 1 else "People are mirror images"
         yield (
             finding_codes.MIRROR_IMAGE,
-            f"{subject}: {first_names(images)}. Images count neither for the floor nor for the refinement of the "
-            "calibration. Of a number of people to keep they are the last.",
+            f"{subject}: {first_names(images)}. The floor and the refined calibration ignore images, "
+            "and a limit of people drops them first.",
         )
 
 
@@ -431,8 +431,8 @@ def _check_synchronization(synchronization: Synchronization | None) -> Iterator[
         described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
         yield (
             finding_codes.SYNC_UNCERTAIN,
-            f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let somebody move where "
-            "all cameras see them.",
+            f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let a person move "
+            "where all cameras see them.",
         )
 
 

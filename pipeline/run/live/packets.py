@@ -141,7 +141,7 @@ class InstantHead(NamedTuple):
             head = cls(num_people, num_joints, num_bones, time_s, lag_s, sequence, Dropped(*dropped))
             if magic == INSTANT_MAGIC and len(packet) == head.num_bytes:
                 return head
-        raise ValueError("These bytes are no packet of an instant.")
+        raise ValueError("These bytes are not a packet of an instant.")
 
     @staticmethod
     def packet_body(packet: bytes) -> memoryview:

@@ -41,7 +41,7 @@ def unpack_keypoints(packet: bytes) -> tuple[KeypointsHead, Float[np.ndarray, "p
     """Head and points of a packet that was checked."""
     head = KeypointsHead.decode(packet)
     if head is None:
-        raise ValueError("These bytes are no packet of keypoints.")
+        raise ValueError("These bytes are not a packet of keypoints.")
     numbers = np.frombuffer(KeypointsHead.packet_body(packet), _FLOAT).astype(np.float64)
     return head, numbers.reshape(head.num_people, head.num_points, 3)
 

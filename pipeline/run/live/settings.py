@@ -136,7 +136,7 @@ def read_bodies(path: StrPath) -> tuple[tuple[float, ...], ...]:
         joints = JointSet(tuple(content["joint_names"]), ())
         tracks_m = [_positions_m(track["positions_m"], len(joints.names)) for track in content["tracks"]]
     except (OSError, UnreadableError, KeyError, TypeError, ValueError):
-        message = "The file is no skeletons.json of a result."
+        message = "The file is not the skeletons.json of a result."
         hint = "Give the file skeletons.json of an earlier reconstruction."
         raise InputError([Problem(PARAMETER_RANGE, message, file=path.name, hint=hint)]) from None
     return tuple(tuple(learn_bones(track_m, joints).length_m.tolist()) for track_m in tracks_m)

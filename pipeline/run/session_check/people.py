@@ -89,9 +89,9 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
     num_instants = len(sightings.points_px[0])
     if len(counts) - len(empty) < 2:
         seeing = [name for name in counts if name not in empty]
-        message = f"Nobody was detected in any camera at {num_instants} instants."
+        message = f"No person was detected in any camera at {num_instants} instants."
         if seeing:
-            message = f"Only {seeing[0]} sees people at {num_instants} instants: nobody can be located from one camera."
+            message = f"Only {seeing[0]} sees people at {num_instants} instants: one camera can't locate a person."
         hint = (
             "See whether people are in the pictures, upright, bright and large enough. Choose a more exact profile, or "
             "another detector."
@@ -107,7 +107,7 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
         )
         return
     for name in empty:
-        message = f"Nobody was detected at {num_instants} instants, while other cameras see people."
+        message = f"No person was detected at {num_instants} instants, while other cameras see people."
         hint = "See whether the camera looks at the people, and whether its picture is upright, bright and sharp."
         yield Finding(finding_codes.CAMERA_SEES_NOBODY, message, name, "warning", hint, {"num_instants": num_instants})
 

@@ -104,7 +104,7 @@ def test_camera_that_saw_nobody_is_said(scene: Path) -> None:
         path.write_text('{"people": []}')
     session = opened(scene)
     camera = split_frames(scene)[0].parent.name
-    assert messages(session) == [f"Camera {camera} saw nobody."]
+    assert messages(session) == [f"Camera {camera} saw no people."]
     assert len(session.detections[camera].frame) == 0
 
 
@@ -230,7 +230,7 @@ def test_people_without_joint_are_left_out(scene: Path, simulation: Simulation) 
 def test_session_of_people_without_joints_shows_nobody(scene: Path) -> None:
     for path in (scene / "keypoints").rglob("*.json"):
         with_people(path, 3, [0.0] * 51)
-    assert [warning for warning in messages(opened(scene)) if "saw nobody" in warning]
+    assert [warning for warning in messages(opened(scene)) if "saw no people" in warning]
 
 
 def test_too_many_people_are_named_with_camera_and_frame(scene: Path) -> None:

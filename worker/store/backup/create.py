@@ -93,7 +93,7 @@ def create_backup(
         os.fsync(file.fileno())
         num_bytes = os.fstat(file.fileno()).st_size
         if os.path.lexists(archive):
-            raise BackupUsageError(f"{archive} was made by somebody else meanwhile. Choose another name.")
+            raise BackupUsageError(f"{archive} was made by another program meanwhile. Choose another name.")
         part.rename(archive)
         sync(archive.parent)
     return contents.BackupReport(manifest, num_bytes, problems)

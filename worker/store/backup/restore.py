@@ -60,7 +60,7 @@ class _BackupReader:
             else:
                 self._read_file(member)
         if self._manifest is None or self._problems is None:
-            raise BackupError("The archive is no backup of Multicap: a part of it is missing.")
+            raise BackupError("The archive is not a backup of Multicap: a part of it is missing.")
         self._compare(self._problems)
         return contents.BackupReport(self._manifest, self.archive_bytes, self._problems, tuple(self._faults))
 
@@ -196,7 +196,7 @@ def _opened(archive: Path) -> Iterator[BinaryIO]:
 
 def _document(member: Member, name: str) -> bytes:
     if member.name != name or member.num_bytes > _MAX_DOCUMENT_BYTES:
-        raise BackupError(f"The archive is no backup of Multicap: it holds {member.name!r} where {name} should be.")
+        raise BackupError(f"The archive is not a backup of Multicap: it holds {member.name!r} where {name} should be.")
     return b"".join(member.blocks)
 
 
@@ -282,7 +282,7 @@ def _unfinished(data_dir: Path) -> Iterator[Path]:
 
 def _require_unused(data_dir: Path) -> None:
     if not data_dir.is_dir():
-        raise BackupUsageError(f"{data_dir} is no folder. Choose another name.")
+        raise BackupUsageError(f"{data_dir} is not a folder. Choose another name.")
     names = {path.name for path in data_dir.iterdir()}
     if "serve.lock" in names:
         try:

@@ -98,7 +98,7 @@ def read_frame(content: str, reading: KeypointReading) -> People:
     try:
         values = np.array([[float(word) for word in row] for row in rows])
     except ValueError:
-        raise KeypointsError("A line has words that are no numbers.") from None
+        raise KeypointsError("A line has words that are not numbers.") from None
     shares = values[:, _NUM_LEADING : _NUM_LEADING + num_values * num_points].reshape(len(rows), num_points, num_values)
     people = np.ones((len(rows), num_points, 3))
     people[..., :num_values] = shares

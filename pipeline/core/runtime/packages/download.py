@@ -89,7 +89,7 @@ def _receive_all(client: httpx2.Client, url: str, part: Path, max_bytes: int, on
 def _no_connection(part: Path) -> ModelError:
     return ModelError(
         f"{part.stem} can't be downloaded: no connection, or it broke after {_num_bytes(part)} bytes. "
-        "Check the network and the proxy, then try again: it goes on from there."
+        "Check the network and the proxy, then try again: it continues from there."
     )
 
 

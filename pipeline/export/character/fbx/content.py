@@ -82,7 +82,7 @@ class FbxContent:
             return None
         stored = child.properties[0]
         if not isinstance(stored, ArrayProperty) or stored.code not in codes:
-            raise FbxError(f"{name} is no array of numbers")
+            raise FbxError(f"{name} is not an array of numbers")
         values = stored.values()
         self._num_bytes += values.nbytes + _BYTES_OF_ONE
         if self._num_bytes > _MAX_BYTES_OF_ARRAYS:

@@ -113,7 +113,7 @@ class ModelTree:
                 scales = self._scales(self.models[parent], SCALING)
                 worlds[number][:3, :3] = worlds[parent][:3, :3] / scales @ local[:3, :3]
             if not np.isfinite(worlds[number]).all():
-                raise CharacterFileError("Places of models are no finite numbers.", hint=EXPORT_AGAIN)
+                raise CharacterFileError("Places of models are not finite numbers.", hint=EXPORT_AGAIN)
         return worlds
 
     def _bound(self) -> dict[int, Float[np.ndarray, "4 4"]]:

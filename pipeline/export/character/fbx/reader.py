@@ -365,7 +365,7 @@ class _Character:
             bones, at = np.unique(bound.bones, return_inverse=True)
             joints_of = np.array([joints[bone] for bone in bones.tolist()])[at].reshape(bound.bones.shape)
         if not (np.abs(placed.points) < MAX_COORDINATE).all():
-            raise CharacterFileError("A mesh has positions that are no numbers, or too large.", hint=EXPORT_AGAIN)
+            raise CharacterFileError("A mesh has positions that are not numbers, or too large.", hint=EXPORT_AGAIN)
         uv = None if placed.uv is None else placed.uv * (1.0, -1.0) + (0.0, 1.0)
         materials = list(self._content.scene.children(model, "Material"))
         numbers = np.minimum(placed.materials, len(materials))

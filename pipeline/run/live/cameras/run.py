@@ -249,7 +249,7 @@ class CameraRun:
                 self._listener.tick(self.totals)
         self.totals.duration_s = time.monotonic() - start_s
         if search.offsets_s is None:
-            self._listener.tell("The capture ended before the offsets were found: nobody was captured.")
+            self._listener.tell("The capture ended before the offsets were found: no person was captured.")
         for instant in capture.flush():
             self._show(instant, start_s)
 

@@ -177,7 +177,7 @@ def test_camera_that_takes_somebody_for_another_one_is_named(walk: Simulation) -
     assert not doubts(walk, [0.99, 0.97, 0.98], [1.75], [0], [1.7])
     ((code, camera, message),) = doubts(walk, [0.99, 0.97, 0.5], [1.75], [0], [1.7])
     assert (code, camera) == ("people_poor_fit", "cam_02")
-    assert message.startswith("50 % of what the camera sees")
+    assert message.startswith("50 % of the people's joints in this camera")
 
 
 def test_statures_that_are_not_those_of_people_are_named(walk: Simulation) -> None:
@@ -187,7 +187,7 @@ def test_statures_that_are_not_those_of_people_are_named(walk: Simulation) -> No
     assert not doubts(walk, fits, [1.9, 1.4], [0, 0], [1.7])
     for estimates_m, stature, stature_m, words in (
         ([1.78, 1.34, 1.5], [0, 1, -1], [1.78, 1.34], "More people are seen at once than statures"),
-        ([1.78, 1.34], [0, 1], [1.78, 1.34, 1.6], "nobody was given 1.60 m"),
+        ([1.78, 1.34], [0, 1], [1.78, 1.34, 1.6], "no person has 1.60 m"),
         ([1.78, 1.6], [0, 1], [1.78, 1.34], "the person of 1.34 m is 1.60 m tall"),
     ):
         ((code, _, message),) = doubts(walk, fits, estimates_m, stature, stature_m)

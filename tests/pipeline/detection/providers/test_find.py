@@ -109,7 +109,7 @@ def test_environment_reaches_started_processes(monkeypatch: pytest.MonkeyPatch) 
 
 def test_wrong_name_in_environment_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MULTICAP_PROVIDER", "gpu")
-    with pytest.raises(PipelineError, match=r"MULTICAP_PROVIDER=gpu is no provider; choose one of auto, cpu"):
+    with pytest.raises(PipelineError, match=r"MULTICAP_PROVIDER=gpu is not a provider; choose one of auto, cpu"):
         current_provider()
 
 

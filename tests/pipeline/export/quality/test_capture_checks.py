@@ -56,7 +56,7 @@ def nobody(check: SessionCheck) -> tuple[str, str, list[str]]:
 def test_empty_result_says_why() -> None:
     undetected = Finding(NOBODY_DETECTED, "Nobody was detected.", None, "error", "Look at the pictures.")
     message, reason, codes = nobody(SessionCheck((undetected,), {"a": 0, "b": 0}, 12))
-    assert message == "Nobody was found. Nobody was detected. Look at the pictures."
+    assert message == "No person was found. Nobody was detected. Look at the pictures."
     assert (reason, codes) == ("nobody_detected", ["nobody_detected", "nobody_found"])
     message, reason, codes = nobody(SessionCheck((), {"a": 24, "b": 12}, 12))
     assert "24 in a, 12 in b, at 12 instants" in message
@@ -74,7 +74,7 @@ def test_camera_that_was_matched_with_nobody_is_named() -> None:
     four = (*CAMERAS, camera("elsewhere", 4.0))
     ((code, message),) = checks(unseen(observe(TRACK, four), slice(None), 3), four)
     assert code == "camera_without_people"
-    assert message.startswith("Nobody was matched in elsewhere: ")
+    assert message.startswith("No person was matched in elsewhere: ")
 
 
 def test_somebody_whom_two_cameras_see_in_most_frames_is_named() -> None:
@@ -105,7 +105,7 @@ def test_unmatched_cameras_many_make_one_check() -> None:
         unseen(observe(TRACK, (*CAMERAS, *others)), slice(None), *range(3, 63)), (*CAMERAS, *others)
     )
     assert code == "camera_without_people"
-    assert message.startswith("Nobody was matched in 60 cameras: elsewhere-0, ")
+    assert message.startswith("No person was matched in 60 cameras: elsewhere-0, ")
     assert "elsewhere-9 and 50 more." in message
 
 

@@ -15,7 +15,7 @@ def split_frames(content: str) -> dict[int, list[list[float]]]:
         try:
             frames.setdefault(int(number), []).append([float(word) for word in words])
         except ValueError:
-            raise KeypointsError("A line has words that are no numbers.") from None
+            raise KeypointsError("A line has words that are not numbers.") from None
     return frames
 
 
