@@ -344,7 +344,7 @@ def send_nothing(route: Route) -> None:
     [
         pytest.param("removed", "The file was removed. Start another job", marks=pytest.mark.slow),
         pytest.param("damaged", "damaged", marks=pytest.mark.slow),
-        ("cut", "no character in motion, or is damaged"),
+        ("cut", "not an animated character, or is damaged"),
     ],
 )
 def test_missing_or_damaged_file_is_reported(live: Live, tmp_path: Path, harm: str, words: str) -> None:

@@ -177,7 +177,7 @@ def test_job_without_people_says_why(served: Served, tmp_path: Path) -> None:
     job = CalibratedVideos(videos, cameras).reconstruct(served, force=True)
     (nobody,) = [one for one in job["warnings"] if one["code"] == "nobody_found"]
     assert nobody["evidence"]["reason"] in {"nobody_detected", "same_video"}
-    assert nobody["message"].startswith("Nobody was found. ")
+    assert nobody["message"].startswith("No person was found. ")
     with opened(f"{served.client.base_url}#/captures") as page:
         row = page.locator(f"#job-{job['id']}")
         row.wait_for()

@@ -145,7 +145,7 @@ def test_array_has_points_of_all_cameras(page: Page, served: Served, tmp_path: P
     other.write_bytes(bytes(100))
     page.get_by_label("Name of the capture").fill("Array")
     choose(page, rig, array, other)
-    expect(page.get_by_text("all cameras, in the order of their names")).to_be_visible(timeout=180_000)
+    expect(page.get_by_text("all cameras, by order of names")).to_be_visible(timeout=180_000)
     page.get_by_label("Frame rate of keypoints").fill("25")
     page.get_by_role("button", name="Send and reconstruct").click()
     problems = page.get_by_role("region", name="Send").get_by_role("alert")
@@ -189,7 +189,7 @@ def test_upload_continues_after_reload(page: Page, served: Served, sample: Sampl
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     page.wait_for_timeout(1000)  # the draft is stored
     page.reload()
-    expect(page.get_by_text("The upload was interrupted")).to_be_visible()
+    expect(page.get_by_text("The upload stopped at")).to_be_visible()
     offsets.clear()
     throttle(page, -1)
     with page.expect_response("**/v1/sessions/*/jobs", timeout=120_000) as answer:

@@ -439,7 +439,7 @@ def test_public_link_shows_one_job_until_revoked(page: Page, portal: ServedPeopl
     sharing = page.get_by_role("region", name="Public link")
     sharing.get_by_label("Ends after").select_option("1 day")
     sharing.get_by_role("button", name="Make a link").click()
-    field = sharing.get_by_label("Address of the new link")
+    field = sharing.get_by_label("New link, shown only now")
     expect(field).to_be_focused()
     address = field.input_value()
     assert address.startswith(f"{portal.url.rstrip('/')}/#/jobs/{portal.job_id}?link=mcl_")
@@ -469,7 +469,7 @@ def test_public_link_shows_one_job_until_revoked(page: Page, portal: ServedPeopl
         expect(sharing.get_by_role("heading", name="Public link")).to_be_focused()
         guest.reload()
         expect(guest.get_by_role("heading", name="This link has ended or was revoked")).to_be_visible(timeout=180_000)
-        expect(guest.get_by_text("Ask the person who sent you the link")).to_be_visible()
+        expect(guest.get_by_text("Ask the person who sent it")).to_be_visible()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
@@ -482,7 +482,7 @@ def test_panel_is_accessible_and_fits(
     page.reload()
     look_at(page, portal)
     page.get_by_role("button", name="Make a link").click()
-    expect(page.get_by_label("Address of the new link")).to_be_visible()
+    expect(page.get_by_label("New link, shown only now")).to_be_visible()
     choose(page, "person-2", 40)
     assert axe_findings(page) == []
     assert page.evaluate("document.scrollingElement.scrollWidth") <= width

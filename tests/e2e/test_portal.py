@@ -74,7 +74,7 @@ def post_session(served: Served, files: dict[str, Path], name: str) -> dict[str,
 
 def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoints: dict[str, Path]) -> None:
     files = [(name, base64.b64encode(path.read_bytes()).decode()) for name, path in keypoints.items()]
-    page.evaluate(DROP, [page.get_by_text("Drop the videos").element_handle(), files])
+    page.evaluate(DROP, [page.get_by_text("Drop one video").element_handle(), files])
     expect(page.get_by_label("Camera of cam_01.zip")).to_have_value("cam_01", timeout=180_000)
     page.get_by_label("Name of the capture").fill("Dropped")
     send = page.get_by_role("button", name="Send and reconstruct")
@@ -91,7 +91,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
     # Ready for the next take: the same cameras and choices, no files.
     page.get_by_role("link", name="New capture").click()
     expect(latest(page)).to_contain_text("Dropped")
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_text("Drop one video")).to_be_visible()
     expect(page.get_by_label("Stored calibration")).not_to_have_value("")
     expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
     # Files of one's own choice are for no purpose of the list.
@@ -233,10 +233,10 @@ def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoint
     sizes = {one["name"]: one["num_bytes"] for one in answer.value.json()["files"]}
     assert sizes[cameras["cam_01"]] == keypoints["cam_00.zip"].stat().st_size
     # What the check says stands there, also after a reload, and the capture can be discarded.
-    expect(page.get_by_role("heading", name="The check")).to_be_visible()
+    expect(page.get_by_role("heading", name="Check", exact=True)).to_be_visible()
     page.reload()
     page.get_by_role("button", name="Discard the capture").click()
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_text("Drop one video")).to_be_visible()
     assert served.client.get("/v1/sessions?name=Exchanged").json()["sessions"] == []
 
 
@@ -345,7 +345,7 @@ def test_findings_of_check_stand_beside_their_camera(page: Page, served: Served,
     expect(beside).to_contain_text(findings[0]["message"])
     expect(page.get_by_role("region", name="Send").get_by_text(findings[0]["message"])).to_have_count(0)
     page.get_by_role("button", name="Discard the capture").click()
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_text("Drop one video")).to_be_visible()
 
 
 @pytest.mark.benchmark

@@ -148,10 +148,10 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
     beside = tmp_path / "._left_GX010007.mp4"
     beside.write_bytes(b"\0")
     choose(page, *files, beside, videos["right.mp4"], videos["calibration.json"])
-    expect(page.get_by_text("put them beside videos: ._left_GX010007.mp4.")).to_be_visible(timeout=180_000)
+    expect(page.get_by_text("files of systems and cameras: ._left_GX010007.mp4.")).to_be_visible(timeout=180_000)
     for file in files:
         expect(page.get_by_label(f"Camera of {file.name}")).to_have_value("left", timeout=180_000)
-    expect(page.get_by_text("part 3 of the recording")).to_be_visible()
+    expect(page.get_by_text("part 3 of the video")).to_be_visible()
     expect(page.get_by_label("Offset in seconds of left_GX020007.mp4")).to_have_count(0)
     with page.expect_response("**/v1/sessions") as answer:
         page.get_by_role("button", name="Send and check only").click()
@@ -159,7 +159,7 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
     assert [cameras["left"]["file"], *cameras["left"]["more_files"]] == [file.name for file in files]
     assert cameras["left"]["num_frames"] == cameras["right"]["num_frames"]
     page.get_by_role("button", name="Discard the capture").click()
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_text("Drop one video")).to_be_visible()
 
     files = chapters(videos, tmp_path, "C0009.mp4", "C0010.mp4")
     choose(page, *files, videos["right.mp4"])
@@ -171,13 +171,13 @@ def test_chapters_and_stated_parts_are_one_camera(page: Page, videos: dict[str, 
     expect(page.get_by_role("region", name="Send").get_by_role("alert")).to_contain_text("One camera has several files")
     join.click()
     expect(join).to_be_hidden()
-    expect(page.get_by_text("part 2 of the recording")).to_be_visible()
+    expect(page.get_by_text("part 2 of the video")).to_be_visible()
     with page.expect_response("**/v1/sessions") as answer:
         page.get_by_role("button", name="Send and check only").click()
     cameras = {camera["name"]: camera for camera in answer.value.json()["preflight"]["cameras"]}
     assert [cameras["left"]["file"], *cameras["left"]["more_files"]] == ["C0009.mp4", "C0010.mp4"]
     page.get_by_role("button", name="Discard the capture").click()
-    expect(page.get_by_text("Drop the videos")).to_be_visible()
+    expect(page.get_by_text("Drop one video")).to_be_visible()
 
 
 @pytest.mark.slow
@@ -223,7 +223,7 @@ def test_keypoints_without_timestamps_need_frame_rate(page: Page, served: Served
     expect(rate).to_have_value("")
     send(page).click()
     refusal = page.get_by_role("region", name="Send").get_by_role("alert")
-    expect(refusal).to_contain_text("State the frame rate of the keypoints")
+    expect(refusal).to_contain_text("Type the frame rate of the keypoints")
     # Timestamps do instead.
     choose(page, timestamps)
     expect(rate).to_have_count(0)

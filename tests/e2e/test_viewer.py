@@ -237,7 +237,7 @@ def test_take_without_people_draws_none(shown: Shown) -> None:
         shown.job_ids[0],
     )
     expect(shown.page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
-    expect(shown.page.get_by_text("There is nobody in this take.")).to_be_visible()
+    expect(shown.page.get_by_text("This take has no people.")).to_be_visible()
     triangles = shown.page.evaluate(
         """() => {
           const { stage } = globalThis.viewer.view;

@@ -157,8 +157,10 @@ const FIELDS = {
   },
   flag({ id, choice, spec, set }) {
     const change = (event) => set(event.target.checked === choice.default ? undefined : event.target.checked);
-    return field({ id, choice }, (inputId) => html`<input type="checkbox" name=${inputId} id=${inputId} aria-describedby="${inputId}-about"
-      .checked=${live(choiceValue(choice, spec))} @change=${change}>`);
+    const inputId = `${id}-${choice.name}`;
+    return html`<div class="field"><span class="with-help"><input type="checkbox" name=${inputId} id=${inputId} aria-describedby="${inputId}-about"
+      .checked=${live(choiceValue(choice, spec))} @change=${change}><label for=${inputId}>${choice.label}</label>${optionHelp(choice)}</span>
+      <span class="quiet" id="${inputId}-about">${prose(choice.description)}</span></div>`;
   },
   number({ id, choice, spec, set, isWhole = false }) {
     const named = choice.values.find(({ name }) => name === choice.default);
@@ -173,7 +175,7 @@ const FIELDS = {
       const [first, stop] = range.map((end, place) => (place === index ? numberIn(event) ?? null : end));
       set(first === null && stop === null ? undefined : [first ?? 0, stop]);
     };
-    return html`<fieldset class="field"><legend>${OPTIONS.rangeOr(choice.label, choice.unset)}</legend>${optionHelp(choice)}
+    return html`<fieldset class="field"><legend>${OPTIONS.range(choice.label, choice.unset)}</legend>${optionHelp(choice)}
       <div class="pair">${OPTIONS.rangeEnds.map((label, index) => html`<label><span>${label}</span>${numberField({
         id, choice, value: range[index], isWhole: true, onInput: bound(index), least: Math.max(choice.minimum ?? 0, index),
       })}</label>`)}</div><span class="quiet">${prose(choice.description)}</span></fieldset>`;

@@ -1,7 +1,7 @@
 // Table of a capture's files: the camera of each, its timing, and how much of it is sent.
 
 import { percent, size } from "../shared/format.js";
-import { helpLink, html, live, moreLink, nothing, problemBox, repeat, typed } from "../shared/lit.js";
+import { helpLink, html, live, moreLink, nothing, problemBox, prose, repeat, typed } from "../shared/lit.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
 
@@ -166,6 +166,6 @@ export function findingList(findings, cameras = [], wrap = (list) => list) {
   if (findings.length === 0) return nothing;
   return wrap(html`<ul class="findings">${findings.map((finding) => html`<li data-tone=${TONES[finding.severity] ?? "note"}>
     <b>${OF_LOAD.includes(finding.code) ? SEND.serviceBusy : SEND.severities[finding.severity]}</b>
-    <div><p>${finding.message}${finding.hint ? html` <span class="hint">${finding.hint}</span>` : nothing}${moreLink(finding.code)}</p>${describeEvidence(finding, cameras)}</div>
+    <div><p>${prose(finding.message)}${finding.hint ? html` <span class="hint">${prose(finding.hint)}</span>` : nothing}${moreLink(finding.code)}</p>${describeEvidence(finding, cameras)}</div>
   </li>`)}</ul>`);
 }

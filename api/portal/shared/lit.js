@@ -80,16 +80,16 @@ export const moreLink = (code) => (code ? html` <a class="more" href="/help/prob
 export function problemBox(problem) {
   if (!problem) return nothing;
   return html`<div class="problem" role="alert">
-    <p>${problem.message ?? problem.detail}${problem.hint ? html` <span class="hint">${problem.hint}</span>` : nothing}${moreLink(problem.code)}</p>
+    <p>${prose(problem.message ?? problem.detail)}${problem.hint ? html` <span class="hint">${prose(problem.hint)}</span>` : nothing}${moreLink(problem.code)}</p>
     ${problem.items?.length ? html`<ul>${problem.items.map((item) => html`<li>
-      ${where(item) ? html`<b>${where(item)}:</b> ` : nothing}${item.message}
-      ${item.hint ? html`<span class="hint">${item.hint}</span>` : nothing}${moreLink(item.code)}</li>`)}</ul>` : nothing}
+      ${where(item) ? html`<b>${where(item)}:</b> ` : nothing}${prose(item.message)}
+      ${item.hint ? html`<span class="hint">${prose(item.hint)}</span>` : nothing}${moreLink(item.code)}</li>`)}</ul>` : nothing}
   </div>`;
 }
 
 // List of warnings; nothing without any. `notes` has what is known of warnings, by their codes.
 export function warningList(warnings, label, notes = {}) {
   if (!warnings?.length) return nothing;
-  return html`<ul class="warnings" aria-label=${label}>${warnings.map(({ code, message, hint }) => html`<li>${message}
-    ${hint ? html`<span class="hint">${hint}</span>` : nothing} ${notes[code] ?? nothing}${moreLink(code)}</li>`)}</ul>`;
+  return html`<ul class="warnings" aria-label=${label}>${warnings.map(({ code, message, hint }) => html`<li>${prose(message)}
+    ${hint ? html`<span class="hint">${prose(hint)}</span>` : nothing} ${notes[code] ?? nothing}${moreLink(code)}</li>`)}</ul>`;
 }

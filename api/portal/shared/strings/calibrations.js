@@ -10,7 +10,7 @@ export const CALIBRATIONS = {
   fromFile: (file) => `from ${file}`,
   fromMethod: { board: "from a board", people: "from people" },
   camerasOf: (name) => `Cameras of ${name}`,
-  table: ["Camera", "Size", "Focal length", "Position, m", "Error"],
+  table: ["Camera", "Resolution", "Focal length", "Position, m", "Error"],
   sizeUnknown: "unknown",
   px: (number) => `${number} px`,
   deleteOf: (name) => `Delete ${name}`,

@@ -14,7 +14,7 @@ export const CAPTURES = {
   facesBlurred: "faces blurred",
   ofCalibration: (name) => `Calibration: ${name}`,
   camerasOf: (name) => `Cameras of ${name}`,
-  table: ["Camera", "File", "Size", "Rate", "Frames", "Starts at", "Bytes"],
+  table: ["Camera", "File", "Resolution", "Rate", "Frames", "Starts at", "File size"],
   startsAt: (seconds) => `${seconds} s`,
   seenBy: (name, camera) => `${name}, seen by ${camera}`,
   noJobs: "No jobs yet.",

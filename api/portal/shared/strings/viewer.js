@@ -76,7 +76,7 @@ export const FIGURES = {
   tabs: { people: "People", plots: "Plots", gait: "Gait and movement", cameras: "Cameras", clocks: "Clocks" },
   warnings: (number) => `Warnings (${number})`,
   people: ["Person", "Frames", "Length", "Measured", "Reprojection error", "Height", "Identity", "Foot contacts", "Spots to check"],
-  cameras: ["Camera", "Size", "Focal length", "Lens", "Median error", "Video"],
+  cameras: ["Camera", "Resolution", "Focal length", "Lens", "Median error", "Video"],
   refined: "Cameras (refined)",
   lenses: { fisheye: "fisheye", distorted: "distorted", ideal: "ideal" },
   none: "none",
