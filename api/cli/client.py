@@ -46,6 +46,8 @@ class Job(TypedDict):
     ----------
     id, session_id
         Ids of the job and of the session that it reconstructs.
+    files_state
+        Files of a job that has succeeded, after edits: ``current``, ``updating`` or ``failed``; ``None`` of other jobs.
     progress
         Share of the work that is done, from 0 to 1.
     queue_position
@@ -69,6 +71,7 @@ class Job(TypedDict):
     id: str
     session_id: str
     state: Literal["queued", "running", "canceling", "succeeded", "failed", "canceled", "expired"]
+    files_state: Literal["current", "updating", "failed"] | None
     stages: list[ClientStage]
     progress: float
     queue_position: int | None
@@ -231,7 +234,7 @@ class Client:
         self._call("DELETE", job["urls"]["session"])
 
     def follow(self, job: Json, on_job: Callable[[Job], None] = lambda _: None, timeout_s: float | None = None) -> Job:
-        """Wait until a job succeeds.
+        """Wait until a job succeeds, after an edit until its files are current.
 
         Parameters
         ----------
@@ -243,20 +246,23 @@ class Client:
         Raises
         ------
         ServiceError
-            If the job fails, is canceled, or does not end in time, or the service does not respond for a minute.
+            If the job or the update of its files fails, is canceled, or does not end in time, or the service does not
+            respond for a minute.
         """
         deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         now = _job(job)
-        while now["state"] not in _ENDS:
+        while now["state"] not in _ENDS or now["files_state"] == "updating":
             if time.monotonic() >= deadline_s:
+                doing = "updating its files" if now["files_state"] == "updating" else now["state"]
                 raise ServiceError(
-                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {now['state']} and continues."
+                    f"The job {now['id']} did not end within {timeout_s:g} s; it is {doing} and continues."
                 )
             time.sleep(_POLL_S)
             now = _job(self._get_patiently(now["urls"]["self"]))
             on_job(now)
-        if now["state"] != "succeeded":
-            raise ServiceError(f"The job {_ENDS[now['state']]}. {_sentences(now['error'] or {})}".strip())
+        if now["state"] != "succeeded" or now["files_state"] == "failed":
+            what = "files were not made again" if now["files_state"] == "failed" else f"job {_ENDS[now['state']]}"
+            raise ServiceError(f"The {what}. {_sentences(now['error'] or {})}".strip())
         return now
 
     def download(self, job: Json, folder: StrPath) -> list[Path]:

@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,8 +72,13 @@ class Served:
         return found
 
     def wait_for_end(self, job_id: str) -> dict[str, Any]:
-        wait_for(lambda: self.job(job_id)["state"] in {"succeeded", "failed", "canceled"}, timeout_s=600)
+        wait_for(lambda: is_at_rest(self.job(job_id)), timeout_s=600)
         return self.job(job_id)
+
+
+def is_at_rest(job: Mapping[str, Any]) -> bool:
+    """Whether a job has ended, and its files are not being made again."""
+    return job["state"] in {"succeeded", "failed", "canceled"} and job["files_state"] != "updating"
 
 
 # Machines of tests are busy: the check of the files may take long.

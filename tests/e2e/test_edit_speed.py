@@ -13,7 +13,7 @@ from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig
 from pipeline.validation.simulation.scenes import Scene, record
-from tests.e2e.serving import Served, serving
+from tests.e2e.serving import Served, is_at_rest, serving
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.benchmark
@@ -38,9 +38,9 @@ def edited(served: Served, job_id: str, *edits: dict[str, Any]) -> float:
     start_s = time.monotonic()
     answer = served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits})
     assert answer.status_code == 202, answer.text
-    while (job := served.job(job_id))["state"] not in {"succeeded", "failed"}:
+    while not is_at_rest(job := served.job(job_id)):
         time.sleep(0.05)
-    assert job["state"] == "succeeded", job["error"]
+    assert job["files_state"] == "current", job["error"]
     assert served.client.get(f"/v1/jobs/{job_id}/results").raise_for_status().json()["results"]
     return time.monotonic() - start_s
 

@@ -80,7 +80,7 @@ class ServedPeople:
             return True
 
     def wait(self) -> None:
-        wait_for(lambda: self.client.get(f"/v1/jobs/{self.job_id}").json()["state"] == "succeeded", timeout_s=240)
+        wait_for(lambda: self.client.get(f"/v1/jobs/{self.job_id}").json()["files_state"] == "current", timeout_s=240)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def portal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedPeople]:
 def page(portal: ServedPeople) -> Iterator[Page]:
     if portal.people()["edits"]:
         portal.edit()
-    allowed = ("401 (Unauthorized", "409 (Conflict", "422 (Unprocessable")
+    allowed = ("401 (Unauthorized", "412 (Precondition", "422 (Unprocessable")
     with opened(portal.url, allowed=allowed) as page:
         sign_in(page, portal)
         yield page
@@ -191,7 +191,7 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
     question = page.get_by_role("dialog", name="Merge person-2 into person-1?")
     shared = frames_of_both(portal, 2, 1)
     expect(question).to_contain_text(f"Both exist in {shared} frames")
-    expect(question).to_contain_text(f"{shared} of the 100 frames of person-2 are lost")
+    expect(question).to_contain_text(f"{shared} of 100 frames of person-2 are lost")
     question.get_by_role("button", name="Keep both").click()
     expect(question).to_have_count(0)
     assert portal.people()["edits"] == []
@@ -411,7 +411,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     expect(panel(page).get_by_text("Another user has changed the edits. The list shows their version.")).to_be_visible(
         timeout=180_000
     )
-    expect(panel(page).get_by_text("No edits.")).to_be_visible()
+    expect(panel(page).get_by_text("No edits yet.")).to_be_visible()
 
 
 def test_another_job_is_compared_on_same_clock(page: Page, portal: ServedPeople) -> None:

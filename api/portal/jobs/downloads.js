@@ -55,9 +55,10 @@ export function downloads(job, results, options, makeVisuals, { hasVideos = true
 
 const named = (revision) => (revision === 0 ? TAKE.unedited : TAKE.revision(revision));
 
-function revisionNote({ revision, results_revision: shown, state }) {
+function revisionNote(job) {
+  const { revision, results_revision: shown } = job;
   if (shown === revision) return nothing;
-  const next = hasEnded({ state }) ? TAKE.notMade(revision) : TAKE.inWork(revision);
+  const next = hasEnded(job) ? TAKE.notMade(revision) : TAKE.inWork(revision);
   return html`<p class="notice">${TAKE.shows(named(shown))} ${next}</p>`;
 }
 

@@ -7,7 +7,8 @@ const TONES = { queued: "wait", running: "run", canceling: "wait", succeeded: "g
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 const STEADY_S = 2; // before that a rate says little
 
-export const hasEnded = (job) => ENDED.has(job.state);
+// Whether a job and its files are at rest.
+export const hasEnded = (job) => ENDED.has(job.state) && job.files_state !== "updating";
 // Whether files of a job can be read: also files of earlier edits, while newer ones are made.
 export const hasFiles = (job) => job.results_revision !== null && job.state !== "expired";
 // Whether something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
@@ -17,6 +18,8 @@ const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
 export function jobState(job) {
+  if (job.files_state === "updating") return { words: STATES.updatingAt(percent(job.progress)), tone: "run" };
+  if (job.files_state === "failed") return { words: STATES.notUpdated, tone: "warn" };
   if (job.state === "succeeded" && foundNobody(job)) return { words: STATES.foundNobody, tone: "empty" };
   if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: STATES.emptied, tone: "empty" };
   if (job.state === "succeeded" && job.warnings.some(({ severity }) => severity !== "info")) return { words: STATES.doneWithWarnings, tone: "warn" };
@@ -30,8 +33,8 @@ export function jobFacts(job) {
   // A change of the edits is an attempt too.
   if (job.attempt > job.revision + 1) facts.push(STATES.attempt(job.attempt - job.revision));
   if (job.revision > 0) facts.push(STATES.revision(job.revision));
-  if (job.state === "queued" && job.queue_position) facts.push(STATES.inQueue(job.queue_position));
-  if (job.state === "running" && job.eta_s !== null) facts.push(STATES.timeLeft(roughly(job.eta_s)));
+  if (job.queue_position) facts.push(STATES.inQueue(job.queue_position));
+  if (job.eta_s !== null) facts.push(STATES.timeLeft(roughly(job.eta_s)));
   if (hasEnded(job) && job.started_at && job.finished_at) {
     facts.push(STATES.took(roughly((new Date(job.finished_at) - new Date(job.started_at)) / 1000)));
   }

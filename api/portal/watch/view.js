@@ -21,6 +21,8 @@ export function open(place, route, caller) {
   return { title: CAPTURES.title, close: () => view.close() };
 }
 
+const told = ({ state, files_state: filesState }) => `${state} ${filesState}`;
+
 class Captures {
   sessions = [];
   options = null;
@@ -38,7 +40,7 @@ class Captures {
   #number = 0; // of the last request, so that a slow answer does not replace a later one
   #timer = 0;
   #asked = new Set(); // sessions whose jobs were asked for
-  #states = new Map(); // announced state of each job
+  #states = new Map(); // announced states of each job and its files
 
   constructor(place, caller) {
     this.place = place;
@@ -50,7 +52,7 @@ class Captures {
   async start() {
     feed.addEventListener("change", this.onFeed);
     characters.addEventListener("change", this.onCharacters);
-    for (const job of feed.jobs.values()) this.#states.set(job.id, job.state);
+    for (const job of feed.jobs.values()) this.#states.set(job.id, told(job));
     this.draw();
     this.reload();
     try {
@@ -110,9 +112,9 @@ class Captures {
     let isOld = this.isLoaded && feed.newest().some((job) => !known.has(job.session_id) && job.session_id > newest);
     for (const job of feed.jobs.values()) {
       const before = this.#states.get(job.id);
-      if (before !== undefined && before !== job.state) announce(CAPTURES.stateOf(job.session_name, jobState(job).words));
-      isOld ||= before !== job.state && this.filter !== "";
-      this.#states.set(job.id, job.state);
+      if (before !== undefined && before !== told(job)) announce(CAPTURES.stateOf(job.session_name, jobState(job).words));
+      isOld ||= before !== told(job) && this.filter !== "";
+      this.#states.set(job.id, told(job));
     }
     if (isOld) this.reload();
     this.draw();

@@ -78,14 +78,14 @@ class JobChanges:
         return watch
 
     async def follow(self, watch: Watch) -> AsyncIterator[JobUpdate]:
-        """Yield the updates of a job until it has ended or was deleted."""
+        """Yield the updates of a job until it and its files are at rest, or it was deleted."""
         self._watches.add(watch)
         self._is_watched.set()
         try:
             while True:
                 update = await watch.updates.get()
                 yield update
-                if update.job is None or update.job.state in FINISHED:
+                if update.job is None or update.job.attempt_state in FINISHED:
                     return
         finally:
             self._watches.discard(watch)

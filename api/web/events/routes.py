@@ -32,7 +32,7 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": {"type": "string"}, "
     response_class=Response,
     responses={
         200: {"description": "A stream of server-sent events.", "content": _STREAM},
-        204: {"description": "The job has ended, and the client has seen its last event."},
+        204: {"description": "The job and its files are at rest, and the client has seen the last event."},
         **problems(404),
     },
 )
@@ -46,15 +46,16 @@ async def stream_job_events(
     """Follow a job. An event `job` holds the whole job: at the start, after every change, and at the end.
 
     An event has an `id`, for `Last-Event-ID`, and as `data` the job in JSON, as `getJob` answers it. The stream ends
-    with the job. A client that reconnects with `Last-Event-ID` gets one event with the current job as soon as it
-    differs from the last event seen. An event `gone` reports that the job was deleted.
+    with the job, after edits with the update of its files. A client that reconnects with `Last-Event-ID` gets one event
+    with the current job as soon as it differs from the last event seen. An event `gone` reports that the job was
+    deleted.
     """
     watch = services.changes.open(caller.owner, job_id)
     change = (await run_in_threadpool(records.jobs.changes, [job_id])).get(job_id)
     if change is None:
         raise NotFound("There is no such job.")
     seen_all = last_event_id == str(change.event)
-    if seen_all and (await run_in_threadpool(records.jobs.get, job_id)).state in FINISHED:
+    if seen_all and (await run_in_threadpool(records.jobs.get, job_id)).attempt_state in FINISHED:
         return Response(status_code=204)
     watch.last_change = change if seen_all else None
     events = _events(services, caller, watch)

@@ -236,7 +236,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
     with idempotent.working():
         job = idempotent.records.jobs.get(job_id)
         session = idempotent.records.sessions.get(job.session_id)
-        if job.state in RETRYABLE:  # else the store says why not
+        if job.attempt_state in RETRYABLE:  # else the store says why not
             installed = queueing.installed_on_workers(services, has_videos=has_videos(session))
             if missing := [*installation_problems(job.spec.config, installed)]:
                 raise unprocessable([error_item(problem, None) for problem in missing])

@@ -11,7 +11,7 @@ from pipeline.core.problems.code_group import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME
 from pipeline.run.engine.stage import DETECT
 from worker.store.model import job_records
-from worker.store.model.states import CANCELABLE, RETRYABLE, ChunkState, JobState
+from worker.store.model.states import CANCELABLE, RETRYABLE, ChunkState, FilesState, JobState
 from worker.store.spec import JobSpec
 
 
@@ -121,13 +121,16 @@ class JobUrls(ResponseModel):
         description="Path of the job's people, to edit them; null until they are found.",
         examples=[f"/v1/jobs/{ID}/people"],
     )
-    cancel: str | None = Field(description="Path that cancels the job; null once the job is canceled or finished.")
+    cancel: str | None = Field(
+        description="Path that cancels the job, or the update of its files; null once nothing is at work."
+    )
     visuals: str | None = Field(
         description="Path that makes overlay videos, report and recording again; null unless they are of earlier edits "
         "than the other files, and no job makes them; of overlay videos also if the session's videos were deleted."
     )
     retry: str | None = Field(
-        description="Path that retries the job; null unless the job was canceled, or failed with a retryable error."
+        description="Path that retries the job, or the update of its files; null unless it was canceled, or failed "
+        "with a retryable error."
     )
 
 
@@ -156,6 +159,11 @@ class JobOut(ResponseModel):
         description="Duration of the session: output frames divided by the frame rate.", examples=[12.0]
     )
     state: JobState = Field(description="State of the job.", examples=["succeeded"])
+    files_state: FilesState | None = Field(
+        description="State of the files: `current`; `updating`, they are made again after an edit; `failed`, they "
+        "could not be made again. Meanwhile the earlier files can be read. Null unless `state` is `succeeded`.",
+        examples=["current"],
+    )
     spec: JobSpec = Field(description="Choices of the job.", examples=[JobSpec().model_dump(mode="json")])
     attempt: int = Field(description="Number of the current attempt, from 1.")
     revision: int = Field(description="Number of times that the edits of the job's people were changed.", examples=[0])
@@ -188,7 +196,9 @@ class JobOut(ResponseModel):
     expires_at: AwareDatetime | None = Field(
         description="Time at which results are deleted; null if they are kept until the job is deleted."
     )
-    error: JobError | None = Field(description="Error that ended the job; null if it did not fail.")
+    error: JobError | None = Field(
+        description="Error that ended the job, or the update of its files; null if it did not fail."
+    )
     waiting_for: JobError | None = Field(
         description="Outage that the job waits for, such as `artifacts_unavailable`: a part of the service does not "
         "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
@@ -222,9 +232,9 @@ class JobOut(ResponseModel):
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
                 people=None if job.people is None else f"{address}/people",
-                cancel=f"{address}/cancel" if job.state in CANCELABLE else None,
+                cancel=f"{address}/cancel" if job.attempt_state in CANCELABLE else None,
                 visuals=f"{address}/visuals" if _may_make_visuals(job) else None,
-                retry=f"{address}/retry" if job_records.is_worth_a_retry(job.state, job.problem) else None,
+                retry=f"{address}/retry" if job_records.is_worth_a_retry(job.attempt_state, job.problem) else None,
             ),
         )
 
@@ -238,7 +248,7 @@ def _may_make_visuals(job: job_records.JobRecord) -> bool:
     """Whether a request rebuilds the visuals of a job."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
     can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)
-    return job.state is JobState.SUCCEEDED and can_make and (job.has_old_visuals or has_failed)
+    return job.files_state is FilesState.CURRENT and can_make and (job.has_old_visuals or has_failed)
 
 
 class JobPage(ResponseModel):
@@ -249,21 +259,26 @@ class JobPage(ResponseModel):
 
 
 class EndedJob(ResponseModel):
-    """Job that has ended, in short; `GET /v1/jobs/{id}` has all fields."""
+    """Job that has ended, or whose files have, in short; `GET /v1/jobs/{id}` has all fields."""
 
     id: Id
     session_id: Id
     state: JobState = Field(description="State of the job at its end.", examples=["succeeded"])
+    files_state: FilesState | None = Field(description="State of its files; null unless it has succeeded.")
     attempt: int = Field(description="Number of the attempt that ended.")
     warnings: tuple[FindingOut, ...] = Field(description="Warnings of the job.")
 
 
 class JobEnded(ResponseModel):
-    """Webhook about the end of a job, by Standard Webhooks.
+    """Webhook about the end of a job, or of an update of its files, by Standard Webhooks.
 
     Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
     """
 
-    type: str = Field(description="Type of the message: `job.` and the state of the job.", examples=["job.succeeded"])
-    timestamp: AwareDatetime = Field(description="Time at which the job ended.")
+    type: str = Field(
+        description="Type of the message: `job.` and the state of the job; after an edit `job.files_current` or "
+        "`job.files_failed`.",
+        examples=["job.succeeded"],
+    )
+    timestamp: AwareDatetime = Field(description="Time of the end.")
     data: EndedJob

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from api.cli.client import Client, ServiceError
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.code_group import Code
 from tests.api.conftest import RESULT, Live, problem_of
@@ -44,11 +45,11 @@ def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
     answer = edit(live, job_id, ANNA, CUT, {"action": "exchange", "person": 1, "other": 2, "start_frame": 20})
     assert (answer.status_code, answer.headers["location"]) == (202, f"/v1/jobs/{job_id}")
     job = answer.json()
-    assert (job["state"], job["revision"], job["attempt"]) == ("queued", 1, 2)
+    assert (job["state"], job["files_state"], job["revision"], job["attempt"]) == ("succeeded", "updating", 1, 2)
     ahead = [stage["name"] for stage in job["stages"] if stage["state"] != "done"]
     assert ahead == ["edit", "refit", "write_people", "export"]
     live.finish(job_id, people=FOUND)
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "succeeded"
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["files_state"] == "current"
     after = people(live, job_id)
     assert (after["start_frame"], after["stop_frame"]) == (5, 50)
     assert after["edits"][2] == {
@@ -131,12 +132,12 @@ def test_edits_are_stacked(live: Live, job_id: str) -> None:
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
     answer = edit(live, job_id, ANNA, CUT)
-    assert (answer.status_code, answer.json()["state"], answer.json()["revision"]) == (202, "queued", 2)
+    assert (answer.status_code, answer.json()["files_state"], answer.json()["revision"]) == (202, "updating", 2)
     assert not live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, 30.0)
     assert [one["action"] for one in people(live, job_id)["edits"]] == ["rename", "cut"]
     live.finish(job_id, people=FOUND)
     job = live.client.get(f"/v1/jobs/{job_id}").json()
-    assert (job["state"], job["revision"], job["results_revision"]) == ("succeeded", 2, 2)
+    assert (job["files_state"], job["revision"], job["results_revision"]) == ("current", 2, 2)
     attempts = live.client.get(f"/v1/jobs/{job_id}/attempts").json()["attempts"]
     assert [attempt["state"] for attempt in attempts] == ["succeeded", "canceled", "succeeded"]
     assert all(attempt["finished_at"] for attempt in attempts)
@@ -165,7 +166,8 @@ def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: st
         assert claim is not None
         problem = JobProblem(Code("broken"), "It broke.", retryable=True)
         live.services.store.leases.fail(claim.chunk_id, claim.lease_token, problem)
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["state"] == "failed"
+    job = live.client.get(f"/v1/jobs/{job_id}").json()
+    assert (job["state"], job["files_state"], job["error"]["code"]) == ("succeeded", "failed", "broken")
     assert read() == before
 
     again = live.client.post(f"/v1/jobs/{job_id}/retry").json()
@@ -173,6 +175,35 @@ def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: st
     assert read() == before
     live.finish(job_id, b"edited", people=FOUND)
     assert read() == (1, [1], b"edited", 200)
+
+
+def test_edited_job_is_listed_as_succeeded(live: Live, job_id: str) -> None:
+    def listed(state: str) -> list[str]:
+        (session,) = live.client.get("/v1/sessions").json()["sessions"]
+        assert session["newest_job"] == {"id": job_id, "state": "succeeded"}
+        assert len(live.client.get(f"/v1/sessions?state={state}").json()["sessions"]) == (state == "succeeded")
+        return [job["id"] for job in live.client.get(f"/v1/jobs?state={state}").json()["jobs"]]
+
+    assert edit(live, job_id, ANNA).status_code == 202
+    assert (listed("succeeded"), listed("queued"), listed("expired")) == ([job_id], [], [])
+    canceled = live.client.post(f"/v1/jobs/{job_id}/cancel").json()
+    assert (canceled["state"], canceled["files_state"], canceled["urls"]["cancel"]) == ("succeeded", "failed", None)
+    assert (listed("succeeded"), listed("canceled")) == ([job_id], [])
+    again = live.client.post(canceled["urls"]["retry"]).json()
+    assert (again["state"], again["files_state"]) == ("succeeded", "updating")
+
+
+def test_job_is_followed_until_its_files_are_current(live: Live, job_id: str) -> None:
+    client = Client(live.client)
+    edited = edit(live, job_id, ANNA).json()
+    with pytest.raises(ServiceError, match="it is updating its files and continues"):
+        client.follow(edited, timeout_s=0.0)
+    live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+    with pytest.raises(ServiceError, match="The files were not made again"):
+        client.follow(edited)
+    live.client.post(f"/v1/jobs/{job_id}/retry").raise_for_status()
+    live.finish(job_id, people=FOUND)
+    assert client.follow(edited)["files_state"] == "current"
 
 
 def test_downloads_name_revision_of_edits(live: Live, job_id: str) -> None:

@@ -20,7 +20,7 @@ from worker.store.errors import Conflict, NotFound, VideosDeleted
 from worker.store.files.disk import DiskSpace
 from worker.store.files.file_keys import thumbnail_key
 from worker.store.model.job_records import JobRecord
-from worker.store.model.states import JobState
+from worker.store.model.states import FilesState, JobState
 from worker.store.spec import JobSpec
 
 ONCE = JobSpec(keep_videos=False)
@@ -156,11 +156,11 @@ def test_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> None
     edit(filled, job)
     filled.runner().work(60.0)
     failed = filled.store.jobs.get(job.id)
-    assert failed.state is JobState.FAILED
+    assert failed.files_state is FilesState.FAILED
     filled.stages["export"] = export
     filled.store.jobs.retry(job.id, plan_again(filled.session, failed))
     filled.runner().work(60.0)
-    assert filled.store.jobs.get(job.id).state is JobState.SUCCEEDED
+    assert filled.store.jobs.get(job.id).files_state is FilesState.CURRENT
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from worker.store.errors import Conflict, EditedMeanwhile
 from worker.store.files.file_keys import results_prefix
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
-from worker.store.model.states import JobState
+from worker.store.model.states import FilesState, JobState
 
 FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")
 
@@ -43,7 +43,8 @@ def expected(*edits: PeopleEdit) -> bytes:
 def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -> None:
     assert done.people == FOUND
     queued = edit(bench, done, FIRST)
-    assert (queued.state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
+    assert (queued.state, queued.files_state) == (JobState.SUCCEEDED, FilesState.UPDATING)
+    assert (queued.attempt_state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
     run: list[str] = []
 
     def noted(function: Callable[[Work], Output]) -> Callable[[Work], Output]:
@@ -56,7 +57,7 @@ def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -
     bench.stages |= {name: noted(function) for name, function in bench.stages.items()}
     bench.runner().work(60.0)
     assert run == [EDIT, REFIT, WRITE, EXPORT]
-    assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED
+    assert bench.store.jobs.get(done.id).files_state is FilesState.CURRENT
     assert bench.result(done.id) == expected(FIRST)
 
 
@@ -131,7 +132,7 @@ def test_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> No
     newest = edit(bench, queued, FIRST, NOBODY)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
-    assert (job.state, job.revision, job.results_revision) == (JobState.SUCCEEDED, newest.revision, 2)
+    assert (job.files_state, job.revision, job.results_revision) == (FilesState.CURRENT, newest.revision, 2)
     assert bench.result(done.id) == expected(FIRST, NOBODY)
     states = [attempt.state for attempt in bench.store.jobs.attempts(done.id)]
     assert states == [JobState.SUCCEEDED, JobState.CANCELED, JobState.SUCCEEDED]
@@ -163,7 +164,7 @@ def test_work_for_older_list_is_given_up(bench: RunnerBench, done: JobRecord, st
     edit(bench, done, FIRST)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
-    assert (job.state, job.results_revision, job.edits) == (JobState.SUCCEEDED, 2, (NOBODY,))
+    assert (job.files_state, job.results_revision, job.edits) == (FilesState.CURRENT, 2, (NOBODY,))
     assert bench.result(done.id) == expected(NOBODY)
     assert stopped == ([EDIT] if stage == EDIT else [])
     remove_files(bench.store.removals, bench.artifacts)
@@ -184,7 +185,8 @@ def test_files_stay_if_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord
     else:
         bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
-    assert (job.state, job.results_revision) == (end, 0)
+    assert (job.state, job.files_state, job.results_revision) == (JobState.SUCCEEDED, FilesState.FAILED, 0)
+    assert job.attempt_state == end
     remove_files(bench.store.removals, bench.artifacts)
     assert bench.result(done.id) == RESULT
 
@@ -225,7 +227,7 @@ def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecor
         assert claim is not None
         taken.append(claim.job_id)
     assert sorted(taken) == sorted([done.id, theirs.id])
-    assert store.jobs.get(again.id).state is JobState.QUEUED
+    assert store.jobs.get(again.id).attempt_state is JobState.QUEUED
 
 
 def test_warnings_of_last_revision_stay_until_next_succeeds(bench: RunnerBench) -> None:
@@ -249,7 +251,7 @@ def test_people_must_have_been_found(bench: RunnerBench) -> None:
 def test_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
     edit(bench, done, FIRST)
     canceled = bench.store.jobs.cancel(done.id)
-    assert canceled.state is JobState.CANCELED
+    assert canceled.files_state is FilesState.FAILED
     edit(bench, canceled)
     bench.runner().work(60.0)
     assert bench.result(done.id) == RESULT

@@ -8,7 +8,7 @@ from itertools import compress, groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, tuple_
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, true, tuple_
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.findings import Finding
@@ -108,6 +108,14 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
     return {row.reconstruction_id: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
 
 
+def is_in_state(state: JobState) -> ColumnElement[bool]:
+    """Condition that a job is in a state, as ``states.job_state`` tells it."""
+    has_files = jobs.c.results_revision.is_not(None)
+    if state is JobState.SUCCEEDED:
+        return has_files & (jobs.c.state != JobState.EXPIRED)
+    return (jobs.c.state == state) & (~has_files if state is not JobState.EXPIRED else true())
+
+
 def _job(
     row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
 ) -> JobRecord:
@@ -121,7 +129,7 @@ def _job(
         row,
         num_frames=preflight.timebase.num_frames,
         duration_s=preflight.duration_s,
-        state=JobState(row.state),
+        attempt_state=JobState(row.state),
         spec=spec,
         stages=stages,
         progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),

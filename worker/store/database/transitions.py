@@ -41,6 +41,8 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
     """Move a job to a state if its state allows it; return whether it was moved."""
     sources = [source for source, targets in JOB_TRANSITIONS.items() if to in targets]
     ends = to in FINISHED - {JobState.EXPIRED}
+    query = select(jobs.c.results_revision).where(jobs.c.id == job_id)
+    had_files = ends and connection.scalar(query) is not None
     if ends:
         values |= {"finished_at": now(), "expires_at": now() + jobs.c.retention_s, "waiting_for": None}
     if to is JobState.SUCCEEDED:
@@ -57,7 +59,7 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
                 _drop_earlier_results(connection, job)
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
-            queue_delivery(connection, job_id, to)
+            queue_delivery(connection, job_id, of_files=had_files)
     return moved.rowcount == 1
 
 

@@ -13,7 +13,7 @@ from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, 
 from pipeline.core.problems.code_group import Code
 from pipeline.run.space import ForeseenSpace
 from worker.store.model.character_records import JobCharacter
-from worker.store.model.states import RETRYABLE, ChunkState, JobState
+from worker.store.model.states import RETRYABLE, ChunkState, FilesState, JobState, files_state, job_state
 from worker.store.spec import JobSpec
 
 JobKind = Literal["reconstruction", "calibration", "proxies", "visuals"]
@@ -125,11 +125,11 @@ class JobRecord:
     calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
     ``revision`` the number of their changes, and ``people`` the reconstructed people before any edit; ``None`` until
     the first results are written. ``results_revision`` is the revision whose files can be read, while newer files are
-    made; ``None`` before the first success. ``has_old_visuals``: overlay videos, report or recording are of an earlier
-    revision, and no job makes them; ``visuals_job`` is the job that does. ``character`` is the character that it
-    moves. ``has_videos``: the videos of its session, if it has any, were not deleted. ``provider`` is the
-    identity of the execution provider of its networks, empty for the CPU. ``space`` is what a reconstruction was
-    foreseen to need; ``None`` of other jobs.
+    made; ``None`` before the first success. ``attempt_state`` is the state of the current attempt.
+    ``has_old_visuals``: overlay videos, report or recording are of an earlier revision, and no job makes them;
+    ``visuals_job`` is the job that does. ``character`` is the character that it moves. ``has_videos``: the videos of
+    its session, if it has any, were not deleted. ``provider`` is the identity of the execution provider of its
+    networks, empty for the CPU. ``space`` is what a reconstruction was foreseen to need; ``None`` of other jobs.
     """
 
     id: str
@@ -137,7 +137,7 @@ class JobRecord:
     session_name: str
     num_frames: int  # output frames of the session; ``duration_s`` likewise
     duration_s: float
-    state: JobState
+    attempt_state: JobState
     spec: JobSpec
     attempt: int
     stages: tuple[StageProgress, ...]
@@ -162,6 +162,16 @@ class JobRecord:
     has_videos: bool = True
     provider: str = ""
     space: ForeseenSpace | None = None
+
+    @property
+    def state(self) -> JobState:
+        """State of the job."""
+        return job_state(self.attempt_state, self.results_revision is not None)
+
+    @property
+    def files_state(self) -> FilesState | None:
+        """State of its files; ``None`` before it has succeeded, and once it is expired."""
+        return files_state(self.attempt_state, self.results_revision is not None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,16 @@
-"""States of jobs and chunks, and their legal transitions.
+"""States of jobs, attempts, files and chunks, and their legal transitions.
 
 ::
 
-    job     queued -> running -> succeeded | failed
+    attempt queued -> running -> succeeded | failed
             queued | running -> canceling -> canceled
             failed | canceled -> queued          (retry: attempt + 1)
             all but expired -> queued            (edits of people: attempt + 1, revision + 1)
             succeeded | failed | canceled -> expired
+
+    job     state of its attempt until one has succeeded; then succeeded -> expired
+    files   current -> updating -> current | failed    (edits)
+            failed -> updating                         (retry, edits)
 
     chunk   waiting -> ready -> running -> done
             running -> ready                     (lease lost, or a failure worth another try)
@@ -29,6 +33,14 @@ class JobState(StrEnum):
     FAILED = "failed"
     CANCELED = "canceled"
     EXPIRED = "expired"
+
+
+class FilesState(StrEnum):
+    """State of the files of a job that has succeeded."""
+
+    CURRENT = "current"  # They show the present edits
+    UPDATING = "updating"  # They show earlier edits; newer files are being made
+    FAILED = "failed"  # They show earlier edits; newer files could not be made, or were canceled
 
 
 class ChunkState(StrEnum):
@@ -61,3 +73,17 @@ AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 UNFINISHED = (*AT_WORK, JobState.CANCELING)
 """States of jobs that have not ended; few jobs are in them."""
 FINISHED = frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED, JobState.EXPIRED})
+
+
+def job_state(attempt_state: JobState, has_files: bool) -> JobState:
+    """State of a job: the state of its attempt, but a job that has files has succeeded until it expires."""
+    return JobState.SUCCEEDED if has_files and attempt_state is not JobState.EXPIRED else attempt_state
+
+
+def files_state(attempt_state: JobState, has_files: bool) -> FilesState | None:
+    """State of the files of a job; ``None`` before it has succeeded, and once it is expired."""
+    if not has_files or attempt_state is JobState.EXPIRED:
+        return None
+    if attempt_state is JobState.SUCCEEDED:
+        return FilesState.CURRENT
+    return FilesState.UPDATING if attempt_state in UNFINISHED else FilesState.FAILED

@@ -12,7 +12,7 @@ from pipeline.core.options.edits import PeopleEdit, edit_document
 from worker.store.database import stored_files
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import read_edits, read_job_character, read_jobs, read_making, select_jobs
+from worker.store.database.rows import is_in_state, read_edits, read_job_character, read_jobs, read_making, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
 from worker.store.errors import Conflict, EditedMeanwhile, NotFound
@@ -137,7 +137,7 @@ class Jobs:
         """
         query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
         if state is not None:
-            query = query.where(jobs.c.state == state)
+            query = query.where(is_in_state(state))
         if session_id is not None:
             query = query.where(jobs.c.session_id == session_id)
         query = query.where(jobs.c.kind.not_in(SIDE_KINDS) if kind is None else jobs.c.kind == kind)

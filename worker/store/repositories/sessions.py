@@ -15,14 +15,14 @@ from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.options.job_choices import BLURRED_KIND
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import read_session
+from worker.store.database.rows import is_in_state, read_session
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.file_keys import job_prefix, session_prefix, thumbnails_prefix
 from worker.store.model.job_records import SIDE_KINDS, NewestJob
 from worker.store.model.session_records import Capture, InputFile, Purpose, Session
-from worker.store.model.states import FINISHED, JobState
+from worker.store.model.states import FINISHED, JobState, job_state
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
 
@@ -124,7 +124,7 @@ class Sessions:
         if name is not None:
             query = query.where(sessions.c.search_name.contains(searchable(name), autoescape=True))
         if state is not None:
-            query = query.where(jobs.c.state == state)
+            query = query.where(is_in_state(state))
         with self._access.reading() as connection:
             return _read_captures(connection, connection.execute(query).all())
 
@@ -250,8 +250,8 @@ def _select_captures() -> Select[Any]:
     with_newest = sessions.outerjoin(
         jobs, and_(jobs.c.session_id == sessions.c.id, jobs.c.id == newest.scalar_subquery())
     )
-    columns = num_jobs.scalar_subquery().label("num_jobs"), jobs.c.id.label("job_id"), jobs.c.state.label("job_state")
-    return select(sessions, *columns).select_from(with_newest)
+    of_job = jobs.c.id.label("job_id"), jobs.c.state.label("job_state"), jobs.c.results_revision
+    return select(sessions, num_jobs.scalar_subquery().label("num_jobs"), *of_job).select_from(with_newest)
 
 
 def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Capture]:
@@ -273,7 +273,7 @@ def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Cap
         Capture(
             read_session(row),
             row.num_jobs,
-            None if row.job_id is None else NewestJob(row.job_id, JobState(row.job_state)),
+            None if row.job_id is None else _newest_job(row),
             frozenset(made[row.id]),
             jobs_that_make.get(row.id),
             row.id in blurred,
@@ -281,6 +281,10 @@ def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Cap
         )
         for row in rows
     ]
+
+
+def _newest_job(row: Row[Any]) -> NewestJob:
+    return NewestJob(row.job_id, job_state(JobState(row.job_state), row.results_revision is not None))
 
 
 def blurs_faces() -> ColumnElement[bool]:

@@ -18,7 +18,6 @@ from worker.store.database.rows import read, read_jobs, select_jobs
 from worker.store.database.tables import UtcTimestamp, deliveries, jobs, webhook_secrets
 from worker.store.model.job_records import Delivery, WebhookSecret
 from worker.store.model.rights import Actor
-from worker.store.model.states import JobState
 from worker.store.repositories.audit import AuditAction, record_event
 
 # Time from each failed try to the next one: about a day in all.
@@ -29,8 +28,8 @@ _SECRET_BYTES = 32
 _NONE_BUSY: Mapping[str, int] = {}
 
 
-def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None:
-    """Queue the message of a locked job's end, if its spec names an address."""
+def queue_delivery(connection: Connection, job_id: str, *, of_files: bool) -> None:
+    """Queue the message of a locked job's end, or of its files after an edit, if its spec names an address."""
     ended_at = type_coerce(now(), UtcTimestamp).label("ended_at")
     row = connection.execute(select(jobs.c.spec, jobs.c.tenant, ended_at).where(jobs.c.id == job_id)).one()
     url = row.spec.get("callback_url")
@@ -38,12 +37,13 @@ def queue_delivery(connection: Connection, job_id: str, state: JobState) -> None
         return
     (job,) = read_jobs(connection, connection.execute(select_jobs().where(jobs.c.id == job_id)).all())
     message = {
-        "type": f"job.{state}",
+        "type": f"job.files_{job.files_state}" if of_files else f"job.{job.state}",
         "timestamp": row.ended_at.isoformat().replace("+00:00", "Z"),
         "data": {
             "id": job_id,
             "session_id": job.session_id,
-            "state": state,
+            "state": job.state,
+            "files_state": job.files_state,
             "attempt": job.attempt,
             "warnings": [warning.to_json() for warning in job.warnings],
         },

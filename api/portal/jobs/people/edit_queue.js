@@ -58,7 +58,7 @@ export class EditQueue extends EventTarget {
     this.job = job;
     for (const revision of this.#earlier.keys()) if (revision < job.results_revision) this.#earlier.delete(revision);
     if (this.people === null || (job.revision > this.people.revision && !this.isSending)) await this.#read();
-    if (before.state !== job.state && hasEnded(job) && job.revision > 0) this.#tellEnd(job);
+    if (!hasEnded(before) && hasEnded(job) && job.revision > 0) this.#tellEnd(job);
     this.#changed();
   }
 
@@ -184,7 +184,7 @@ export class EditQueue extends EventTarget {
   }
 
   #tellEnd(job) {
-    announce(PEOPLE.said[job.state === "succeeded" ? "ready" : "failed"](job.revision));
+    announce(PEOPLE.said[job.files_state === "current" ? "ready" : "failed"](job.revision));
   }
 
   #changed() {

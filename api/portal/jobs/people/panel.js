@@ -101,7 +101,7 @@ export class PeoplePanel {
   #notices() {
     const { editing } = this;
     const { conflict, notice, job } = editing;
-    const isBroken = !editing.isSending && job.revision > 0 && (job.state === "failed" || job.state === "canceled");
+    const isBroken = !editing.isSending && job.revision > 0 && ["failed", "canceled"].includes(job.files_state ?? job.state);
     return html`${problemBox(editing.problem)}
       ${conflict ? html`<div class="problem" role="alert"><p>${PEOPLE.conflict}
           ${PEOPLE.notDone} <b>${conflict.words}</b>. ${conflict.changes.length ? PEOPLE.conflictRepeat : PEOPLE.conflictLost}</p>

@@ -11,6 +11,7 @@ import pytest
 
 from api.web.errors import ApiError
 from api.web.events.changes import JobChanges
+from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, problem_of
 from tests.cases import slow_but
 
@@ -86,6 +87,20 @@ def test_job_is_followed_to_its_end(live: Live) -> None:
     numbers = [int(event["id"]) for event in listener.events]
     assert numbers == sorted(numbers)
     assert told[-1] == live.client.get(f"/v1/jobs/{job_id}").json()
+
+
+def test_stream_of_edited_job_ends_with_its_files(live: Live) -> None:
+    job_id, people = live.job_id(), (PersonSpan(1, 0, 60),)
+    live.finish(job_id, people=people)
+    edits = [{"action": "rename", "person": 1, "name": "Anna"}]
+    live.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits}).raise_for_status()
+    listener = Listener(live, job_id)
+    listener.wait_for(1)
+    live.finish(job_id, people=people)
+    listener.join(PATIENCE_S)
+    told = [event["data"] for event in listener.events]
+    assert {job["state"] for job in told} == {"succeeded"}
+    assert (told[0]["files_state"], told[-1]["files_state"]) == ("updating", "current")
 
 
 def test_reconnected_client_gets_missed_events_once(live: Live) -> None:

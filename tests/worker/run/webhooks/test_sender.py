@@ -11,6 +11,7 @@ from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from api.web.jobs.schemas import JobEnded
+from pipeline.core.options.edits import Rename
 from tests.cases import slow_but
 from tests.worker.conftest import RunnerBench
 from tests.worker.run.webhooks.conftest import HOUR_S, Receiver, deliver, end_job, make_due
@@ -30,8 +31,8 @@ def test_end_of_job_arrives_signed(bench: RunnerBench, receiver: Receiver) -> No
     found = Webhook(key).verify(body, headers)
     JobEnded.model_validate(found)
     assert found.pop("timestamp").endswith("Z")
-    data = {"id": job.id, "session_id": job.session_id, "state": "succeeded", "attempt": 1, "warnings": []}
-    assert found == {"type": "job.succeeded", "data": data}
+    data = {"id": job.id, "session_id": job.session_id, "state": "succeeded", "files_state": "current", "attempt": 1}
+    assert found == {"type": "job.succeeded", "data": data | {"warnings": []}}
     assert (headers["content-type"], receiver.paths) == ("application/json", ["/hook?x=1"])
     with pytest.raises(WebhookVerificationError):
         Webhook(key).verify(body + b" ", headers)
@@ -62,6 +63,24 @@ def test_every_end_sends_message(bench: RunnerBench, receiver: Receiver, end: st
     said = [json.loads(body) for _, body in receiver.received]
     assert {one["data"]["state"] for one in said} == {state, "expired"}
     assert {one["type"] for one in said} == {f"job.{state}", "job.expired"}
+
+
+def test_files_of_edits_send_messages_of_their_own(bench: RunnerBench, receiver: Receiver) -> None:
+    bench.store.webhook_secrets.rotate("default", HOUR_S)
+    job = end_job(bench, receiver.url)
+    edits = (Rename(person=1, name="Anna"),)
+    stages = plan_job(bench.session, job.spec, edits=edits)
+    bench.store.jobs.edit(job.id, edits, stages)
+    bench.runner().work(60.0)
+    bench.store.jobs.edit(job.id, (), plan_job(bench.session, job.spec))
+    bench.store.jobs.cancel(job.id)
+    deliver(bench)
+    said = [json.loads(body) for _, body in receiver.received]
+    assert {(one["type"], one["data"]["state"], one["data"]["files_state"]) for one in said} == {
+        ("job.succeeded", "succeeded", "current"),
+        ("job.files_current", "succeeded", "current"),
+        ("job.files_failed", "succeeded", "failed"),
+    }
 
 
 @pytest.mark.parametrize("status", slow_but([301, 500], [301, 302, 307, 400, 404, 429, 500, 503]))
