@@ -25,6 +25,7 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import COCO_17
+from pipeline.core.problems.finding_codes import NOBODY_FOUND
 from pipeline.detection import models
 from pipeline.export.results import write_results
 from pipeline.validation.simulation.scenes import find_scene, record
@@ -431,8 +432,10 @@ def test_until_when_key_is_valid() -> None:
 def test_take_summary_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nobody = Reconstruction((), COCO_17, Timebase(0.0, 25.0, 40), (), (), Animation((), (), None))
     write_results(nobody, tmp_path)
-    print_summary(json.loads((tmp_path / "metrics.json").read_bytes()))
-    lines = capsys.readouterr().out.splitlines()
+    print_summary(json.loads((tmp_path / "metrics.json").read_bytes()), {NOBODY_FOUND: "An empty room."})
+    printed = capsys.readouterr()
+    assert " ".join(printed.err.split()).endswith("An empty room.")
+    lines = printed.out.splitlines()
     assert lines[0] == "person  frames  reprojection error  cameras a joint  coverage  stature"
     assert lines[1].startswith("40 frames at 25 Hz")
     assert lines[3].split() == ["bone", "length", "deviation", "-", "-"]
