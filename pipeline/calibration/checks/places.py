@@ -71,7 +71,7 @@ def _same_places(
             hint = "Check whether one camera stands twice in the file."
             yield Finding(finding_codes.SAME_PLACE, message, camera.name, "error", hint, evidence)
         else:
-            message = f"The camera is at the same place as {cameras[first].name}: the two alone can't locate anybody."
+            message = f"The camera is at the same place as {cameras[first].name}: these two alone can't locate people."
             hint = "Check the positions, or let other cameras see the same people."
             yield Finding(finding_codes.SAME_PLACE, message, camera.name, "warning", hint, evidence)
 

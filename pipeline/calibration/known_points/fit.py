@@ -58,7 +58,7 @@ def _add(points: dict[str, KnownPoint], row: Mapping[str, str], line: int, inval
     try:
         x_m, y_m, z_m, x_px, y_px = (float(row[column]) for column in COLUMNS if column not in {"name", "camera"})
     except ValueError:
-        invalid(f"Line {line} has something else than a number in its columns of coordinates.")
+        invalid(f"Line {line} has a coordinate that is not a number.")
         return
     if not name or not camera:
         invalid(f"Line {line} lacks the name of a point or of a camera.")
@@ -159,7 +159,7 @@ def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], kee
     error_px = np.linalg.norm(np.stack([project(camera, goal_m) for camera in placed]) - seen_px, axis=-1)
     worst = int(np.nanargmax(distance_m))
     world = (
-        f"That of {len(points)} known points, which are seen {1000 * np.nanmedian(distance_m):.1f} mm from their "
+        f"World of {len(points)} known points, seen {1000 * np.nanmedian(distance_m):.1f} mm from their "
         f"coordinates (median; {points[worst].name} {1000 * distance_m[worst]:.1f} mm), "
         f"{np.nanmedian(error_px):.1f} px in the pictures."
     )

@@ -148,7 +148,9 @@ def _exchanged(
     severity = evidence.certainty(changed, given)
     for number in changed:
         other = cameras[best.places[number]].name
-        message = f"What {cameras[number].name} sees fits the calibration of {other}: cameras or videos are exchanged."
+        message = (
+            f"The people in {cameras[number].name} fit the calibration of {other}: cameras or videos are exchanged."
+        )
         yield Finding(
             finding_codes.CAMERAS_EXCHANGED,
             message,

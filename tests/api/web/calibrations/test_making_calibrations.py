@@ -181,7 +181,7 @@ def test_known_points_make_world_of_board(making: Live, videos: list[Path]) -> N
     work(making)
     calibration = making.client.get(f"/v1/calibrations/{job['id']}").json()
     assert calibration["state"] == "ready", calibration["error"]
-    assert calibration["report"]["world"].startswith("That of 3 known points")
+    assert calibration["report"]["world"].startswith("World of 3 known points")
     for found, camera in zip(calibration["cameras"], cameras, strict=True):
         np.testing.assert_allclose(found["position_m"], center_in_world(camera), atol=0.02)
 

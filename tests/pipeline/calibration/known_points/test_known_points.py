@@ -118,7 +118,7 @@ def test_table_is_read(tmp_path: Path) -> None:
         ("desk,0,a,0,cam_2,30,40", "Line 3"),
         ("desk,0,nan,0,cam_2,30,40", "not finite"),
         ("desk,0,1,0,,30,40", "lacks the name"),
-        ("desk,0,1", "something else than a number"),
+        ("desk,0,1", "a coordinate that is not a number"),
     ],
 )
 def test_wrong_line_is_named(tmp_path: Path, row: str, words: str) -> None:
