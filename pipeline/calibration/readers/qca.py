@@ -83,8 +83,8 @@ def _by_pose2sim(raw: Sequence[RawCamera], reading: Reading) -> list[RawCamera]:
         if any(camera.distortion) and not is_64th([coefficient / _SUBPIXELS for coefficient in camera.distortion])
     ]
     reading.notes.append(
-        f"{reading.file}: Pose2Sim wrote the file. Its picture sizes may be a pixel too large, so the size of the videos "
-        "is used."
+        f"{reading.file}: Pose2Sim wrote the file. Its picture sizes may be a pixel too large, so the size of the "
+        "videos is used."
     )
     reading.note_about(enlarged, "stated by Pose2Sim with 64 times the distortion, which is divided by 64")
     return [

@@ -117,7 +117,7 @@ def test_pose2sim_keeps_lens_of_qualisys_there_and_back(tmp_path: Path) -> None:
     (one,) = contents.cameras
     assert (one.size_px, one.distortion.tolist()) == ((1088, 1920), [-0.046183, 0.139983, 0.0, 0.0, 0.0])
     assert len(contents.notes) == 1
-    assert "the size of the videos counts" in contents.notes[0]
+    assert "the size of the videos is used" in contents.notes[0]
 
 
 def test_turn_of_views_is_noted(tmp_path: Path) -> None:
