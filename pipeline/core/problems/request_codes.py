@@ -67,6 +67,9 @@ IDEMPOTENCY_KEY_REUSED = ANSWERS.code("idempotency_key_reused", 422)
 CLIPS_MISSING = ANSWERS.code("clips_missing", 409)
 """No phone has sent its clip of the take of a recording. | Ask the phones for it by `upload`, and wait until they have
 sent it."""
+VIDEOS_FETCHING = ANSWERS.code("videos_fetching", 409)
+"""The service fetches videos from the URLs of the request. | Send the same request again after `Retry-After` seconds,
+until the videos are there."""
 VIDEOS_DELETED = ANSWERS.code("videos_deleted", 409, 410, 422, "job")
 """The videos of the session were deleted, and what is asked for needs them: to detect people, to draw over them, to
 show or to copy them. | Use the results of the session's jobs; else send the videos again as a new session."""
@@ -225,7 +228,22 @@ from videos in which the cameras see the same board or people."""
 UPLOAD_UNKNOWN = PARTS.code("upload_unknown", 422)
 """There is no such upload, or it was used or has expired. | Send the file again."""
 UPLOAD_UNFINISHED = PARTS.code("upload_unfinished", 422)
-"""The upload is not complete. | Send the rest of the file first."""
+"""The upload is not complete. | Send the rest of the file first, or wait until it is fetched."""
+SOURCE_REFUSED = PARTS.code("source_refused", 422)
+"""The URL of a video has a fault, is not https, or leads to an address that is not public. | Send a public https
+link."""
+SOURCE_NOT_FOUND = PARTS.code("source_not_found", 422)
+"""The source of a video answers with an error or a redirect. | Send a link that gives the file itself and has not
+expired."""
+SOURCE_UNUSABLE = PARTS.code("source_unusable", 422)
+"""The source of a video states no size, or compresses the file. | Have the source send `Content-Length`, and no
+`Content-Encoding`; or send the file as an upload."""
+SOURCE_CHANGED = PARTS.code("source_changed", 422)
+"""The file at the URL of a video changed while it was fetched, or has another size than announced. | Send the request
+again when the file stays as it is."""
+SOURCE_BROKEN = PARTS.code("source_broken", 422)
+"""The connection to the source of a video fails, breaks or is too slow, again and again. | Check that the source can be
+reached, then send the request again."""
 PART_TOO_LARGE = PARTS.code("part_too_large", 413)
 """A file or part is larger than allowed. | Send a smaller file."""
 SESSION_TOO_LARGE = PARTS.code("session_too_large", 413, 422, "command")

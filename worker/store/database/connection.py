@@ -240,11 +240,18 @@ class Database:
                 pool_pre_ping=True,
                 pool_recycle=_RECYCLE_S,
                 pool_timeout=_POOL_TIMEOUT_S,
+                hide_parameters=True,
                 connect_args=options,
             )
             event.listen(engine, "connect", _limit_idle_transactions)
             return engine
-        engine = create_engine(self._url, connect_args={"timeout": _LOCK_TIMEOUT_S}, json_deserializer=self._read_json)
+        # Parameters of statements are hidden in errors, which are logged: some are secrets.
+        engine = create_engine(
+            self._url,
+            connect_args={"timeout": _LOCK_TIMEOUT_S},
+            json_deserializer=self._read_json,
+            hide_parameters=True,
+        )
         event.listen(engine, "connect", _configure_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         event.listen(engine, "handle_error", self._note_damage)
@@ -292,6 +299,7 @@ def _configure_sqlite(connection: sqlite3.Connection, record: Any) -> None:
     connection.isolation_level = None
     _write_ahead(connection)
     connection.execute("PRAGMA foreign_keys = ON")
+    connection.execute("PRAGMA secure_delete = ON")  # backups copy pages, and must not have secrets of the past
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:

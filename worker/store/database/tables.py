@@ -80,8 +80,14 @@ uploads = Table(
     Column("spool", String, nullable=False),  # host and folder that hold its bytes
     Column("recording_id", String(36), index=True),  # whose phone sends it; null: a key sends it
     Column("phone", Integer),  # number of the phone
+    Column("source_sha256", String(64)),  # of the URL that the service fetches the file from; null: a client sends it
+    Column("source_url", String),  # a secret; null once the fetch has ended
+    Column("source_validator", String),  # its ETag or Last-Modified; null: it has none, or did not answer yet
+    Column("fetch_due_at", UtcTimestamp),  # when an API process takes the fetch up; null: nothing is fetched
+    Column("problem", JSON(none_as_null=True)),  # why the fetch failed
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),
+    Index(None, "fetch_due_at"),
 )
 
 jobs = Table(

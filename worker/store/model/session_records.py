@@ -24,10 +24,10 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """A file that arrives in pieces.
+    """A file that arrives in pieces: a client sends it, or the service fetches it from a URL.
 
     ``num_bytes`` is its complete size, ``metadata`` a text of the client, ``spool`` the host and folder that hold the
-    bytes that have arrived.
+    bytes that have arrived. The size of a file that is fetched is 0 until the source has answered.
     """
 
     id: str
@@ -36,6 +36,19 @@ class Upload:
     metadata: str
     expires_at: datetime
     spool: str
+    source_sha256: str | None = None  # Digest of the URL that it is fetched from; ``None``: a client sends it
+    is_fetching: bool = False
+    problem: JobProblem | None = None  # Why the fetch failed
+
+
+@dataclass(frozen=True, slots=True)
+class Fetch:
+    """Upload that an API process fetches; ``url`` is a secret, ``validator`` an ETag or a date of the source."""
+
+    upload: Upload
+    tenant: str
+    url: str = field(repr=False)
+    validator: str | None
 
 
 Purpose = Literal["capture", "calibration"]

@@ -1,21 +1,27 @@
-"""Uploads: files that clients send in pieces, until a session takes them or they expire.
+"""Uploads: files that clients send, or the service fetches, in pieces, until a session takes them or they expire.
 
 A row holds the announcement. The number of bytes that have arrived is the size of the file on the spool of the API
-that receives it.
+that receives it. One API process fetches an upload at a time: it renews the time at which the fetch is due again.
 """
 
+import hashlib
 from collections.abc import Collection
+from dataclasses import asdict
+from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
 from worker.store.database.access import Access
 from worker.store.database.connection import lock, now
-from worker.store.database.rows import read
+from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import uploads
 from worker.store.errors import Conflict, NotFound
+from worker.store.model.job_records import JobProblem
 from worker.store.model.phone_records import UploadingPhone
-from worker.store.model.session_records import Upload
+from worker.store.model.session_records import Fetch, Upload
 from worker.store.repositories.audit import AuditAction, record_event
+
+_IS_DUE = uploads.c.fetch_due_at <= now()
 
 
 class Uploads:
@@ -24,7 +30,16 @@ class Uploads:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, upload_id: str, name: str, num_bytes: int, metadata: str, keep_s: float, spool: str) -> Upload:
+    def add(
+        self,
+        upload_id: str,
+        name: str,
+        num_bytes: int,
+        metadata: str,
+        keep_s: float,
+        spool: str,
+        source_url: str | None = None,
+    ) -> Upload:
         """Add an upload; its bytes count for the tenant's quota from now on.
 
         Parameters
@@ -41,6 +56,8 @@ class Uploads:
             Time until it expires; begins again with each ``renew``.
         spool
             Host and folder that hold its bytes.
+        source_url
+            URL that the service fetches the file from, which is due at once; ``None``: the client sends the file.
 
         Raises
         ------
@@ -64,6 +81,9 @@ class Uploads:
                     spool=spool,
                     recording_id=None if phone is None else phone.recording_id,
                     phone=None if phone is None else phone.number,
+                    source_sha256=None if source_url is None else source_digest(source_url),
+                    source_url=source_url,
+                    fetch_due_at=None if source_url is None else now(),
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.UPLOAD_CREATED, upload_id)
@@ -73,6 +93,54 @@ class Uploads:
         """Upload with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
             return self._read(connection, upload_id)
+
+    def find_fetched(self, source_url: str) -> Upload | None:
+        """Oldest upload that is fetched, or was, from a URL; ``None`` if there is none."""
+        is_fetched = uploads.c.source_sha256 == source_digest(source_url)
+        query = select(uploads).where(self._may_reach(), is_fetched, uploads.c.expires_at >= now())
+        with self._access.reading() as connection:
+            row = connection.execute(query.order_by(uploads.c.id).limit(1)).one_or_none()
+        return None if row is None else _upload(row)
+
+    def due_fetches(self) -> list[Fetch]:
+        """Fetches that no process is at work on, the oldest first."""
+        query = select(uploads).where(self._access.may_reach(uploads), _IS_DUE, uploads.c.expires_at >= now())
+        with self._access.reading() as connection:
+            rows = connection.execute(query.order_by(uploads.c.id)).all()
+        return [Fetch(_upload(row), row.tenant, row.source_url, row.source_validator) for row in rows]
+
+    def claim_fetch(self, upload_id: str, lease_s: float) -> bool:
+        """Take a fetch, which is due again after ``lease_s``; return whether no other process was faster."""
+        claimed = update(uploads).where(uploads.c.id == upload_id, _IS_DUE).values(fetch_due_at=now() + lease_s)
+        with self._access.writing() as connection:
+            return connection.execute(claimed).rowcount == 1
+
+    def renew_fetches(self, upload_ids: Collection[str], lease_s: float, keep_s: float) -> set[str]:
+        """Keep fetches, and their uploads, for longer; return the ids that still exist."""
+        chosen = uploads.c.id.in_(upload_ids), uploads.c.fetch_due_at.is_not(None)
+        with self._access.writing() as connection:
+            connection.execute(
+                update(uploads).where(*chosen).values(fetch_due_at=now() + lease_s, expires_at=now() + keep_s)
+            )
+            return set(connection.scalars(select(uploads.c.id).where(*chosen)))
+
+    def announce(self, upload_id: str, num_bytes: int, validator: str | None) -> Upload:
+        """Record the size of a file that is fetched, which counts for the tenant's quota from now on.
+
+        Raises ``NotFound``, or ``QuotaExceeded``.
+        """
+        values = {"num_bytes": num_bytes, "source_validator": validator}
+        with self._access.writing() as connection:
+            self._access.require_room(connection, stored_bytes=num_bytes - self._read(connection, upload_id).num_bytes)
+            connection.execute(update(uploads).where(uploads.c.id == upload_id).values(**values))
+            return self._read(connection, upload_id)
+
+    def end_fetch(self, upload_id: str, problem: JobProblem | None = None) -> None:
+        """Record that a file was fetched, or the problem, and forget its URL; a deleted upload stays deleted."""
+        ended = {"source_url": None, "source_validator": None, "fetch_due_at": None}
+        document = None if problem is None else asdict(problem)
+        with self._access.writing() as connection:
+            connection.execute(update(uploads).where(uploads.c.id == upload_id).values(problem=document, **ended))
 
     def renew(self, upload_id: str, keep_s: float) -> Upload:
         """Keep an upload for longer; ``NotFound`` if there is none."""
@@ -131,7 +199,16 @@ class Uploads:
         row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFound("There is no such upload.")
-        return read(Upload, row)
+        return _upload(row)
+
+
+def source_digest(url: str) -> str:
+    """Digest by which an upload is found again after its URL, a secret, is forgotten."""
+    return hashlib.sha256(url.encode()).hexdigest()
+
+
+def _upload(row: Row[Any]) -> Upload:
+    return read(Upload, row, is_fetching=row.fetch_due_at is not None, problem=read_problem(row.problem))
 
 
 def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_bytes: int) -> None:

@@ -42,6 +42,11 @@ def upgrade() -> None:
         sa.Column("spool", sa.String, nullable=False),
         sa.Column("recording_id", sa.String(36), index=True),
         sa.Column("phone", sa.Integer),
+        sa.Column("source_sha256", sa.String(64)),
+        sa.Column("source_url", sa.String),
+        sa.Column("source_validator", sa.String),
+        sa.Column("fetch_due_at", sa.Double, index=True),
+        sa.Column("problem", sa.JSON),
     )
     op.create_index("ix_uploads_tenant_id", "uploads", ["tenant", "id"])
     op.create_table(
