@@ -32,6 +32,7 @@ from api.web.resources import RESOURCES
 from api.web.sessions.preflight import PreflightProgram
 from api.web.settings import Settings
 from api.web.startup import require_keys_if_exposed
+from api.web.uploads.fetching import fetch_forever
 from api.web.uploads.files import FolderUploads
 from api.web.uploads.routes import VERSION as TUS_VERSION
 from api.web.uploads.spool import UploadSpool, sweep_forever
@@ -110,6 +111,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         asyncio.create_task(services.changes.poll()),
         asyncio.create_task(services.keys_in_use.poll()),
         asyncio.create_task(services.rooms.run()),
+        asyncio.create_task(fetch_forever(services)),
         asyncio.create_task(sweep_forever(services.uploads, services.disk, services.store)),
     ]
     yield

@@ -12,10 +12,12 @@ from api.web.recordings import routes as recordings
 from api.web.recordings import sockets
 from api.web.sessions import routes as sessions
 from api.web.sessions import thumbnails, videos
+from api.web.uploads import fetched
 from api.web.uploads import routes as uploads
 
 RESOURCES: tuple[Resource, ...] = (
     uploads.RESOURCE,
+    fetched.RESOURCE,
     calibrations.CREATION,
     characters.CREATION,
     sessions.CREATION,

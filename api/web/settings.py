@@ -180,6 +180,11 @@ class Settings(SharedSettings):
     upload_hours: float = Field(
         default=48.0, gt=0, le=24 * 365, description="Time for which an unused upload is kept after its last piece."
     )
+    fetch_private: bool = Field(
+        default=False,
+        description="Whether videos may be fetched from addresses of private networks and of this machine, also "
+        "without TLS.",
+    )
     retention_days: float | None = Field(
         default=None,
         gt=0,

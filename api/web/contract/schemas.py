@@ -13,6 +13,15 @@ from pipeline.core.problems.request_codes import CONTROL_CHARACTERS
 
 _UUID = {"format": "uuid"}
 Id = Annotated[str, Field(json_schema_extra=_UUID)]
+SourceUrl = Annotated[
+    str,
+    Field(
+        max_length=4000,
+        pattern=r"^https?://[^\s/?#@\\]+([/?][^\s#\\]*)?$",
+        examples=["https://store.example/take-3/cam01.mp4?signature=..."],
+        description="Public https link that gives the file itself, without a redirect; the service fetches it.",
+    ),
+]
 NextCursor = Annotated[str | None, Field(description="Cursor of the next page; null on the last page.")]
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -25,6 +25,7 @@ from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
+from api.web.uploads.intake import unfinished, with_fetched
 from pipeline.core.problems import request_codes
 from worker.store.errors import NotFound
 from worker.store.tenant_records import TenantRecords
@@ -162,6 +163,13 @@ async def _receive_names(
         raise unprocessable(items) from None
 
 
+def _with_fetched(services: Services, records: TenantRecords, sent: Sent) -> Sent:
+    """Replace URLs of videos by ids of uploads; see ``with_fetched``."""
+    if not isinstance(sent.content, form_kinds.UploadedFootage):
+        return sent
+    return replace(sent, content=with_fetched(services, records, sent.content))
+
+
 def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_kinds.UploadedFiles) -> Form:
     """Build the form from uploads, whose files stay on their spool."""
     parts = Parts(sent.folder, services.limits, sent.kind, sent.places)
@@ -181,9 +189,11 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_
         except ApiError as error:  # its bytes are elsewhere
             parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
             continue
-        if num_bytes < upload.num_bytes:
-            message = f"Of this upload {num_bytes} of {upload.num_bytes} bytes have come."
-            parts.lack(part, request_codes.UPLOAD_UNFINISHED, message, "Send the rest of it first.", upload.name)
+        if (problem := upload.problem) is not None:
+            parts.lack(part, problem.code, problem.detail, problem.hint or "Delete the upload.", upload.name)
+        elif upload.is_fetching or num_bytes < upload.num_bytes:
+            hint = "Wait until it is fetched." if upload.is_fetching else "Send the rest of it first."
+            parts.lack(part, request_codes.UPLOAD_UNFINISHED, unfinished(upload, num_bytes), hint, upload.name)
         else:
             parts.adopt(part, upload.name, services.uploads.file(upload))
     if (source_id := names.source_id()) is not None:
@@ -260,7 +270,8 @@ class Creation(Generic[_Checked]):
             if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
                 return earlier
             async with idempotent.held():
-                checked = await self.check(request, services, idempotent.records, sent)
+                whole = await run_in_threadpool(_with_fetched, services, idempotent.records, sent)
+                checked = await self.check(request, services, idempotent.records, whole)
                 answer = await run_in_threadpool(self.add, services, idempotent, checked)
         return answer.response()
 

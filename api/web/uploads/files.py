@@ -48,13 +48,12 @@ class FolderUploads(spool.Writers):
         sync(self._folder)
         return upload_id
 
-    def require_here(self, upload: Upload) -> None:
-        """Raise 421 if the bytes of an upload are in the folder of another API process.
+    def is_here(self, upload: Upload) -> bool:
+        """Return whether the bytes of an upload are in this folder, not in the folder of another API process.
 
         A file that is here is served, whatever the upload's row says: folders are shared, moved and restored.
         """
-        if upload.spool != self.name and not self._path(upload.id).exists():
-            raise spool.elsewhere(upload)
+        return upload.spool == self.name or self._path(upload.id).exists()
 
     def offset(self, upload: Upload) -> int:
         """Bytes of an upload that are on disk; raises ``NotFound`` if there is no file, 421 if it is elsewhere."""

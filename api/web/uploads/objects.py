@@ -23,7 +23,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
-from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, Writers, elsewhere, receive, require_offset
+from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, Writers, receive, require_offset
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, NotFound
 from worker.store.files.disk import DiskSpace
 from worker.store.files.s3 import open_bucket, reached
@@ -94,10 +94,9 @@ class SharedUploads(Writers):
         self._disk.require_room()
         return str(uuid7())
 
-    def require_here(self, upload: Upload) -> None:
-        """Raise 421 if an upload was begun in the folder of an API process."""
-        if upload.spool != self.name:
-            raise elsewhere(upload)
+    def is_here(self, upload: Upload) -> bool:
+        """Return whether an upload was begun in the bucket, not in the folder of an API process."""
+        return upload.spool == self.name
 
     def offset(self, upload: Upload) -> int:
         """Bytes of an upload that are in the bucket without a gap; 421 if it was begun in a folder."""

@@ -20,10 +20,10 @@ from api.web.errors import ApiError
 from api.web.http.bodies.form import name_error, too_large
 from api.web.http.bodies.reading import announced_bytes, drain
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
+from api.web.uploads.intake import begun_upload, is_size_unknown
 from api.web.uploads.spool import Checksum
 from pipeline.core.problems import request_codes
 from worker.store.model.session_records import Upload
-from worker.store.outages import is_perhaps_recorded
 from worker.store.tenant_records import TenantRecords
 
 VERSION = "1.0.0"
@@ -156,7 +156,7 @@ def get_upload(
     upload = records.uploads.get(upload_id)
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload)),
-        "Upload-Length": str(upload.num_bytes),
+        **({"Upload-Defer-Length": "1"} if is_size_unknown(upload) else {"Upload-Length": str(upload.num_bytes)}),
     }
     if upload.metadata:
         headers["Upload-Metadata"] = upload.metadata
@@ -198,6 +198,8 @@ async def continue_upload(
     _require_piece_type(request)
     offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
     upload = await run_in_threadpool(records.uploads.renew, upload_id, services.settings.upload_keep_s)
+    if upload.source_sha256 is not None:
+        raise ApiError(request_codes.CONFLICT, "The service fetches this upload; it takes no pieces.")
     offset, upload = await _append(request, services, records, upload, offset, checksum)
     return Response(status_code=204, headers={"Upload-Offset": str(offset)} | _common_headers(upload))
 
@@ -229,18 +231,12 @@ def _begin(services: Services, idempotent: IdempotentRequest, length: int, name:
     """Make the file of an upload and record it."""
     if (earlier := idempotent.begin([length, metadata])) is not None:
         return earlier
-    with idempotent.working():
-        upload_id = services.uploads.create(length)
-        try:
-            with idempotent.records.transaction() as work:
-                keep_s = services.settings.upload_keep_s
-                upload = work.uploads.add(upload_id, name, length, metadata or "", keep_s, services.uploads.name)
-                headers = {"Location": f"/v1/uploads/{upload.id}", **_common_headers(upload)}
-                return idempotent.store(work, Answer(201, headers, "")).response()
-        except BaseException as error:
-            if not is_perhaps_recorded(error):
-                services.uploads.remove(upload_id)
-            raise
+    with (
+        idempotent.working(),
+        begun_upload(services, idempotent.records, name, length, metadata or "") as (work, upload),
+    ):
+        headers = {"Location": f"/v1/uploads/{upload.id}", **_common_headers(upload)}
+        return idempotent.store(work, Answer(201, headers, "")).response()
 
 
 async def _append(

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import hashlib
 import time
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,8 +125,11 @@ class UploadSpool(Protocol):
     def create(self, num_bytes: int) -> str:
         """Make room for an upload and return its id; the caller records the upload at once."""
 
+    def is_here(self, upload: Upload) -> bool:
+        """Return whether this process can reach the bytes of an upload."""
+
     def require_here(self, upload: Upload) -> None:
-        """Raise 421 if this process can't reach the bytes of an upload."""
+        """Raise 421 unless ``is_here``; logged with the place of the bytes."""
 
     def offset(self, upload: Upload) -> int:
         """Bytes of an upload that are stored; raises ``NotFound`` if it is gone, 421 if it is elsewhere."""
@@ -165,11 +169,26 @@ class UploadSpool(Protocol):
         """Remove expired uploads, and bytes without an upload, once."""
 
 
-class Writers:
+class Writers(ABC):
     """Requests that write to uploads, at most one for each."""
 
     def __init__(self) -> None:
         self._scopes: dict[str, tuple[anyio.CancelScope, asyncio.Event]] = {}
+
+    @abstractmethod
+    def is_here(self, upload: Upload) -> bool:
+        """See ``UploadSpool``."""
+
+    def require_here(self, upload: Upload) -> None:
+        """See ``UploadSpool``."""
+        if not self.is_here(upload):
+            _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
+            raise ApiError(
+                request_codes.UPLOAD_ELSEWHERE,
+                "The bytes of this upload are at another API process.",
+                hint="The operator lets all API processes share uploads (MULTICAP_SHARED_UPLOADS), or routes each "
+                "client to one process (sticky sessions). Or begin the upload again.",
+            )
 
     @contextlib.asynccontextmanager
     async def writing(self, upload_id: str) -> AsyncIterator[None]:
@@ -225,17 +244,6 @@ def require_offset(found: int, offset: int) -> None:
             hint="Ask for the offset with HEAD, and continue from there.",
             retryable=True,
         )
-
-
-def elsewhere(upload: Upload) -> ApiError:
-    """Error 421 for an upload whose bytes this process can't reach; logged with their place."""
-    _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
-    return ApiError(
-        request_codes.UPLOAD_ELSEWHERE,
-        "The bytes of this upload are at another API process.",
-        hint="The operator lets all API processes share uploads (MULTICAP_SHARED_UPLOADS), or routes each client to "
-        "one process (sticky sessions). Or begin the upload again.",
-    )
 
 
 def locked() -> ApiError:

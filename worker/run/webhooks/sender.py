@@ -37,16 +37,16 @@ _AT_ONCE_A_TENANT = 8
 _GONE = 410
 
 
-class _RefusedError(Exception):
-    """No message may be sent to the address."""
+class RefusedAddressError(Exception):
+    """The address is not public."""
 
 
 def resolve(host: str, port: int, allow_private: bool, timeout_s: float = _TRY_S) -> str:
-    """First allowed IP address of a host; raises ``_RefusedError`` if there is none."""
+    """First allowed IP address of a host; raises ``RefusedAddressError`` if there is none."""
     for address in _look_up(host, port, timeout_s):
         if allow_private or is_public(address):
             return address
-    raise _RefusedError
+    raise RefusedAddressError
 
 
 def _look_up(host: str, port: int, timeout_s: float) -> list[str]:
@@ -148,7 +148,7 @@ class Sender:
                 pool.stream("POST", delivery.url, headers=headers, content=delivery.body.encode()) as response,
             ):
                 status = response.status
-        except _RefusedError:
+        except RefusedAddressError:
             return "The address is not public."
         except socket.gaierror:
             return "The name can't be resolved."
@@ -156,13 +156,14 @@ class Sender:
             return "The answer took too long."
         except (httpcore2.NetworkError, httpcore2.ProtocolError, OSError) as error:
             log.info("webhook_connection_failed", message=delivery.message_id, error=type(error).__name__)
-            return _connection_fault(error)
+            return connection_fault(error)
         if 200 <= status < 300 or status == _GONE:
             return None
         return f"It was answered with {status}."
 
 
-def _connection_fault(error: Exception) -> str:
+def connection_fault(error: Exception) -> str:
+    """Sentence about a failed connection."""
     match error.__context__:
         case ssl.SSLCertVerificationError():
             return "The certificate is not valid for this name."

@@ -7,6 +7,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, Field
 
 from api.web.contract.examples import UPLOAD_IDS
+from api.web.contract.schemas import SourceUrl
 from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
@@ -52,15 +53,17 @@ class UploadedFiles(BaseModel):
 class UploadedFootage(UploadedFiles):
     """Files of cameras that are sent as uploads. Unknown fields are refused."""
 
-    videos: tuple[UUID, ...] = Field(
+    videos: tuple[UUID | SourceUrl, ...] = Field(
         default=(),
-        description="Uploads of the videos, one for each camera, or of a zip of its images.",
+        description="Uploads of the videos, one for each camera, or of a zip of its images. Or URLs of such files, "
+        "whose names are the last parts of the paths: the service fetches them, and answers 409 `videos_fetching` to "
+        "the request, which is sent again, until they are there.",
         examples=[UPLOAD_IDS],
     )
 
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
-        return [("videos", upload) for upload in self.videos]
+        return [("videos", upload) for upload in self.videos if isinstance(upload, UUID)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -77,7 +77,7 @@ class TestPrivateAddresses:
 
     @pytest.mark.parametrize("spelling", ["2130706433", "0x7f.1", "0177.1"])
     def test_numbers_that_only_resolvers_understand(self, connected: list[str], spelling: str) -> None:
-        with pytest.raises(webhooks._RefusedError):
+        with pytest.raises(webhooks.RefusedAddressError):
             webhooks.resolve(spelling, 9, allow_private=False)
 
     def test_name_server_that_does_not_answer(self, monkeypatch: pytest.MonkeyPatch) -> None:
