@@ -1,10 +1,12 @@
 """Client of a service: send a session, wait for its job, download the results."""
 
+import base64
 import contextlib
 import hashlib
 import json
 import math
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -16,11 +18,13 @@ import httpx2
 from pipeline.core.errors import PipelineError
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import SERVICE_ERROR
+from pipeline.core.problems.request_codes import VIDEOS_FETCHING
 from pipeline.core.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]
 
 _POLL_S = 0.25
+_FETCH_POLL_S = 2.0
 # Tries of a request that the service does not answer, and the pauses between them: about a minute.
 _MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 8, 1.0, 20.0
 _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
@@ -95,6 +99,10 @@ class ServiceError(PipelineError):
 
 class UnavailableError(ServiceError):
     """The service, or a part of it, does not respond now."""
+
+
+class _FetchingError(ServiceError):
+    """The service fetches the videos of a request, which is sent again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +184,8 @@ class Client:
         Parameters
         ----------
         videos
-            One video of each camera, with the camera's name as a word in its own; or as the manifest states.
+            One video of each camera, with the camera's name as a word in its own; or as the manifest states. Either
+            all files, or all https links that the service fetches the files from; then the call waits for them.
         calibration
             Calibration file of any format that ``open_session`` reads.
         spec
@@ -196,11 +205,30 @@ class Client:
             If a file can't be read.
         """
         texts = {"manifest": {"name": name, **(manifest or {})}, **({} if spec is None else {"spec": spec})}
+        if any(str(video).startswith(("https://", "http://")) for video in videos):
+            return self._submit_links([*map(str, videos)], Path(calibration), texts)
         described = [(part, (None, json.dumps(text), "application/json")) for part, text in texts.items()]
         with contextlib.ExitStack() as opened:
             parts = [*(("videos", Path(path)) for path in videos), ("calibration", Path(calibration))]
             files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
             return _job(self._call("POST", "/v1/jobs", files=[*described, *files]))
+
+    def _submit_links(self, urls: Sequence[str], calibration: Path, texts: Mapping[str, Json]) -> Job:
+        """Send a session whose videos the service fetches; repeat the request until they are there."""
+        content, name = calibration.read_bytes(), base64.b64encode(calibration.name.encode()).decode()
+        headers = {
+            "Tus-Resumable": "1.0.0",
+            "Upload-Length": str(len(content)),
+            "Upload-Metadata": f"filename {name}",
+            "Content-Type": "application/offset+octet-stream",
+        }
+        place = self._sent("POST", "/v1/uploads", headers=headers, content=content).headers["location"]
+        body = {**texts, "videos": urls, "calibration": place.rpartition("/")[2]}
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        while True:
+            with contextlib.suppress(_FetchingError):
+                return _job(self._call("POST", "/v1/jobs/from-uploads", json=body, headers=headers))
+            time.sleep(_FETCH_POLL_S)
 
     def submit_keypoints(
         self, archives: Mapping[str, bytes], calibration: bytes, timestamps: bytes, spec: Mapping[str, Any]
@@ -326,13 +354,17 @@ class Client:
             time.sleep(pauses.next_s())
         return self.get(path)
 
-    def _call(self, method: str, path: str, **options: Any) -> Json:
+    def _sent(self, method: str, path: str, **options: Any) -> httpx2.Response:
         try:
             answer = self.http.request(method, path, **options)
         except httpx2.TransportError as error:
             raise UnavailableError(f"The service at {self.url} does not answer.") from error
         if answer.is_error:
             raise _refusal(answer)
+        return answer
+
+    def _call(self, method: str, path: str, **options: Any) -> Json:
+        answer = self._sent(method, path, **options)
         document = _object(answer) if answer.content else {}
         if document is None:
             raise ServiceError(f"The server at {self.url} is not a Multicap service.")
@@ -354,7 +386,10 @@ def _object(answer: httpx2.Response) -> Json | None:
 
 def _refusal(answer: httpx2.Response) -> ServiceError:
     """Error with the sentences of the service; a proxy may answer without any."""
-    sentences = _sentences(_object(answer) or {})
+    problem = _object(answer) or {}
+    sentences = _sentences(problem)
+    if problem.get("code") == VIDEOS_FETCHING:
+        return _FetchingError(sentences)
     kind = UnavailableError if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE else ServiceError
     return kind(sentences or f"The service at {answer.url.host} answered {answer.status_code}.")
 
