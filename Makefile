@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 PORTAL := api/portal
 READERS := tests/e2e/readers
 LINTER := tests/api/linter
-CLIENTS := tests/e2e/clients
+GENERATORS := tests/e2e/generators
+CLIENT := clients/typescript
 BLENDER := .venv-blender
 LITERT := .venv-litert
 PEERS := .venv-peers
@@ -17,7 +18,7 @@ WEBSITE := website
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs demo demo-files serve browser ffmpeg readers clients linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-accuracy verify-containers soak load hostile check benchmark format lock clean blender-extension wheel
+.PHONY: help setup docs demo demo-files serve browser ffmpeg readers clients generators linter test-data test test-slow test-shapes verify-exports verify-converters verify-calibration verify-speed verify-accuracy verify-containers soak load hostile check benchmark format lock clean blender-extension wheel
 
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -91,11 +92,22 @@ $(READERS)/node_modules/.installed: $(READERS)/package-lock.json $(VENV)/.instal
 	@$(BIN)/npm ci --prefix $(READERS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
 		|| echo "npm's packages can't be installed here: tests with three.js, the glTF validator or tus-js-client are skipped."
 
-clients: $(CLIENTS)/node_modules/.installed  ## Install generators of TypeScript clients for the tests
+clients: $(CLIENT)/dist/.built  ## Build the client for npm into build/
 
-$(CLIENTS)/node_modules/.installed: $(CLIENTS)/package-lock.json $(VENV)/.installed
+$(CLIENT)/node_modules/.installed: $(CLIENT)/package-lock.json $(VENV)/.installed
 	@mkdir -p $(@D)
-	@$(BIN)/npm ci --prefix $(CLIENTS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
+	@$(BIN)/npm ci --prefix $(CLIENT) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
+		|| echo "npm's packages can't be installed here: the client for npm is not built, and its tests are skipped."
+
+$(CLIENT)/dist/.built: $(CLIENT)/node_modules/.installed openapi/openapi.json $(filter-out %/contract.ts,$(wildcard $(CLIENT)/*.* $(CLIENT)/src/*))
+	@test ! -e $< || { mkdir -p build && $(BIN)/node $(CLIENT)/build.mjs \
+		&& $(BIN)/npm pack ./$(CLIENT) --silent --pack-destination build && touch $@; }
+
+generators: $(GENERATORS)/node_modules/.installed  ## Install generators of TypeScript clients for the tests
+
+$(GENERATORS)/node_modules/.installed: $(GENERATORS)/package-lock.json $(VENV)/.installed
+	@mkdir -p $(@D)
+	@$(BIN)/npm ci --prefix $(GENERATORS) --silent --no-audit --no-fund && mkdir -p $(@D) && touch $@ \
 		|| echo "npm's packages can't be installed here: tests with generated TypeScript clients are skipped."
 
 linter: $(LINTER)/node_modules/.installed  ## Install the linter of the OpenAPI contract
@@ -248,4 +260,4 @@ lock:  ## Pin the dependencies again (needs uv)
 
 clean:  ## Remove everything that the targets made
 	git clean -Xfq docs
-	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(CLIENTS)/node_modules $(LINTER)/node_modules $(WEBSITE)/node_modules api/portal/help build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(BLENDER) $(LITERT) $(PEERS) $(SPEED) $(UFBX) $(PORTAL)/node_modules $(PORTAL)/vendor pipeline/export/report/assets/viewer.* $(READERS)/node_modules $(GENERATORS)/node_modules $(CLIENT)/node_modules $(CLIENT)/dist $(LINTER)/node_modules $(WEBSITE)/node_modules api/portal/help build demo-output .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -5,8 +5,8 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("api", "deploy", "docker", "docs", "multicap", "pipeline", "worker")
-SUFFIXES = {".css", ".html", ".js", ".md", ".py", ".toml", ".yml"}
+PACKAGES = ("api", "clients", "deploy", "docker", "docs", "multicap", "pipeline", "worker")
+SUFFIXES = {".css", ".html", ".js", ".md", ".py", ".toml", ".ts", ".yml"}
 MAX_OCCURRENCES = 60
 
 # Words, and what to write in their place
@@ -30,7 +30,8 @@ def occurrences(text: str) -> Counter[str]:
 def files() -> list[Path]:
     """Sources and documents that we write; pages of decisions and of measurements are a record."""
     kept = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.suffix in SUFFIXES]
-    ours = [path for path in kept if not {"node_modules", "vendor", "lab", "__pycache__"} & {*path.parts}]
+    made = {"node_modules", "vendor", "dist", "contract.ts", "__pycache__"}
+    ours = [path for path in kept if not {"lab", *made} & {*path.parts}]
     return [*ours, *ROOT.glob("*.md")]
 
 

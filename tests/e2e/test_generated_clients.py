@@ -1,4 +1,4 @@
-"""Programs of `docs/reference/clients.md`, run with the clients that each generator makes of the contract."""
+"""Programs with the clients that generators make of the contract, which `docs/reference/clients.md` names."""
 
 import hashlib
 import json
@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,76 +16,35 @@ import pytest
 
 from api.web.contract.openapi import COMMITTED
 from pipeline.core.runtime.packages.samples import Sample
-from tests.e2e.serving import Served, serving
+from tests.e2e.served_captures import ServedCapture, served_capture
 
-PAGE = Path(__file__).parents[2] / "docs/reference/clients.md"
-CLIENTS = Path(__file__).parent / "clients"
-ADDRESS, KEY, FOLDER = "https://multicap.example", "mc_...", "take"
+GENERATORS = Path(__file__).parent / "generators"
+PAGE = GENERATORS.parents[2] / "docs/reference/clients.md"
 TIMEOUT_S = 400.0
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """Files and commands of a section of the page."""
-
-    files: dict[str, str]
-    commands: list[list[str]]
-
-    @property
-    def uses_npm(self) -> bool:
-        return ["npm", "install"] in [command[:2] for command in self.commands]
-
-
-def sections() -> dict[str, Section]:
-    """Sections of the page with code, by title."""
-    found = {}
-    for text in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
-        blocks = re.findall(r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```$', text, re.MULTILINE | re.DOTALL)
-        commands = [shlex.split(line) for kind, _, code in blocks if kind == "sh" for line in code.splitlines()]
-        files = {name: code for _, name, code in blocks if name}
-        found[text.splitlines()[0]] = Section(files, commands)
-    return found
-
-
-SECTIONS = sections()
-
-
-@dataclass(frozen=True, slots=True)
-class ServedCapture:
-    """Service with keys, and the folder of a capture."""
-
-    served: Served
-    key: str
-    take: Path
-
-
-def multicap(*arguments: str | Path) -> bytes:
-    """Run a command of Multicap; return what it prints."""
-    command = [sys.executable, "-P", "-m", "api.cli.main", *arguments]
-    return subprocess.run(command, capture_output=True, check=True).stdout
+# Commands that make each client, and programs that use it
+COMMANDS = {
+    "python": [
+        "openapi-python-client generate --path openapi.json --config python-client.yaml --meta none"
+        " --output-path multicap_client",
+        "python send.py",
+        "python upload.py",
+    ],
+    "hey-api": ["npx openapi-ts", "npx tsc", "node send.ts", "node upload.ts"],
+    "openapi-fetch": ["node generate.mjs", "npx tsc", "node send.ts"],
+}
 
 
 @pytest.fixture(scope="module")
 def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedCapture]:
-    folder = tmp_path_factory.mktemp("portal")
-    take = folder / "take"
-    take.mkdir()
-    for path in sample.videos.values():
-        (take / path.name).symlink_to(path)
-    multicap("calibration", "convert", sample.calibration, take / "calibration.toml")
-    # Machines of tests are busy: the check of the files may take long.
-    with serving(folder / "data", 1) as served:
-        key = json.loads(multicap("keys", "create", "portal", "--json", "--data", folder / "data"))["key"]
-        served.client.headers["Authorization"] = f"Bearer {key}"
-        yield ServedCapture(served, key, take)
+    with served_capture(sample, tmp_path_factory.mktemp("portal")) as portal:
+        yield portal
 
 
-def run(command: list[str], folder: Path, portal: ServedCapture) -> str:
-    """Run a command of the page; return what it writes."""
-    values = {ADDRESS: str(portal.served.client.base_url).rstrip("/"), KEY: portal.key, FOLDER: str(portal.take)}
+def run(command: list[str], folder: Path) -> str:
+    """Run a command; return what it writes."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run(
-        [values.get(word, word) for word in command],
+        command,
         cwd=folder,
         env=os.environ | {"PATH": path, "PYTHONPATH": str(folder)},
         stdout=subprocess.PIPE,
@@ -110,41 +68,32 @@ def require_downloads(portal: ServedCapture, folder: Path) -> None:
     assert written == {result["name"]: result["sha256"] for result in results}
 
 
-def test_page_installs_what_is_tested() -> None:
+def test_page_names_tested_versions() -> None:
     """Versions on the page are those of the locks."""
-    pinned = json.loads((CLIENTS / "package.json").read_text("utf-8"))["dependencies"]
-    installed: dict[str, str] = {}
-    for section in SECTIONS.values():
-        for program, action, *packages in section.commands:
-            if (program, action) == ("npm", "install"):
-                installed |= dict(package.rsplit("@", 1) for package in packages)
-            if (program, action) == ("pip", "install"):
-                assert packages == [f"openapi-python-client=={version('openapi-python-client')}"]
-    assert installed == pinned
+    pinned = json.loads((GENERATORS / "package.json").read_text("utf-8"))["dependencies"]
+    tested = {name: pinned[name] for name in ("@hey-api/openapi-ts", "openapi-typescript", "openapi-fetch")}
+    tested["openapi-python-client"] = version("openapi-python-client")
+    assert dict(re.findall(r"`([\w@/-]+) (\d+\.\d+\.\d+)`", PAGE.read_text("utf-8"))) == tested
 
 
-@pytest.mark.parametrize("title", ["Python", "TypeScript: hey-api", "TypeScript: openapi-fetch"])
-def test_programs_of_page(portal: ServedCapture, tmp_path: Path, title: str) -> None:
-    section = SECTIONS[title]
-    if section.uses_npm:
-        if not (CLIENTS / "node_modules" / ".installed").is_file():
-            pytest.skip("generators of TypeScript clients are not installed (`make clients` does it)")
-        (tmp_path / "node_modules").symlink_to(CLIENTS / "node_modules")
+@pytest.mark.parametrize("generator", COMMANDS)
+def test_programs_with_generated_client(portal: ServedCapture, tmp_path: Path, generator: str) -> None:
+    if generator != "python":
+        if not (GENERATORS / "node_modules" / ".installed").is_file():
+            pytest.skip("generators of TypeScript clients are not installed (`make generators` does it)")
+        (tmp_path / "node_modules").symlink_to(GENERATORS / "node_modules")
         (tmp_path / "package.json").write_text('{"private": true, "type": "module"}')
-        (tmp_path / "tsconfig.json").write_text(SECTIONS["TypeScript: hey-api"].files["tsconfig.json"])
+        shutil.copy(GENERATORS / "tsconfig.json", tmp_path)
     shutil.copy(COMMITTED, tmp_path / "openapi.json")
-    for name, code in section.files.items():
-        (tmp_path / name).write_text(code, encoding="utf-8")
-    ran = []
-    for command in section.commands:
-        if command[1] == "install":
-            continue
-        output = run(command, tmp_path, portal)
-        assert "warning" not in output.lower(), output  # of what a generator can't express, and leaves out
+    shutil.copytree(GENERATORS / generator, tmp_path, dirs_exist_ok=True)
+    for line in COMMANDS[generator]:
+        command = shlex.split(line)
         program = command[1].partition(".")[0]
+        if program in {"send", "upload"}:
+            command += [portal.url, portal.key, str(portal.take)]
+        output = run(command, tmp_path)
+        assert "warning" not in output.lower(), output  # of what a generator can't express, and leaves out
         if program == "send":
             require_downloads(portal, tmp_path)
         if program == "upload":
             assert portal.served.wait_for_end(output.split()[-1])["state"] == "succeeded"
-        ran.append(program)
-    assert set(ran) >= {Path(name).stem for name in section.files if Path(name).stem in {"send", "upload"}} >= {"send"}
