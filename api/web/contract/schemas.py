@@ -33,9 +33,11 @@ def printable_name(text: str) -> str:
 
 
 class ResponseModel(BaseModel):
-    """Base of the bodies of responses."""
+    """Base of the bodies of responses, and of the webhooks, whose schema is the same."""
 
-    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+    model_config = ConfigDict(
+        json_schema_serialization_defaults_required=True, json_schema_mode_override="serialization"
+    )
 
     @classmethod
     def from_record(cls, record: object, **computed: Any) -> Self:

@@ -122,6 +122,12 @@ def test_ways_to_authorize_are_declared(schema: dict[str, Any]) -> None:
     assert used == schemes.keys()
 
 
+def test_every_model_has_one_schema(schema: dict[str, Any]) -> None:
+    """Generators of clients refuse two schemas with one title."""
+    titles = [described["title"] for described in schema["components"]["schemas"].values() if "title" in described]
+    assert len(titles) == len(set(titles)) > 50
+
+
 def test_all_arrays_say_their_items(schema: dict[str, Any]) -> None:
     def arrays(node: Any) -> Iterator[dict[str, Any]]:
         if isinstance(node, dict):
