@@ -1,39 +1,24 @@
 """Videos by URL: a real service with a worker fetches them from a server on this machine, and reconstructs them."""
 
-import functools
-import threading
 from collections.abc import Iterator
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
 from api.cli.client import Client
 from pipeline.core.runtime.packages.samples import Sample
-from tests.e2e.serving import serving
+from tests.e2e.serving import file_server, serving
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("service")]
 
 SECRET = "signature=s3cr3t-of-the-store"  # noqa: S105
 
 
-class QuietHandler(SimpleHTTPRequestHandler):
-    """Server of files without a log."""
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
 def store(sample: Sample) -> Iterator[str]:
     """Address of a server with the sample's videos."""
-    folder = next(iter(sample.videos.values())).parent
-    with ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(QuietHandler, directory=str(folder))) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_address[1]}"
-        server.shutdown()
-        thread.join()
+    with file_server(next(iter(sample.videos.values())).parent) as url:
+        yield url
 
 
 def test_job_of_links_gives_files_and_keeps_secrets(sample: Sample, store: str, tmp_path: Path) -> None:

@@ -1,17 +1,14 @@
 """The client for npm against a service, in Node.js and in Chromium, and the portals of `docs/reference/clients.md`."""
 
-import functools
 import hashlib
-import http.server
 import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +21,7 @@ from pipeline.core.runtime.packages.samples import Sample
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.e2e.browsing import opened
 from tests.e2e.served_captures import ServedCapture, served_capture
+from tests.e2e.serving import file_server
 from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[2]
@@ -55,26 +53,12 @@ class Portal:
         return sorted(self.capture.take.glob("*.mp4")), self.capture.take / "calibration.toml"
 
 
-class QuietHandler(http.server.SimpleHTTPRequestHandler):
-    def log_message(self, *_: Any) -> None:
-        """Log nothing."""
-
-
-@contextmanager
-def web_server(folder: Path) -> Iterator[str]:
-    handler = functools.partial(QuietHandler, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}"
-        server.shutdown()
-
-
 @pytest.fixture(scope="module")
 def portal(sample: Sample, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Portal]:
     folder = tmp_path_factory.mktemp("portal")
     (folder / "pages").mkdir()
     with (
-        web_server(folder / "pages") as url,
+        file_server(folder / "pages") as url,
         served_capture(sample, folder, MULTICAP_ALLOWED_ORIGINS=json.dumps([url])) as capture,
     ):
         yield Portal(url, folder / "pages", capture)
@@ -218,8 +202,8 @@ def test_portal_in_browser_shows_all_problems(page: Page, portal: Portal, tmp_pa
 @pytest.fixture
 def python_portal(portal: Portal, tmp_path: Path) -> Iterator[httpx2.Client]:
     """Portal in Python as a process."""
-    with http.server.HTTPServer(("127.0.0.1", 0), QuietHandler) as free:
-        port = free.server_port
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
     code = program("portal.py", ("port=8080", f"port={port}"), (SPEC, 'exports": ["bvh"], "frame_range": [0, 20]'))
     (tmp_path / "portal.py").write_text(code, "utf-8")
     command = tied_to_parent([sys.executable, "portal.py", portal.capture.url, portal.capture.key])

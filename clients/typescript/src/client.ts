@@ -83,6 +83,7 @@ export class Client {
    *
    * @param name - Name of the capture for people.
    * @param videos - A video of each camera, with the camera's name as a word in its own; or as the manifest states.
+   * The service fetches https links; then the call waits for the files.
    * @param calibration - Calibration of all cameras.
    * @param spec - Choices of the job.
    * @throws {@link ServiceError} with all problems of all files if the service refuses them.
@@ -90,8 +91,11 @@ export class Client {
   async submit(name: string, videos: readonly Source[], calibration: Source, spec: JobSpec = {}, options: SubmitOptions = {}): Promise<Job> {
     const { manifest, signal } = options;
     const request = { ...this.#uploads, ...options };
-    const ids = await uploadAll([...videos, calibration], request);
-    const body = { videos: ids.slice(0, -1), calibration: ids.at(-1)!, manifest: { ...manifest, name }, spec };
+    const isLink = (source: Source) => typeof source === "string" && /^https?:\/\//.test(source);
+    const ids = await uploadAll([...videos.filter((video) => !isLink(video)), calibration], request);
+    const uploads = ids.values();
+    const all = [...videos, calibration].map((source) => (isLink(source) ? (source as string) : uploads.next().value!));
+    const body = { videos: all.slice(0, -1), calibration: all.at(-1)!, manifest: { ...manifest, name }, spec };
     try {
       const { data } = await this.api.POST("/v1/jobs/from-uploads", { body, ...(signal && { signal }) });
       return data!;

@@ -13,7 +13,7 @@ export interface NamedContent {
   size?: number;
 }
 
-/** File to send: a `File`, bytes with a name, or in Node.js a path. */
+/** File to send: a `File`, bytes with a name, in Node.js a path, or the https link of a video. */
 export type Source = File | NamedContent | string;
 
 /** Bytes that are sent, of all. */
