@@ -132,7 +132,7 @@ def test_changed_descriptions_are_refused(content: bytes, change: Callable[[Docu
     path = tmp_path / "0.glb"
     path.write_bytes(whole(document, numbers))
     for read in (check_glb, read_motion):
-        with pytest.raises(RequestError, match="no GLB"):
+        with pytest.raises(RequestError, match="GLB file"):
             read(path)
 
 
@@ -152,7 +152,7 @@ def test_broken_files_are_refused(content: bytes, change: str, tmp_path: Path) -
         }[change]
     )
     for read in (check_glb, read_motion):
-        with pytest.raises(RequestError, match="no GLB"):
+        with pytest.raises(RequestError, match="GLB file"):
             read(path)
 
 

@@ -393,7 +393,7 @@ def test_hostile_service_is_survived(
     )
     assert panel["captures"][0].startswith("../../x - ")
     assert len(panel["tenant"]) == 60
-    assert "no GLB" in imported["message"]
+    assert "GLB file" in imported["message"]
     assert (scene["objects"], scene["collections"]) == ({}, [])
     wrong_service.answers["/v1/jobs/j/results"] = says(200, json.dumps({"results": listed[1:]}).encode())
     wrong_service.answers["/v1/jobs/j/results/x.glb"] = says(200, files["person-1.glb"])
