@@ -79,8 +79,8 @@ Appearance = Annotated[Literal["on"], Value("Used")] | Annotated[Literal["off"],
 JointCenters = (
     Annotated[Literal["auto"], Value("By the network")]
     | Annotated[Literal["off"], Value("No offsets")]
-    | Annotated[Literal["movenet-multipose"], Value("Offsets of MoveNet MultiPose")]
-    | Annotated[Literal["openpose-mobilenet-thin"], Value("Offsets of OpenPose MobileNet thin")]
+    | Annotated[Literal["movenet-multipose"], Value("MoveNet MultiPose")]
+    | Annotated[Literal["openpose-mobilenet-thin"], Value("OpenPose MobileNet thin")]
 )
 RefineCalibration = (
     Annotated[Literal["off"], Value("Off")]
@@ -96,7 +96,7 @@ Preset = (
     | Annotated[Literal["unity-humanoid"], Value("Unity, humanoid")]
     | Annotated[Literal["unreal"], Value("Unreal Engine, mannequin")]
     | Annotated[Literal["mixamo"], Value("Mixamo")]
-    | Annotated[Literal["humanik"], Value("HumanIK of MotionBuilder and Maya")]
+    | Annotated[Literal["humanik"], Value("HumanIK (MotionBuilder, Maya)")]
 )
 Timeline = (
     Annotated[Literal["take"], Value("Keep everyone in sync: every file covers the whole take")]

@@ -19,7 +19,7 @@ export const FRAME = {
   keyStart: (prefix) => `This text does not begin with ${prefix}.`,
   keyCharacters: "This text has other characters.",
   keyLength: (prefix, length) => `This text has ${length} after ${prefix}: copy the whole key.`,
-  keyUnknown: "This text has the right form, but the key is of another service or was revoked. Ask the operator for a new key.",
+  keyUnknown: "The form is right, but the key is of another service or was revoked. Ask the operator for a new key.",
   linkEnded: "Link ended",
   linkEndedTitle: "This link has ended or was revoked",
   linkEndedHint: "Ask the person who sent it for a new one.",

@@ -36,7 +36,7 @@ export const LIVE = {
   faults: {
     keypoints: "Choose keypoints of the cameras.",
     calibration: "Choose the calibration of the cameras.",
-    rate: "Type a frame rate from 1 to 1000 Hz, or add a CSV file of timestamps.",
+    rate: "Type a frame rate of 1 to 1000 Hz, or add a CSV of timestamps.",
   },
   said: {
     files: (cameras) => `Keypoints of ${cameras}`,
