@@ -236,7 +236,7 @@ MOVEMENT_COLUMNS = ("Person", "Movement", "Time", "Duration", "Height or depth",
 _KINDS: Mapping[MovementKind, str] = {
     "jump": "Jump",
     "squat": "Squat",
-    "sit_to_stand": "Stands up from a seat",
+    "sit_to_stand": "Stands up",
     "stand_to_sit": "Sits down",
 }
 _AMOUNTS = {

@@ -81,7 +81,7 @@ def _header(contents: ReportContents) -> Markup:
     num_people, duration_s = len(metrics["people"]), metrics["num_frames"] / metrics["frame_rate_hz"]
     error_px = metrics["reprojection_error_px"]["median"]
     facts = [
-        "nobody was found" if num_people == 0 else _count(num_people, "person", "people"),
+        "no people found" if num_people == 0 else _count(num_people, "person", "people"),
         _count(len(contents.cameras), "camera"),
         f"{duration_s:.1f} s, {metrics['num_frames']:,} frames at {metrics['frame_rate_hz']:g} Hz",
     ]
@@ -119,13 +119,13 @@ def _take(contents: ReportContents) -> Markup:
         notes.append("The 3D view is missing: the libraries of the page were not installed where this report was made.")
     if contents.motion["stride"] > 1:
         notes.append(
-            f"The take is long: the 3D view holds every {_ordinal(contents.motion['stride'])} frame, and shows "
-            "positions between these in between. The result files hold all frames."
+            f"The take is long: the 3D view has every {_ordinal(contents.motion['stride'])} frame and "
+            "interpolates the others. The result files have all frames."
         )
     notes.append(
         "Drag to turn, scroll or pinch to come closer, drag with the right button to move. Click bands to go there."
     )
-    without = element("noscript", element("p", "The 3D view needs JavaScript; everything else is shown without."))
+    without = element("noscript", element("p", "The 3D view needs JavaScript; everything else works without it."))
     motion = _section(
         "motion", "Motion", element("div", id="viewer"), without, (element("p", note, class_="quiet") for note in notes)
     )
@@ -135,7 +135,7 @@ def _take(contents: ReportContents) -> Markup:
     return join(motion, _section("quality", "Quality of each person", _table("People", _PEOPLE, rows)))
 
 
-_PEOPLE = ("Person", "Frames", "Measured", "Reprojection error", "Cameras a joint", "Stature", "Doubts about identity")
+_PEOPLE = ("Person", "Frames", "Measured", "Reprojection error", "Cameras a joint", "Height", "Doubts about identity")
 
 
 def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[str, ...]:
@@ -174,7 +174,7 @@ def _angles(contents: ReportContents) -> Markup:
         return Markup()
     notes = [
         "By the definitions of the International Society of Biomechanics; "
-        "`multicap help biomechanics` tells what not to trust."
+        "`multicap help biomechanics` says what not to trust."
     ]
     if len(contents.metrics["people"]) > len(contents.angles):
         notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")
@@ -213,7 +213,7 @@ def _details(contents: ReportContents) -> Markup:
         "details",
         "Details",
         _table("Cameras", ("Camera", "Size", "Median reprojection error"), contents.cameras),
-        _table("Settings", ("Choice", "Value", "Default"), contents.settings),
+        _table("Settings", ("Option", "Value", "Default"), contents.settings),
         _table("Versions", ("Program or network", "Version"), contents.versions),
         _table("Input files", ("File", "SHA-256"), contents.inputs),
     )
