@@ -21,7 +21,7 @@ from pipeline.core.runtime.resources import keep_freed_memory
 COMMANDS: Mapping[str, str] = {
     "demo": "Reconstruct the sample capture with a temporary service: BVH, JSON, metrics and pictures.",
     "serve": "Run the service on this machine: web API, workers, broker and database.",
-    "check": "Check a session before its reconstruction: files, calibration, people at some instants.",
+    "check": "Check a capture before its reconstruction: files, calibration, people at some instants.",
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
     "live": "Capture people live from cameras, streams or files, until Ctrl-C or the end of the files.",
     "batch": "Reconstruct many takes of one rig, and go on after an interruption.",

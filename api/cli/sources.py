@@ -89,7 +89,7 @@ class SourceOptions:
     def _mixed(self) -> Iterator[Problem]:
         """Problems of options of videos that were given with options of keypoints."""
         if (self.videos is None) == (self.keypoints is None):
-            yield Problem(SOURCES, "A session has either videos or keypoints.", hint="Give one of them.")
+            yield Problem(SOURCES, "A capture has either videos or keypoints.", hint="Give one of them.")
         if self.keypoints is None and self.timestamps is not None:
             message = "Timestamps belong to keypoints; videos have their own times."
             yield Problem(SOURCES, message, hint="Omit --timestamps.")

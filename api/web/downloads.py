@@ -21,7 +21,7 @@ from worker.store.model.job_records import Result
 
 _BLOCK_BYTES = 2**18
 _DAMAGED_HINT = (
-    "Start another job of its session with the same spec: it writes the file again, from verified outputs of earlier "
+    "Start another job of its capture with the same spec: it writes the file again, from verified outputs of earlier "
     "stages."
 )
 
@@ -142,7 +142,7 @@ def expired() -> ApiError:
     return ApiError(
         EXPIRED,
         "The file was removed.",
-        hint="Start another job of its session: it reuses what this job detected in the videos.",
+        hint="Start another job of its capture: it reuses what this job detected in the videos.",
     )
 
 

@@ -74,7 +74,7 @@ _QUOTA_RETRY_AFTER_S = 30
 MAX_LISTED = 80
 _MAX_POINTER = 500
 
-VIDEOS_DELETED_HINT = "Use the results of the session's jobs; else send its videos again as a new session."
+VIDEOS_DELETED_HINT = "Use the results of the capture's jobs; else send its videos again as a new capture."
 
 _CODES: Mapping[int, Code] = {
     400: MALFORMED_REQUEST,
@@ -372,8 +372,8 @@ def _from_conflict(error: JobStoreError) -> ApiError:
 def _advice_without_results(error: NoResults) -> str:
     """Advice for a job without results."""
     if error.state == "expired":
-        return "Start another job of its session."
-    return "Retry the job." if error.retryable else "Correct the input and send a new session."
+        return "Start another job of its capture."
+    return "Retry the job." if error.retryable else "Correct the input and send a new capture."
 
 
 def _from_quota(error: QuotaExceeded) -> ApiError:
@@ -381,11 +381,11 @@ def _from_quota(error: QuotaExceeded) -> ApiError:
         hint = "Send the request again when a job has ended."
         headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
         return ApiError(QUOTA_EXCEEDED, str(error), status=429, hint=hint, retryable=True, headers=headers)
-    return ApiError(QUOTA_EXCEEDED, str(error), hint="Delete sessions that are no longer needed.")
+    return ApiError(QUOTA_EXCEEDED, str(error), hint="Delete captures that are no longer needed.")
 
 
 def _storage_full() -> ApiError:
-    hint = "Delete sessions that are no longer needed, or ask the operator for space; then send the request again."
+    hint = "Delete captures that are no longer needed, or ask the operator for space; then send the request again."
     return ApiError(STORAGE_FULL, "The service's disk is full.", hint=hint, retryable=True)
 
 

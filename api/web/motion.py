@@ -316,7 +316,7 @@ def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
         return [results[name] for name in names]
     except KeyError:
         message = "The job has no motion to look at."
-        hint = "Start another job of its session, if it is a reconstruction: older versions wrote no such files."
+        hint = "Start another job of its capture, if it is a reconstruction: older versions wrote no such files."
         raise ApiError(NOT_FOUND, message, hint=hint) from None
 
 

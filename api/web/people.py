@@ -195,7 +195,7 @@ def _found(job: JobRecord) -> tuple[PersonSpan, ...]:
         raise ApiError(
             CONFLICT,
             "The job has no people yet.",
-            hint="Wait until the job has succeeded. Reconstruct the session again if an older version did it.",
+            hint="Wait until the job has succeeded. Reconstruct the capture again if an older version did it.",
         )
     return job.people
 

@@ -79,14 +79,14 @@ def _session_problems(
     num_frames = duration_s * rate_hz + 1
     if not DURATION_S.holds(duration_s):
         message = (
-            f"The camera's last frame is {duration_s:,.2f} s after the session's first one; at most "
+            f"The camera's last frame is {duration_s:,.2f} s after the capture's first one; at most "
             f"{DURATION_S.high:,} s are allowed."
         )
         yield _camera_problem(SESSION_TOO_LONG, message, last, source, "start")
     elif FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE) and num_frames > MAX_OUTPUT_FRAMES + 0.5:
         fastest = max(times, key=lambda name: measured_rate_hz(times[name].time_s))
         message = (
-            f"The session lasts {duration_s:,.2f} s, and its fastest camera has {rate_hz:g} frames a second: that "
+            f"The capture lasts {duration_s:,.2f} s, and its fastest camera has {rate_hz:g} frames a second: that "
             f"is {num_frames:,.0f} output frames; at most {MAX_OUTPUT_FRAMES:,} are allowed."
         )
         yield _camera_problem(TOO_MANY_FRAMES, message, fastest, source, "rate")

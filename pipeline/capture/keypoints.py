@@ -42,7 +42,7 @@ MAX_JOINTS = 25_000_000
 
 A worker uses about 85 bytes of memory a joint.
 """
-_LARGE_HINT = "Cut it into several sessions."
+_LARGE_HINT = "Cut it into several captures."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,7 +223,7 @@ def open_keypoints(
         forms |= contents_of.forms
         left_joints -= contents_of.num_joints
         if left_joints < 0:
-            message = f"With this camera's files the session has more than {max_joints:,} joints."
+            message = f"With this camera's files the capture has more than {max_joints:,} joints."
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
     frames |= rescaled(frames, pairs, sizes_px, findings, problems)
@@ -231,7 +231,7 @@ def open_keypoints(
     read = _in_layout(frames, counts, camera_of, posed, chosen, findings, problems)
     joints = _joint_set(frames, problems)
     if joints is not None and max_joints is not None and _num_joints(frames, joints) > max_joints:
-        message = f"With hands for all people the session has more than {max_joints:,} joints."
+        message = f"With hands for all people the capture has more than {max_joints:,} joints."
         problems.append(Problem(SESSION_TOO_LARGE, message, hint=_LARGE_HINT))
         raise InputError(problems)
     people_by_camera = {camera: frames[name] for camera, name in pairs.items()}

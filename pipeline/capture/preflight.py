@@ -242,8 +242,8 @@ def _write_record(path: Path, record: bytes, content: str) -> None:
         # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
         if error.errno != errno.EFBIG:
             raise
-        message = f"The {content} of the session are larger than the service stores."
-        raise InputError([Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several.")]) from None
+        message = f"The {content} of the capture are larger than the service stores."
+        raise InputError([Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several.")]) from None
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -281,7 +281,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if arguments.calibration is None and not arguments.videos:
         parser.error("name a calibration")
     message = "The check of the files needs more memory than the service allows."
-    too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the session into several, or lower its resolution.")
+    too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several, or lower its resolution.")
 
     def check() -> dict[str, Any]:
         if arguments.board:

@@ -336,7 +336,7 @@ def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoI
         start_field="offset_s",
         rate_field="rate",
         start_hint=start_hint(clock),
-        rate_hint="If the timestamps of the video are wrong, state its frame rate. Or cut the session into several.",
+        rate_hint="If the timestamps of the video are wrong, state its frame rate. Or cut the capture into several.",
     )
     return clock_problems(times, start_s, rate_hz, source)
 

@@ -176,11 +176,11 @@ class SessionRefused(InputError):  # noqa: N818 - named for what became of the s
     --------
     >>> error = SessionRefused([Problem("upside_down", "The people stand on their heads.")])
     >>> str(error).splitlines()[-1]
-    'Correct the session, or reconstruct it anyway: `--force`, `force`.'
+    'Correct the capture, or reconstruct it anyway: `--force`, `force`.'
     """
 
     code: ClassVar[Code] = SESSION_REFUSED
-    advice: ClassVar[str] = "Correct the session, or reconstruct it anyway: `--force`, `force`."
+    advice: ClassVar[str] = "Correct the capture, or reconstruct it anyway: `--force`, `force`."
 
     def __str__(self) -> str:
         """Problems, one a line, and what to do."""

@@ -84,7 +84,7 @@ def test_damaged_input_ends_job_with_its_name(
     assert job["state"] == "failed"
     assert job["error"]["code"] == "input_damaged"
     assert job["error"]["detail"].startswith(name)
-    assert job["error"]["hint"].startswith("Send the session again.")
+    assert job["error"]["hint"].startswith("Send the capture again.")
     assert not job["error"]["retryable"]
     assert job["urls"]["retry"] is None
     (attempt,) = served.client.get(job["urls"]["attempts"]).json()["attempts"]

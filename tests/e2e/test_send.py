@@ -98,7 +98,7 @@ def test_page_of_running_job_shows_progress_at_once(page: Page, served: Served, 
 
 
 def test_calibration_is_read_after_others_were_checked(served: Served, videos: dict[str, Path]) -> None:
-    refusals = [{"code": "too_many_checks", "detail": "Too many of your sessions are being checked at once."}]
+    refusals = [{"code": "too_many_checks", "detail": "Too many of your captures are being checked at once."}]
 
     def refuse(route: Route) -> None:
         if route.request.method == "POST" and refusals:
@@ -111,7 +111,7 @@ def test_calibration_is_read_after_others_were_checked(served: Served, videos: d
         expect(send(page)).to_be_visible(timeout=180_000)
         choose(page, *videos.values())
         refused = page.get_by_role("region", name="Send").get_by_role("alert")
-        expect(refused).to_contain_text("Too many of your sessions are being checked at once.")
+        expect(refused).to_contain_text("Too many of your captures are being checked at once.")
         expect(page.locator(".chosen b")).to_be_visible(timeout=180_000)
         expect(refused).to_have_count(0)
 

@@ -100,7 +100,7 @@ class KeptSession:
         A distant store's video is fetched when it is needed, and kept for the next chunk.
         """
         if work.session.videos_deleted_at is not None:
-            message, hint = "The videos of the session were deleted.", "Send them again as a new session."
+            message, hint = "The videos of the capture were deleted.", "Send them again as a new capture."
             raise InputError([Problem(VIDEOS_DELETED, message, camera=camera, hint=hint)])
         (described,) = (described for described in work.session.preflight.cameras if described.name == camera)
         with contextlib.ExitStack() as files:
@@ -218,7 +218,7 @@ class _TaskContext(Context):
 
 
 @contextlib.contextmanager
-def _undamaged(file: str, camera: str | None = None, remedy: str = "Send the session again.") -> Iterator[None]:
+def _undamaged(file: str, camera: str | None = None, remedy: str = "Send the capture again.") -> Iterator[None]:
     """Report an input whose stored copy differs from the file that was sent: it has to be sent again."""
     try:
         yield

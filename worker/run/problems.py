@@ -69,7 +69,7 @@ def _failure(error: Exception, stage: str) -> JobProblem:
                 MEMORY_LIMIT,
                 f"The stage {stage} needs more memory than the service allows a worker.",
                 stage=stage,
-                hint="Use fewer frames of the session, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
+                hint="Use fewer frames of the capture, or ask the operator to raise MULTICAP_MEMORY_BYTES.",
             )
         case ArtifactsRefused():
             return JobProblem(

@@ -66,7 +66,7 @@ class VideosDeleted(Conflict):
     """The session's videos were deleted, and the work needs them."""
 
     def __init__(self) -> None:
-        super().__init__("The videos of this session were deleted, and this needs them.")
+        super().__init__("The videos of this capture were deleted, and this needs them.")
 
 
 class PhoneRemoved(Conflict):

@@ -50,7 +50,7 @@ def command(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a session before its reconstruction: files, calibration, pictures, and people at twelve instants.
+    """Check a capture before its reconstruction: files, calibration, pictures, and people at twelve instants.
 
     With --sync auto the clocks are measured first, from people in all frames, and the people are checked on them.
     """
@@ -83,7 +83,7 @@ def command(
             }
         )
     else:
-        show_findings(findings, "Nothing is wrong with the session.")
+        show_findings(findings, "Nothing is wrong with the capture.")
         show_layout(findings, layout)
         if space is not None:
             console.print(sentence(space))

@@ -183,7 +183,7 @@ def command(
         return
     print_summary(metrics)
     if forced := metrics.get("forced"):
-        warn(f"The check of the session found errors: {', '.join(forced)}. The results may be wrong.")
+        warn(f"The check of the capture found errors: {', '.join(forced)}. The results may be wrong.")
     for warning in warnings:
         warn(warning.message)
     if bars.reused:

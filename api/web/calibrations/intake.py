@@ -130,7 +130,7 @@ def _of_session(
     """Check that a session's people can calibrate its cameras."""
     session = records.sessions.get(session_id)
     if session.purpose == "calibration":
-        message = "The session was sent for a calibration itself."
+        message = "The capture was sent for a calibration itself."
         error = ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))
         raise unprocessable([error])
     errors = _point_errors(spec, session.preflight, part)

@@ -153,12 +153,12 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
     if not disk.has_inodes:
         message = "The disk has no inodes left for new files, so nothing new is accepted."
         return ErrorItem(
-            code=request_codes.STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed."
+            code=request_codes.STORAGE_FULL, message=message, hint="Delete captures that are no longer needed."
         )
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
     message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
     return ErrorItem(
-        code=request_codes.STORAGE_FULL, message=message, hint="Delete sessions that are no longer needed."
+        code=request_codes.STORAGE_FULL, message=message, hint="Delete captures that are no longer needed."
     )
 
 

@@ -180,8 +180,8 @@ def _requests_busy() -> ApiError:
 def _too_many_checks() -> ApiError:
     return ApiError(
         TOO_MANY_CHECKS,
-        "Too many of your sessions are being checked at once.",
-        hint="Send the session again when one of them has been answered. Files of uploads need not be sent again.",
+        "Too many of your captures are being checked at once.",
+        hint="Send the capture again when one of them has been answered. Files of uploads need not be sent again.",
         retryable=True,
         headers={"Retry-After": "10"},
     )

@@ -160,7 +160,7 @@ def queued_job(
             raise ApiError(
                 request_codes.SPACE_MISSING,
                 f"The job needs about {shown_bytes(needed_bytes)}, and the service's disk has {free}.",
-                hint="Delete sessions that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
+                hint="Delete captures that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
                 "time by frame_range.",
                 retryable=True,
             )

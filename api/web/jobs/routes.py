@@ -89,8 +89,8 @@ def create_job(
     with idempotent.working():
         session = idempotent.records.sessions.get(session_id)
         if session.purpose == "calibration":
-            message = "The session was sent for a calibration, and its cameras are not calibrated."
-            raise ApiError(CONFLICT, message, hint="Send its videos as a session with the calibration's id.")
+            message = "The capture was sent for a calibration, and its cameras are not calibrated."
+            raise ApiError(CONFLICT, message, hint="Send its videos as a capture with the calibration's id.")
         spec = queueing.with_session_choices(spec, session.preflight)
         limits = queueing.spec_limits(services, idempotent.records, has_videos=has_videos(session))
         if found := queueing.check_spec(spec, session.preflight, limits):

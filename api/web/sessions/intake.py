@@ -178,8 +178,8 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
 def limit_problems(preflight: Preflight, settings: Settings) -> Iterator[Problem]:
     """Find properties of a session that exceed the limits of the operator."""
     if settings.max_duration_s is not None and preflight.duration_s > settings.max_duration_s:
-        message = f"The session lasts {preflight.duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
-        yield Problem(SESSION_TOO_LONG, message, hint="Cut it into several sessions.")
+        message = f"The capture lasts {preflight.duration_s:.2f} s; at most {settings.max_duration_s:g} s are taken."
+        yield Problem(SESSION_TOO_LONG, message, hint="Cut it into several captures.")
     if settings.max_pixels is not None:
         for camera in preflight.cameras:
             width, height = camera.size_px

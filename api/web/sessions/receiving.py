@@ -217,7 +217,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
     Copies, so that each session has files of its own: either may be deleted.
     """
     if any(parts.has(part) for part in _FOOTAGE.values()):
-        message = "The footage comes from a session: files of footage can't be sent too."
+        message = "The footage comes from a capture: files of footage can't be sent too."
         parts.reject_field(
             form_kinds.SESSION_ID, request_codes.PART_NOT_ALLOWED, message, "Omit session_id, or the files."
         )
@@ -225,7 +225,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
     try:
         session = records.sessions.get(session_id)
         if session.videos_deleted_at is not None:
-            message = "The videos of this session were deleted, and can't be copied."
+            message = "The videos of this capture were deleted, and can't be copied."
             parts.reject_field(form_kinds.SESSION_ID, request_codes.VIDEOS_DELETED, message, "Send the videos.")
             return
         files = session.files

@@ -41,7 +41,7 @@ def get_session_thumbnail(
     """
     capture = records.sessions.capture(session_id)
     if capture.is_blurred:
-        raise NotFound("A job of this session blurs faces, and the pictures of its check are not blurred.")
+        raise NotFound("A job of this capture blurs faces, and the pictures of its check are not blurred.")
     if capture.session.videos_deleted_at is not None:
         raise deleted()
     cameras = capture.session.preflight.cameras
@@ -58,7 +58,7 @@ def get_session_thumbnail(
         num_bytes=thumbnail.num_bytes,
         sha256=thumbnail.sha256,
         disposition="inline",
-        remedy="Send the session again.",
+        remedy="Send the capture again.",
     )
     return send_file(request, services, file, conditions)
 

@@ -85,7 +85,7 @@ def delete_session_videos(session_id: SessionId, services: ServicesDep, records:
 
 def deleted() -> ApiError:
     """Error for pictures of videos that were deleted."""
-    return ApiError(VIDEOS_DELETED, "The videos of this session were deleted.", status=410, hint=VIDEOS_DELETED_HINT)
+    return ApiError(VIDEOS_DELETED, "The videos of this capture were deleted.", status=410, hint=VIDEOS_DELETED_HINT)
 
 
 def _blurred(records: TenantRecords, session: Session, number: int) -> Download:
@@ -94,7 +94,7 @@ def _blurred(records: TenantRecords, session: Session, number: int) -> Download:
         session,
         number,
         records.results.blurred(session.id, blurred_name(number)),
-        "A job of this session blurs faces, and the blurred video of this camera is not there.",
+        "A job of this capture blurs faces, and the blurred video of this camera is not there.",
         hint="Read the session until the camera has a video_url. If no job with blur_faces succeeds, start another.",
         remedy="Start another job with blur_faces.",
     )
@@ -108,14 +108,14 @@ def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
         records.results.proxy(session.id, proxy_name(number)),
         "Browsers can't play the video of this camera, and a copy that they play is not made yet.",
         hint="Read the session until the camera has a video_url; its proxies_job says how far it is.",
-        remedy="Retry the session's proxies_job, or send the session again.",
+        remedy="Retry the capture's proxies_job, or send the session again.",
     )
 
 
 def _copy(session: Session, number: int, copy: Result | None, message: str, *, hint: str, remedy: str) -> Download:
     """Copy of the video of a camera for players; raises ``ApiError`` with the message and the hint without one."""
     if not has_videos(session):
-        raise NotFound("The session has keypoints, and no videos.")
+        raise NotFound("The capture has keypoints, and no videos.")
     if copy is None:
         raise ApiError(NOT_FINISHED, message, hint=hint)
     file = session.preflight.cameras[number].file
@@ -136,7 +136,7 @@ def _sent(session: Session, camera: PreflightCamera, media_type: str) -> Downloa
         sha256=file.sha256,
         disposition="inline",
         is_compared=False,
-        remedy="Send the session again.",
+        remedy="Send the capture again.",
     )
 
 

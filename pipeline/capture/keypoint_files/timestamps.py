@@ -73,7 +73,7 @@ def times_from_rate(
         start_field="frame",
         rate_field="frame",
         start_hint="Check the numbers of the files: the number divided by the frame rate is the time of the frame.",
-        rate_hint="Number the files from the start of the capture; cut a longer capture into several sessions.",
+        rate_hint="Number the files from the start of the capture; cut a longer capture into several.",
     )
     if times and all(frames.values()):
         problems += clock_problems(times, first / rate_hz, rate_hz, source)
@@ -144,7 +144,7 @@ def times_from_file(
         start_field="time_s",
         rate_field="time_s",
         start_hint="Check the times: seconds since the start of the capture, by a clock that all cameras share.",
-        rate_hint="Times are seconds since the start of the capture. Cut a longer capture into several sessions.",
+        rate_hint="Times are seconds since the start of the capture. Cut a longer capture into several.",
     )
     if all(frames.values()):
         problems += clock_problems(times, start_s, rate_hz, source)

@@ -94,7 +94,7 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
             f"The service was busy: it had no time or memory to look at all pictures of {num_left} of {len(looked)} "
             "cameras. This says nothing about the videos."
         )
-        hint = "Send the session again when the service is less busy to have all pictures looked at."
+        hint = "Send the capture again when the service is less busy to have all pictures looked at."
         findings.append(Finding(PICTURES_LEFT_OUT, message, None, "info", hint, {"num_cameras": num_left}))
     return PicturesCheck(tuple(findings), tuple(camera.thumbnails for camera in looked))
 

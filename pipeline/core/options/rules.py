@@ -117,7 +117,7 @@ def session_problems(choices: JobChoices, num_frames: int, frame_rate_hz: float)
 def frame_range_problems(start: int, stop: int, num_frames: int) -> Iterator[Problem]:
     """Find out whether a session lacks a range of output frames."""
     if not 0 <= start < stop <= num_frames:
-        message = f"The session has the output frames 0 to {num_frames}, not {start} to {stop}."
+        message = f"The capture has the output frames 0 to {num_frames}, not {start} to {stop}."
         hint = "The second number is the one after the last frame."
         yield Problem(request_codes.FRAME_RANGE, message, field="frame_range", hint=hint)
 
@@ -125,7 +125,7 @@ def frame_range_problems(start: int, stop: int, num_frames: int) -> Iterator[Pro
 def cutoff_problems(smoothing: Smoothing, cutoff_hz: float, frame_rate_hz: float) -> Iterator[Problem]:
     """Find out whether a low-pass is impossible at a frame rate."""
     if smoothing == "butterworth" and not 0 < cutoff_hz < frame_rate_hz / 2:
-        message = f"The cutoff must be below half of the session's frame rate, {frame_rate_hz / 2:g} Hz."
+        message = f"The cutoff must be below half of the capture's frame rate, {frame_rate_hz / 2:g} Hz."
         yield Problem(request_codes.CUTOFF_RANGE, message, field="cutoff_hz", hint="6 Hz suits most movements.")
 
 
@@ -142,7 +142,7 @@ def file_problems(
     if output_rate_hz is not None:
         num_frames = num_resampled(num_frames, frame_rate_hz, output_rate_hz)
     if num_frames > MAX_OUTPUT_FRAMES:
-        message = f"At this rate the session has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
+        message = f"At this rate the capture has {num_frames:,} frames; at most {MAX_OUTPUT_FRAMES:,} are written."
         hint = "Ask for a lower rate, or for fewer frames by frame_range."
         yield Problem(TOO_MANY_FRAMES, message, field="output_rate_hz", hint=hint)
 

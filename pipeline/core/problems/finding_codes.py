@@ -69,7 +69,7 @@ PICTURE_FROZEN = FILES.code("picture_frozen", "finding")
 """The picture of a camera stays the same while another camera sees motion. | Look at the video; export it again, or
 leave the camera out."""
 PICTURES_LEFT_OUT = FILES.code("pictures_left_out", "finding")
-"""The service had no time or memory to look at all pictures. | Send the session again when the service is less busy to
+"""The service had no time or memory to look at all pictures. | Send the capture again when the service is less busy to
 have all pictures looked at."""
 CLIP_NOT_SENT = FILES.code("clip_not_sent", "finding")
 """A phone has sent no clip of a take, which is made without it. | Ask the phone for its clip, then make the session
@@ -133,7 +133,7 @@ TIME_LIMIT = JOBS.code("time_limit", "job", "attempt")
 """A chunk took many times as long as foreseen, twice, and was stopped. | Retry the job. The operator reads the workers'
 logs, or raises `MULTICAP_CHUNK_TIME_FACTOR` on slow machines."""
 INPUT_DAMAGED = JOBS.code("input_damaged", "job")
-"""The service's copy of an input file is damaged or missing. | Send the session again, or restore the file from a
+"""The service's copy of an input file is damaged or missing. | Send the capture again, or restore the file from a
 backup and retry the job."""
 OUTPUT_DAMAGED = JOBS.code("output_damaged", "job", "attempt")
 """A stored output of a stage was damaged. | The operator checks the disk; then retry the job."""
@@ -159,7 +159,7 @@ offsets."""
 INPUT_ERROR = JOBS.code("input_error", "job")
 """The input has several problems. | Correct everything that `detail` lists."""
 SESSION_REFUSED = JOBS.code("session_refused", "job")
-"""The check of the session found errors, which `errors` lists: a reconstruction would be wrong. | Correct what they
+"""The check of the capture found errors, which `errors` lists: a reconstruction would be wrong. | Correct what they
 name, or reconstruct the session all the same by `force`."""
 MODEL_ERROR = JOBS.code("model_error", "job", "command")
 """A detector network or the sample capture can't be installed or used. | Follow the message, then retry."""

@@ -117,10 +117,10 @@ more."""
 SERVICE_BUSY = ANSWERS.code("service_busy", 503)
 """The service is busy with the requests of other tenants. | Send the request again after `Retry-After` seconds."""
 TOO_MANY_CHECKS = ANSWERS.code("too_many_checks", 429)
-"""Too many sessions of this tenant are being checked. | Send the session again after `Retry-After` seconds; uploads
+"""Too many sessions of this tenant are being checked. | Send the capture again after `Retry-After` seconds; uploads
 need not be sent again."""
 CHECKS_BUSY = ANSWERS.code("checks_busy", 503)
-"""The service is busy with the checks of other tenants' sessions. | Send the session again after `Retry-After`
+"""The service is busy with the checks of other tenants' sessions. | Send the capture again after `Retry-After`
 seconds."""
 NOT_READY = ANSWERS.code("not_ready", 503)
 """`/readyz` only: no worker could start a chunk now. | See `errors` for the part that is missing."""
@@ -136,7 +136,7 @@ ARTIFACTS_REFUSED = ANSWERS.code("artifacts_refused", 503, "job")
 """The artifact store responds and refuses the service: the keys are wrong, or the bucket is missing. | The operator
 checks `MULTICAP_ARTIFACTS_URL`, its bucket and its keys; then retry the job."""
 STORAGE_FULL = ANSWERS.code("storage_full", 507, "readyz", "job")
-"""The service's disk is full. | Delete sessions that are no longer needed, then send the request again or retry the
+"""The service's disk is full. | Delete captures that are no longer needed, then send the request again or retry the
 job."""
 SPACE_MISSING = ANSWERS.code("space_missing", 507, "command")
 """A reconstruction is foreseen to need more space than is free; nothing of it was started. | Free space, ask for fewer
@@ -148,7 +148,7 @@ ARTIFACT_DAMAGED = ANSWERS.code("artifact_damaged", 500)
 """The content of a stored file has changed since it was written. | The operator checks the disk of the artifact
 store."""
 PREFLIGHT_FAILED = ANSWERS.code("preflight_failed", 500)
-"""The check of the files failed; the files are not the cause. | Send the session again; the operator finds the reason
+"""The check of the files failed; the files are not the cause. | Send the capture again; the operator finds the reason
 in `api.log`."""
 INTERNAL_ERROR = ANSWERS.code("internal_error", 500, "job")
 """The service failed. | Send the request again; the operator finds the request or the chunk in the log."""

@@ -120,7 +120,7 @@ def _check_rig(names: list[str]) -> Iterator[tuple[Code, str]]:
     if len(names) < _MIN_VIEWS:
         yield (
             finding_codes.TOO_FEW_CAMERAS,
-            f"The session has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
+            f"The capture has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
         )
 
 

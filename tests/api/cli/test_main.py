@@ -104,7 +104,7 @@ def test_videos_can_be_named_one_by_one(tmp_path: Path) -> None:
     assert loose.stdout == result.stdout
     both = ["reconstruct", "--calibration=c.toml", "--out=out", "--json", "--keypoints=points", *arguments]
     (problem,) = json.loads(runner.invoke(app, both).stdout)["problems"]
-    assert problem["message"] == "A session has either videos or keypoints."
+    assert problem["message"] == "A capture has either videos or keypoints."
 
 
 def test_all_wrong_options_are_reported_at_once() -> None:

@@ -22,7 +22,7 @@ def test_sessions(make_settings: Callable[..., Settings]) -> None:
         kept = live.kept()
         for path in ("/v1/sessions", "/v1/jobs"):
             problem = problem_of(live.client.post(path, files=form()), 403, "quota_exceeded")
-            assert problem["hint"] == "Delete sessions that are no longer needed."
+            assert problem["hint"] == "Delete captures that are no longer needed."
         assert live.kept() == kept
         assert live.client.get("/v1/caller").json()["quotas"]["sessions"] == {"used": 2, "limit": 2}
         live.client.delete(f"/v1/sessions/{first}")

@@ -221,7 +221,7 @@ def test_jobs_that_ended_without_results_have_none_anywhere(live: Live, results:
     )
     problem = problem_of(live.client.get(f"/v1/jobs/{failed}/{results}"), 409, "no_results")
     assert problem["hint"] == (
-        "The job's error is video_truncated: The video ends early. Correct the input and send a new session."
+        "The job's error is video_truncated: The video ends early. Correct the input and send a new capture."
     )
     assert not problem["retryable"]
     crashed = live.job_id()
@@ -252,7 +252,7 @@ def test_expired_results_are_gone(make_settings: Callable[..., Settings]) -> Non
         assert (job["state"], job["expires_at"]) == ("expired", kept_until)
         problem_of(live.client.get(f"/v1/jobs/{job_id}/results/person-1.bvh"), 410, "expired")
         problem = problem_of(live.client.get(f"/v1/jobs/{job_id}/results.zip"), 410, "expired")
-        assert problem["hint"].startswith("Start another job of its session")
+        assert problem["hint"].startswith("Start another job of its capture")
         problem_of(live.client.post(f"/v1/jobs/{job_id}/retry"), 409, "conflict")
         assert live.client.delete(f"/v1/jobs/{job_id}").status_code == 204
 
@@ -316,7 +316,7 @@ def test_no_byte_of_damaged_file_is_sent(
     damage(stored)
     problem = problem_of(live.client.get(path, headers=headers), 500, "result_damaged")
     assert [item["file"] for item in problem["errors"]] == ["person-1.bvh"]
-    assert problem["hint"].startswith("Start another job of its session")
+    assert problem["hint"].startswith("Start another job of its capture")
     assert not problem["retryable"]
     headed = live.client.head(path, headers=headers)
     assert (headed.status_code, headed.headers.get("etag")) == (500, None)

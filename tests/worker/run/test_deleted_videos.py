@@ -94,7 +94,7 @@ def test_other_jobs_keep_them_until_their_end(filled: RunnerBench) -> None:
         filled.store.leases.finish(claim.chunk_id, claim.lease_token, "0" * 64, 1)
     reaper(filled).reap()
     assert not is_deleted(filled)
-    with pytest.raises(Conflict, match=f"The job {other.id} of this session is unfinished"):
+    with pytest.raises(Conflict, match=f"The job {other.id} of this capture is unfinished"):
         filled.store.sessions.delete_videos(filled.session.id)
     filled.store.jobs.cancel(other.id)
     reaper(filled).reap()

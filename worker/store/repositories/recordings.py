@@ -195,7 +195,7 @@ class Recordings:
             self._lock(connection, recording_id)
             found = self._require_take(connection, recording_id, take)
             if found.session_id is not None:
-                raise Conflict("A session was made from this take already.")
+                raise Conflict("A capture was made from this take already.")
             if calibration_id is not None and found.calibration_id is not None:
                 raise Conflict("A calibration was made from this take already.")
             made = {"session_id": session_id, "job_id": job_id, "calibration_id": calibration_id}
@@ -343,7 +343,7 @@ class Recordings:
         if take.is_discarded:
             raise Conflict("The take was discarded.")
         if unused and take.is_used:
-            raise Conflict("The clips of this take are in a session already.")
+            raise Conflict("The clips of this take are in a capture already.")
         return take
 
     def _change_take(

@@ -79,7 +79,7 @@ class Sessions:
         with access.writing() as connection:
             access.require_room(connection, sessions=1, stored_bytes=num_bytes)
             if not keep(connection, session_prefix(session_id)):
-                raise Conflict("The session's files took too long to arrive; send them again.")
+                raise Conflict("The capture's files took too long to arrive; send them again.")
             connection.execute(
                 insert(sessions).values(
                     id=session_id,
@@ -160,7 +160,7 @@ class Sessions:
             for job in of_session.all():
                 # No client waits for such jobs: a worker stops when it finds its job gone.
                 if job.state not in FINISHED and job.kind not in SIDE_KINDS:
-                    raise Conflict(f"The job {job.id} of this session is unfinished; cancel it first.")
+                    raise Conflict(f"The job {job.id} of this capture is unfinished; cancel it first.")
                 remove_later(connection, job_prefix(job.id))
                 forget_unmade(connection, job.id)
             remove_later(connection, session_prefix(session_id))
@@ -182,15 +182,15 @@ class Sessions:
             tenant = lock_session(connection, self._access, session_id)
             session = self._read(connection, session_id)
             if not any(file.kind == "video" for file in session.files):
-                raise NotFound("The session has keypoints, and no videos.")
+                raise NotFound("The capture has keypoints, and no videos.")
             if session.videos_deleted_at is not None:
                 return
             of_session = select(jobs.c.id).where(jobs.c.session_id == session_id)
             unfinished = connection.scalar(of_session.where(jobs.c.state.not_in(FINISHED)).limit(1))
             if unfinished is not None:
-                raise Conflict(f"The job {unfinished} of this session is unfinished: wait for its end, or cancel it.")
+                raise Conflict(f"The job {unfinished} of this capture is unfinished: wait for its end, or cancel it.")
             if connection.scalar(of_session.where(jobs.c.results_revision.is_not(None)).limit(1)) is None:
-                raise Conflict("No job of this session has succeeded: without videos none could. Delete the session.")
+                raise Conflict("No job of this capture has succeeded: without videos none could. Delete the capture.")
             kept = [file for file in session.files if file.kind != "video"]
             connection.execute(
                 update(sessions)

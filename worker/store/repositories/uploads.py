@@ -168,7 +168,7 @@ class Uploads:
         chosen = delete(uploads).where(self._may_reach(), uploads.c.id.in_(upload_ids))
         with self._access.writing() as connection:
             if connection.execute(chosen).rowcount != len(upload_ids):
-                raise Conflict("An upload was deleted, or used for another session, in the meantime.")
+                raise Conflict("An upload was deleted, or used for another capture, in the meantime.")
 
     def expired(self) -> list[str]:
         """Ids of expired uploads."""
@@ -217,4 +217,4 @@ def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_b
     num_uploads, sent_bytes = connection.execute(of_phones.where(uploads.c.recording_id == phone.recording_id)).one()
     if num_uploads >= phone.max_uploads or sent_bytes + num_bytes > phone.max_bytes:
         limits = f"{phone.max_uploads} uploads with {phone.max_bytes:,} bytes"
-        raise Conflict(f"The phones of a recording may have {limits} at most; make sessions of takes, or discard some.")
+        raise Conflict(f"The phones of a recording may have {limits} at most; make captures of takes, or discard some.")

@@ -105,7 +105,7 @@ def test_keypoints_give_calibration_and_report(capture: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--stature-m", "1.7"], "A session has either videos or keypoints."),
+        (["--stature-m", "1.7"], "A capture has either videos or keypoints."),
         (["--stature-m", "1.7", "--keypoints", "K"], "Give --intrinsics too."),
         (["--stature-m", "1.7", "--videos", "V", "--timestamps", "T"], "Omit --timestamps."),
         (["--stature-m", "178", "--videos", "V"], "2.6"),

@@ -131,7 +131,7 @@ def test_phones_are_told_to_forget_what_is_in_session(studio: Live) -> None:
         left.send(
             "file", take=1, upload_id=left.upload(b"late!"), num_bytes=5, first_frame_s=1.0, std_s=0.0, duration_s=1.0
         )
-        assert left.next("problem")["detail"] == "The clips of this take are in a session already."
+        assert left.next("problem")["detail"] == "The clips of this take are in a capture already."
 
 
 def test_longest_part_of_cut_clip_is_used(studio: Live) -> None:

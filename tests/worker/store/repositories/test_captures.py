@@ -68,7 +68,7 @@ def test_captures_have_their_newest_reconstruction(jobs: StoreBench, records: Te
     assert records.sessions.capture(first) == found[1]
     assert [capture.session.id for capture in records.sessions.page(state=JobState.QUEUED)] == [first]
     assert records.sessions.page(state=JobState.CANCELED) == []
-    with pytest.raises(Conflict, match=f"The job ({two}|{making.id}) of this session is unfinished; cancel it first"):
+    with pytest.raises(Conflict, match=f"The job ({two}|{making.id}) of this capture is unfinished; cancel it first"):
         records.sessions.delete(first)
 
 
