@@ -99,7 +99,7 @@ export const FIGURES = {
   deep: " m deep",
   byFlight: " m by flight time",
   byHips: " m by the hips",
-  clocks: "Offsets measured from people in motion. Each curve shows the share of joints that disagree at other offsets; one narrow valley is good.",
+  clocks: "Offsets measured from people in motion. Each curve shows how many joints disagree at other offsets. One narrow valley is good.",
   clockCurve: (camera) => `${camera}: disagreement over the offset`,
   startsAt: (time, spread, drift) => ` starts at ${time} s${spread}${drift}`,
   spread: (ms) => ` ± ${ms} ms`,
