@@ -49,7 +49,7 @@ def test_refused_method_says_which_are_allowed(live: Live) -> None:
     assert live.client.put("/healthz").headers["allow"] == "GET, HEAD"
     assert live.client.put("/v1/jobs").headers["allow"] == "GET, HEAD, POST"
     assert live.client.put(f"/v1/jobs/{UNKNOWN}").headers["allow"] == "GET, HEAD, DELETE"
-    assert live.client.get(f"/v1/uploads/{UNKNOWN}").headers["allow"] == "HEAD, PATCH, DELETE"
+    assert live.client.put(f"/v1/uploads/{UNKNOWN}").headers["allow"] == "GET, HEAD, PATCH, DELETE"
 
 
 def test_pointers_lead_to_parameters(live: Live) -> None:
