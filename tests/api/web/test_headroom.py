@@ -32,7 +32,7 @@ def test_nothing_new_is_taken_in(make_settings: Callable[..., Settings]) -> None
             live.client.patch(address, headers=piece, content=b"123456789"),
         ):
             problem = problem_of(refused, 507, "storage_full")
-            assert problem["hint"].startswith("Delete sessions")
+            assert problem["hint"].startswith("Delete captures")
         assert live.client.head(address, headers=TUS).headers["upload-offset"] == "0"
         errors = live.client.get("/readyz").json()["errors"]
         assert "storage_full" in [one["code"] for one in errors]

@@ -114,7 +114,7 @@ def test_reaper_that_was_killed_is_followed_by_another(filled: RunnerBench) -> N
 
 
 def test_nothing_goes_before_job_has_succeeded(filled: RunnerBench) -> None:
-    with pytest.raises(Conflict, match="No job of this session has succeeded"):
+    with pytest.raises(Conflict, match="No job of this capture has succeeded"):
         filled.store.sessions.delete_videos(filled.session.id)
     filled.stages[DETECT] = fail_with(ValueError())
     job = filled.create_job(spec=ONCE)

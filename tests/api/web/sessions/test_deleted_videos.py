@@ -47,7 +47,7 @@ def test_videos_are_deleted_and_results_stay(live: Live) -> None:
     assert live.client.get(f"/v1/jobs/{job_id}/results.zip").status_code == 200
     for path in ("videos/cam_0", "thumbnails/cam_1/0"):
         problem = problem_of(live.client.get(f"{address}/{path}"), 410, "videos_deleted")
-        assert "new session" in problem["hint"]
+        assert "new capture" in problem["hint"]
 
 
 def test_edits_go_on_and_detection_does_not(live: Live) -> None:
@@ -60,7 +60,7 @@ def test_edits_go_on_and_detection_does_not(live: Live) -> None:
     live.finish(job_id, people=[PersonSpan(1, 0, 20)])
     assert live.client.get(f"/v1/jobs/{job_id}").json()["results_revision"] == 1
     problem = problem_of(live.client.post(f"{address}/jobs", json={"profile": "fast"}), 409, "videos_deleted")
-    assert "new session" in problem["hint"]
+    assert "new capture" in problem["hint"]
     problem_of(live.client.post(f"{address}/jobs", json={"overlay": True}), 409, "videos_deleted")
     assert live.client.post(f"{address}/jobs", json={"exports": ["csv"]}).status_code == 202
 
@@ -98,7 +98,7 @@ UPLOAD = {"Tus-Resumable": "1.0.0", "Upload-Length": "3", "Upload-Metadata": "fi
 def test_when_videos_are_not_deleted(live: Live) -> None:
     address = send(live)
     problem = problem_of(live.client.delete(f"{address}/videos"), 409, "conflict")
-    assert "No job of this session has succeeded" in problem["detail"]
+    assert "No job of this capture has succeeded" in problem["detail"]
     finished(live, address)
     running = live.client.post(f"{address}/jobs", json={"exports": ["csv"]}).json()
     problem = problem_of(live.client.delete(f"{address}/videos"), 409, "conflict")
