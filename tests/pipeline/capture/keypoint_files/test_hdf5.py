@@ -231,7 +231,7 @@ HAT = [("us", "Hat", "x"), ("us", "Hat", "y")]
         (lambda file: analysis(file, scores=SCORES[:3]), "other sizes"),
         (lambda file: analysis(file)["tracks"].attrs.create("dims", "[1]"), "must list the axes"),
         (lambda file: analysis(file)["tracks"].attrs.create("dims", "["), "is not a keypoint file"),
-        (lambda file: file.update({"tracks": [1.0], "node_names": [1]}), "no texts"),
+        (lambda file: file.update({"tracks": [1.0], "node_names": [1]}), "not texts"),
         (lambda file: file.update({"node_names": NAMES, "tracks/a": [1]}), "is not a keypoint file"),
         (lambda file: file.update(dict.fromkeys(("instances", "points", "pred_points"), 1)), "SLEAP's project"),
         (lambda file: file.create_dataset("poseest", data=[1]), "SLEAP's tracks; it has poseest"),

@@ -56,7 +56,7 @@ def test_lines_of_yolo(tmp_path: Path, count: int, scores: bool, more: tuple[flo
         (line(20), None, "65 numbers"),
         (line(17) + "\n" + line(26), None, "56, 83"),
         (line(17) + "\n1" + line(17)[1:], "class", "several classes"),
-        (line(17).replace("0.5", "half", 1), None, "no numbers"),
+        (line(17).replace("0.5", "half", 1), None, "not numbers"),
         (line(17).replace(" 0.015625 ", " 611.5 ", 1), None, "from 0 to 1"),
         (line(17).replace(" 0.015625 ", " inf ", 1), None, ""),
         (b"0 0.5 0.5 0.1 0.1 \xff\xfe", None, "known format"),

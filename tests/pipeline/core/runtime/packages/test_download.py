@@ -46,7 +46,7 @@ def test_broken_connection_is_taken_up_where_it_broke(file_server: Any, tmp_path
 def test_interrupted_download_goes_on_in_next_run(file_server: Any, tmp_path: Path) -> None:
     file_server.files["/net"] = CONTENT
     file_server.break_after = [1_000_000, 0, 0]
-    with pytest.raises(ModelError, match=r"net can't be downloaded.*goes on from there"):
+    with pytest.raises(ModelError, match=r"net can't be downloaded.*continues from there"):
         fetch(f"{file_server.url}/net", tmp_path / "net")
     kept = (tmp_path / "net.part").stat().st_size
     assert kept > 500_000
