@@ -64,7 +64,7 @@ def test_send_is_in_reach_on_phone_and_opens_job(page: Page, videos: dict[str, P
     expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
     expect(page.get_by_role("radio", name="Blender")).to_be_visible()
     for part in ("The videos start", "Stored calibration"):
-        page.get_by_label(part).scroll_into_view_if_needed()
+        page.get_by_label(part, exact=True).scroll_into_view_if_needed()
         assert is_seen(send(page)), part
     page.get_by_label("Name of the capture").fill("From a phone")
     send(page).click()
@@ -122,8 +122,8 @@ def test_files_of_other_names_are_paired_by_order(page: Page, videos: dict[str, 
     for file, video in zip(files, (videos["left.mp4"], videos["right.mp4"]), strict=True):
         file.write_bytes(video.read_bytes())
     choose(page, *files, videos["calibration.json"])
-    notice = page.get_by_text("No camera's name, or more than one, is in the names of")
-    expect(notice).to_contain_text("video 10.mp4. Free cameras: left, right.", timeout=180_000)
+    notice = page.get_by_text("is not clear from the name")
+    expect(notice).to_contain_text("video 10.mp4 is not clear from the name. Free cameras: left, right.", timeout=180_000)
     cameras = [page.get_by_label(f"Camera of {file.name}") for file in files]
     for camera in cameras:
         expect(camera).to_have_value("")
