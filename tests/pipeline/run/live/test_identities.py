@@ -355,7 +355,7 @@ def test_bodies_are_read_from_result(room: Simulation, tmp_path: Path) -> None:
     np.testing.assert_allclose(length_m, learn_bones(truth_m, room.joints).length_m, atol=1e-3)
     LiveSettings(RATE_HZ, bodies=(length_m,))
     path.write_text("{}", encoding="utf-8")
-    with pytest.raises(InputError, match=r"no skeletons.json"):
+    with pytest.raises(InputError, match=r"is not the skeletons.json"):
         read_bodies(path)
     with pytest.raises(InputError, match="Body 1 must have"):
         LiveSettings(RATE_HZ, bodies=((0.3,),))
