@@ -123,7 +123,9 @@ def test_files_of_other_names_are_paired_by_order(page: Page, videos: dict[str, 
         file.write_bytes(video.read_bytes())
     choose(page, *files, videos["calibration.json"])
     notice = page.get_by_text("is not clear from the name")
-    expect(notice).to_contain_text("video 10.mp4 is not clear from the name. Free cameras: left, right.", timeout=180_000)
+    expect(notice).to_contain_text(
+        "video 10.mp4 is not clear from the name. Free cameras: left, right.", timeout=180_000
+    )
     cameras = [page.get_by_label(f"Camera of {file.name}") for file in files]
     for camera in cameras:
         expect(camera).to_have_value("")
