@@ -203,7 +203,7 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
     # The focus stays on the button, which is for the next pair now.
     expect(panel(page).get_by_role("button", name="Merge into person-3")).to_be_focused()
     made(page, revision + 1)
-    expect(page.locator("#announcer")).to_have_text(re.compile(f"The files of revision {revision + 1} are there."))
+    expect(page.locator("#announcer")).to_have_text(re.compile(f"The files of revision {revision + 1} are ready."))
     expect(panel(page).get_by_role("radio")).to_have_count(2)
     expect_in_view(page, "person-1", "person-3")
     expect(panel(page).get_by_label("Frame", exact=True)).to_have_value(str(frame))
