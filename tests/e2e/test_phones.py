@@ -166,7 +166,7 @@ def test_clips_of_phones_become_capture_with_their_times(
         calibrate_and_rename(host, joined[1].page)
         used, walked = recording_of(served, host)["takes"]
         for job_id in (used["job_id"], walked["calibration_id"]):
-            served.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+            served.client.post(f"/v1/jobs/{job_id}/cancel")  # a quick machine has ended it before: 409
             served.wait_for_end(job_id)
     videos = videos_of(served, used["session_id"], tmp_path)
     assert set(videos) == set(taken)
