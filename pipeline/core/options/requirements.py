@@ -200,7 +200,8 @@ def _text(schema: Schema) -> str:
         return _FORMATS[schema["format"]]
     form = f" of the form {schema['pattern']}" if "pattern" in schema else ""
     form = f" such as {schema['examples'][0]}" if "examples" in schema else form
-    return f"a text{_size(schema, 'Length', 'characters')}{form}"
+    noun = "a URL" if schema.get("pattern", "").startswith("^http") else "a text"
+    return f"{noun}{_size(schema, 'Length', 'characters')}{form}"
 
 
 def _list(schema: Schema, root: Schema) -> str:

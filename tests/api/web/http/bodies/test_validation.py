@@ -22,7 +22,7 @@ SPEC_FIELDS = ", ".join(JobSpec.model_fields)
 PEOPLE = "people must be auto, or a whole number from 1 to 1000."
 CUTOFF = "cutoff_hz must be a number above 0 and of at most 1000."
 CALLBACK = (
-    "callback_url must be a text of at most 2000 characters such as https://portal.example/hooks/multicap, or null."
+    "callback_url must be a URL of at most 2000 characters such as https://portal.example/hooks/multicap, or null."
 )
 # Words that only messages of the libraries contain.
 FOREIGN = re.compile(r"Input should|Extra inputs|Field required|Value error|String should|Unable to|should have at")
@@ -150,7 +150,7 @@ def test_sessions_of_uploads(live: Live) -> None:
     video, people = answer.json()["errors"]
     assert (video["pointer"], video["code"]) == ("/videos/0", "wrong_format")
     assert video["message"].startswith(
-        "videos[0] must be an id (a UUID), or a text of at most 4000 characters such as https:"
+        "videos[0] must be an id (a UUID), or a URL of at most 4000 characters such as https:"
     )
     assert (people["pointer"], people["code"], people["message"]) == ("/spec/people", "invalid_value", PEOPLE)
 
