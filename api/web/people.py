@@ -15,7 +15,8 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, require_tag
 from api.web.jobs.schemas import JobOut
 from pipeline.core.errors import InputError
-from pipeline.core.options.edits import MAX_EDITS, MAX_PIECES, EditedPerson, PeopleEdit, PersonSpan, apply_edits
+from pipeline.core.options.edited_take import EditedPerson, apply_edits, place_edits
+from pipeline.core.options.edits import MAX_EDITS, PeopleEdit, PersonSpan
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
 from worker.run.planning import plan_job
@@ -90,7 +91,7 @@ class PeopleOut(ResponseModel):
     def from_job(cls, job: JobRecord, found: tuple[PersonSpan, ...]) -> Self:
         """Build the response from a job and the people that it found."""
         num_frames = motion_frames(job)
-        take = apply_edits(found, job.edits, num_frames)
+        take = apply_edits(found, job.edits, range(num_frames))
         frames = take.frames or range(num_frames)
         return cls.from_record(
             job,
@@ -154,7 +155,7 @@ def edit_job_people(
     if if_match is not None:
         require_tag(_tag(job), if_match)
     try:
-        apply_edits(found, edits.edits, motion_frames(job), MAX_PIECES)
+        place_edits(found, edits.edits, range(motion_frames(job)))
     except InputError as error:
         raise unprocessable(
             [

@@ -358,15 +358,15 @@ RECORDING_LINK_ENDED = RECORDINGS.code("recording_link_ended", "recording")
 
 EDITS = CodeGroup(
     "Edits of people",
-    "Values of `code` in `errors` of `PUT /v1/jobs/{id}/people`; `pointer` leads to the edit.",
+    "Values of `code` in `errors` of `PUT /v1/sessions/{id}/edits`; `pointer` leads to the edit.",
 )
 
 EDIT_IMPOSSIBLE = EDITS.code("edit_impossible", 422)
-"""The edit can't be made at this point: there is no such person, or no such frame. | Read the people again. Each edit
-is applied to the people that the edits before it leave."""
+"""The edit can't be made at this point: there is no such person or frame, or the name is taken. | Read the edits again.
+Each edit is applied to the people that the edits before it leave."""
 EDITS_FRAGMENTED = EDITS.code("edits_fragmented", 422)
 """After this edit the people would consist of more pieces of the people who were found than are allowed. | Leave this
-edit and those after it out, or exchange people in fewer places."""
+edit out, or exchange people in fewer places."""
 
 READINESS = CodeGroup(
     "Readiness",

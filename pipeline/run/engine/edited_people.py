@@ -12,7 +12,8 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Doubt, Observations, People, Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edits import EditedPerson, EditedTake, PersonSpan, apply_edits
+from pipeline.core.options.edited_take import EditedPerson, EditedTake, apply_edits
+from pipeline.core.options.edits import PersonSpan
 from pipeline.run.engine.stored_people import StoredSequence
 from pipeline.video.timeline import cut_timebase
 
@@ -22,7 +23,8 @@ _ARRAYS = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
 
 def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
     """People after the edits of a configuration; without edits as they were found."""
-    return apply_edits(spans, config.edits, timebase.num_frames)
+    first = 0 if config.frames is None else config.frames.start
+    return apply_edits(spans, config.edits, range(first, first + timebase.num_frames))
 
 
 def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:

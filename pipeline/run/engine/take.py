@@ -10,6 +10,7 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import SessionCheck
+from pipeline.core.options.edited_take import EditedTake
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
@@ -68,12 +69,10 @@ def found_animation(context: stage.Context) -> Animation:
     return united(list(output_records(context, stage.HOLD, Animation)))
 
 
-def kept_frames(context: stage.Context) -> range | None:
-    """Frames that edits keep, in the numbering of the reconstruction; ``None``: all."""
-    if not context.config.edits:
-        return None
+def applied_edits(context: stage.Context) -> EditedTake:
+    """People after the edits, the frames that they keep, and the outcomes of the edits."""
     timebase = wanted_on_clocks(context, context.outline()).timebase
-    return edited_take(found_people(context, stage.IDENTIFY).spans, context.config, timebase).frames
+    return edited_take(found_people(context, stage.IDENTIFY).spans, context.config, timebase)
 
 
 def viewer_files(

@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.core.findings import Finding
 from pipeline.core.options.file_formats import FILE_FORMATS, file_ending
-from pipeline.core.problems.finding_codes import OPENSIM_FAILED
+from pipeline.core.problems.finding_codes import EDIT_NOT_APPLIED, OPENSIM_FAILED
 from pipeline.run.engine import stage
 
 if TYPE_CHECKING:
     from pipeline.core.data.reconstruction import Reconstruction
+    from pipeline.core.options.edited_take import EditedTake
     from pipeline.export.results import ReportOf
 
-# People named by a warning.
+# People, or edits, named by a warning.
 _MAX_NAMED = 10
 
 
@@ -43,7 +44,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.export.results import NOTHING_KEPT, write_files
     from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
     from pipeline.run.engine.stored_people import found_people
-    from pipeline.run.engine.take import assemble, kept_frames, viewer_files
+    from pipeline.run.engine.take import applied_edits, assemble, viewer_files
 
     config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
     reconstruction = assemble(context)
@@ -52,22 +53,42 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     report: "ReportOf" = partial(take.report, views=views) if context.files.keeps_pieces else quality_report
     if "osim" in config.exports:
         report = partial(_with_opensim, report, context)
+    edited = applied_edits(context)
+    report = partial(_with_edits, report, edited)
     choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
     names = {motion.track_id: motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
     if context.files.has_viewers:
-        frames = kept_frames(context)
-        first_frame = 0 if frames is None else frames.start
+        first_frame = 0 if edited.frames is None else edited.frames.start
 
         def for_viewers() -> Sequence[stage.ResultFile]:
             footage = context.outline()
-            return viewer_files(reconstruction, views(reconstruction), footage, written.metrics, scratch, first_frame)
+            # The files are kept whatever the names are, so they don't say which names could not be given.
+            checks = [check for check in written.metrics["capture_checks"] if check["code"] != EDIT_NOT_APPLIED]
+            shown = {**written.metrics, "capture_checks": checks}
+            return viewer_files(reconstruction, views(reconstruction), footage, shown, scratch, first_frame)
 
         files += take.viewer_files(reconstruction, for_viewers) if context.files.keeps_pieces else for_viewers()
     warnings = tuple(all_checks(written.metrics))
     output = stage.indexed(files, metrics=written.metrics)
     return replace(output, warnings=warnings, people=found_people(context, stage.IDENTIFY).spans, pieces=pieces.files)
+
+
+def _with_edits(report: "ReportOf", edited: "EditedTake", take: "Reconstruction") -> dict[str, Any]:
+    """Content of ``metrics.json`` with warnings of the edits that are not applied."""
+    content = report(take)
+    problems = {
+        number: outcome.problem for number, outcome in enumerate(edited.outcomes, 1) if outcome.problem is not None
+    }
+    findings = [
+        Finding(EDIT_NOT_APPLIED, f"Edit {number} is not applied. {problem.message}", hint=problem.hint)
+        for number, problem in list(problems.items())[:_MAX_NAMED]
+    ]
+    if len(problems) > _MAX_NAMED:
+        message = f"{len(problems) - _MAX_NAMED} more edits are not applied."
+        findings.append(Finding(EDIT_NOT_APPLIED, message, hint="Read the edits of the capture for this run."))
+    return content | {"capture_checks": [*content["capture_checks"], *(finding.to_json() for finding in findings)]}
 
 
 def _with_opensim(report: "ReportOf", context: stage.Context, take: "Reconstruction") -> dict[str, Any]:

@@ -28,7 +28,7 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     if has_hands(joints):
         people = association.attach(people, gathered_bodies(context)[0], joints)
     path = context.scratch / "people.npz"
-    write_people(path, people, tracked.damaged)
+    write_people(path, people, tracked.damaged, joints)
     del people
     context.on_share(task)(1.0)
     return stage.Output(path.read_bytes())

@@ -13,7 +13,10 @@ from tests.api.conftest import RESULT, Live, problem_of
 from worker.store.model.job_records import JobProblem
 from worker.store.store import MAX_ATTEMPTS
 
-FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))
+FOUND = (
+    PersonSpan(1, 0, 60, ((0, 0.0, 0.0, 1.0), (59, 2.0, 0.0, 1.0))),
+    PersonSpan(2, 10, 40, ((10, 0.0, 2.0, 1.0),)),
+)
 ANNA = {"action": "rename", "person": 1, "name": "Anna"}
 CUT = {"action": "cut", "start_frame": 5, "stop_frame": 50}
 
@@ -90,7 +93,7 @@ def test_edits_are_not_applied_for_unchanged_answer(live: Live, job_id: str, mon
 
 
 def test_fragmented_edits_are_refused(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.web.people.MAX_PIECES", 5)
+    monkeypatch.setattr("pipeline.core.options.edited_take.MAX_PIECES", 5)
     exchange = {"action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": 30}
     (error,) = problem_of(edit(live, job_id, ANNA, exchange), 422, "invalid_request")["errors"]
     assert (error["code"], error["pointer"]) == ("edits_fragmented", "/edits/1")

@@ -140,7 +140,7 @@ def _job(
         warnings=(*preflight.findings, *method_warnings(config, has_videos), *map(Finding.from_json, row.warnings)),
         making=making,
         edits=read_edits(row.edits),
-        people=None if row.people is None else tuple(PersonSpan(**person) for person in row.people),
+        people=None if row.people is None else tuple(map(PersonSpan.from_json, row.people)),
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
         character=character,

@@ -1,6 +1,8 @@
 """Edits of people: laws of their application, and refusals that name the edit."""
 
 import json
+from dataclasses import replace
+from random import Random
 from typing import Any
 
 import pytest
@@ -8,34 +10,45 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.core.errors import InputError
+from pipeline.core.options.edit_pieces import Piece
+from pipeline.core.options.edited_take import EditedPerson, EditedTake, apply_edits, place_edits
 from pipeline.core.options.edits import (
     MAX_PIECES,
     Cut,
-    EditedPerson,
-    EditedTake,
     Exchange,
     Merge,
     PeopleEdit,
+    PersonAt,
     PersonSpan,
-    Piece,
     Remove,
     Rename,
     Split,
-    apply_edits,
     edit_document,
     read_edit,
 )
 
 NUM_FRAMES = 30
-FOUND = (PersonSpan(1, 0, 30), PersonSpan(2, 5, 10), PersonSpan(3, 18, 12))
+FRAMES = range(NUM_FRAMES)
+# They walk along x, three metres apart from each other.
+FOUND = (
+    PersonSpan(1, 0, 30, ((0, 0.0, 0.0, 1.0), (29, 2.9, 0.0, 1.0))),
+    PersonSpan(2, 5, 10, ((5, 0.5, 3.0, 1.0), (14, 1.4, 3.0, 1.0))),
+    PersonSpan(3, 18, 12, ((18, 1.8, 6.0, 1.0), (29, 2.9, 6.0, 1.0))),
+)
+
+
+def at(person: int, frame: int) -> PersonAt:
+    return PersonAt(frame=frame, place_m=(frame / 10, 3.0 * (person - 1), 1.0))
+
 
 numbers, frames = st.integers(1, 5), st.integers(0, NUM_FRAMES)
+named = numbers | st.builds(at, st.integers(1, 4), frames)
 edits = st.one_of(
-    st.builds(Rename, person=numbers, name=st.sampled_from(["Anna", "Bo"])),
-    st.builds(Remove, person=numbers),
-    st.builds(Merge, person=numbers, other=numbers),
-    st.builds(Split, person=numbers, frame=frames),
-    st.builds(Exchange, person=numbers, other=numbers, start_frame=frames, stop_frame=st.none() | frames),
+    st.builds(Rename, person=named, name=st.sampled_from(["Anna", "Bo"])),
+    st.builds(Remove, person=named),
+    st.builds(Merge, person=named, other=named),
+    st.builds(Split, person=named, frame=frames),
+    st.builds(Exchange, person=named, other=named, start_frame=frames, stop_frame=st.none() | frames),
     st.builds(Cut, start_frame=frames, stop_frame=frames),
 )
 
@@ -45,19 +58,12 @@ def pieces_of(take: EditedTake) -> dict[int, tuple[Piece, ...]]:
 
 
 def apply(*made: PeopleEdit) -> EditedTake:
-    return apply_edits(FOUND, made, NUM_FRAMES)
+    return apply_edits(FOUND, made, FRAMES)
 
 
-def possible(made: list[PeopleEdit]) -> tuple[PeopleEdit, ...]:
-    """Edits of a list, each left out that can't be made after those before it."""
-    kept: tuple[PeopleEdit, ...] = ()
-    for edit in made:
-        try:
-            apply(*kept, edit)
-        except InputError:
-            continue
-        kept += (edit,)
-    return kept
+def who(take: EditedTake) -> tuple[Any, ...]:
+    """People and kept frames of a take, without the outcomes of its edits."""
+    return take.people, take.frames
 
 
 def test_no_edits_leave_everybody_as_found() -> None:
@@ -70,7 +76,7 @@ def test_no_edits_leave_everybody_as_found() -> None:
 
 @given(st.lists(edits, max_size=8))
 def test_no_frame_of_found_person_is_in_two_places(made: list[PeopleEdit]) -> None:
-    take = apply(*possible(made))
+    take = apply(*made)
     seen = [
         (piece.person, frame)
         for person in take.people
@@ -92,13 +98,13 @@ def test_edits_pass_through_json(made: list[PeopleEdit]) -> None:
 @given(st.integers(0, NUM_FRAMES - 1))
 def test_two_equal_exchanges_are_none(start_frame: int) -> None:
     exchange = Exchange(person=1, other=3, start_frame=start_frame)
-    assert apply(exchange, exchange) == apply()
+    assert who(apply(exchange, exchange)) == who(apply())
 
 
 @given(st.integers(1, NUM_FRAMES - 1))
 def test_merge_takes_split_back(frame: int) -> None:
     take = apply(Split(person=1, frame=frame), Merge(person=1, other=4))
-    assert take == apply()
+    assert who(take) == who(apply())
 
 
 def test_merge_prefers_first_person_where_both_are() -> None:
@@ -112,9 +118,17 @@ def test_exchange_can_end() -> None:
     assert pieces_of(take)[2] == (Piece(2, 5, 8), Piece(1, 8, 12), Piece(2, 12, 15))
 
 
-def test_numbers_of_removed_people_are_not_given_again() -> None:
-    take = apply(Split(person=1, frame=10), Remove(person=4), Split(person=1, frame=5))
-    assert [person.id for person in take.people] == [1, 2, 3, 5]
+def test_new_people_are_numbered_by_their_first_frames() -> None:
+    late, early = Split(person=at(1, 20), frame=20), Split(person=at(1, 10), frame=10)
+    take = apply(late, early)
+    assert pieces_of(take) == {
+        1: (Piece(1, 0, 10),),
+        2: (Piece(2, 5, 15),),
+        3: (Piece(3, 18, 30),),
+        4: (Piece(1, 10, 20),),
+        5: (Piece(1, 20, 30),),
+    }
+    assert who(apply(early, late)) == who(take)
 
 
 def test_name_stays_with_person() -> None:
@@ -135,22 +149,20 @@ def test_work_grows_with_pieces_not_with_their_square(monkeypatch: pytest.Monkey
             nonlocal made
             made += 1
 
-    monkeypatch.setattr("pipeline.core.options.edits.Piece", CountedPiece)
+    monkeypatch.setattr("pipeline.core.options.edited_take.Piece", CountedPiece)
     people = (PersonSpan(1, 0, 10_000), PersonSpan(2, 0, 10_000))
-    take = apply_edits(people, [*fragmenting(999), Merge(person=1, other=2)], 10_000)
-    assert [len(person.pieces) for person in take.people] == [1999]
-    assert made < 20 * 1000
+    take = apply_edits(people, [*fragmenting(499), Merge(person=1, other=2)], range(10_000))
+    assert [len(person.pieces) for person in take.people] == [999]
+    assert made < 20 * 500
 
 
-def test_pieces_of_new_edits_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edit_that_fragments_people_is_not_applied() -> None:
     people, made = (PersonSpan(1, 0, 10_000), PersonSpan(2, 0, 10_000)), fragmenting(600)
-    with pytest.raises(InputError) as refused:
-        apply_edits(people, made, 10_000, MAX_PIECES)
-    (problem,) = refused.value.problems
-    assert (problem.code, problem.field) == ("edits_fragmented", "edits/499")  # 2 + 4 x 500 pieces
-    assert len(apply_edits(people, made[:499], 10_000, MAX_PIECES).people) == 2
-    # Edits that an older version stored are applied all the same.
-    assert len(apply_edits(people, made, 10_000).people) == 2
+    take = apply_edits(people, made, range(10_000))
+    assert sum(len(person.pieces) for person in take.people) == MAX_PIECES - 2  # 2 + 4 x 499 pieces
+    problems = [outcome.problem for outcome in take.outcomes]
+    assert problems[:499] == [None] * 499
+    assert {problem and problem.code for problem in problems[499:]} == {"edits_fragmented"}
 
 
 def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,9 +173,8 @@ def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.Monkey
         normalized.append(len(name))
         return name
 
-    monkeypatch.setattr("pipeline.core.options.edits.unicodedata.normalize", normalize)
-    with pytest.raises(InputError):
-        apply(Rename(person=1, name="a" + "\u0316\u0301" * 100_000))
+    monkeypatch.setattr("pipeline.core.options.edited_take.unicodedata.normalize", normalize)
+    assert apply(Rename(person=1, name="a" + "\u0316\u0301" * 100_000)).outcomes[0].problem is not None
     assert normalized == []
 
 
@@ -174,6 +185,8 @@ def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.Monkey
         (Rename(person=1, name="  "), "name"),
         (Rename(person=1, name="a\nb"), "name"),
         (Rename(person=1, name="a" * 101), "name"),
+        (Rename(person=1, name="Person-7"), "name"),
+        (Rename(person=1, name=" \u017dOE"), "name"),
         (Remove(person=0), "person"),
         (Merge(person=1, other=1), "other"),
         (Merge(person=1, other=7), "other"),
@@ -181,13 +194,124 @@ def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.Monkey
         (Split(person=2, frame=15), "frame"),
         (Exchange(person=2, other=3, start_frame=0, stop_frame=5), "start_frame"),
         (Exchange(person=2, other=3, start_frame=9, stop_frame=9), "stop_frame"),
-        (Cut(start_frame=20, stop_frame=31), "stop_frame"),
+        (Cut(start_frame=30, stop_frame=31), "stop_frame"),
         (Cut(start_frame=-1, stop_frame=3), "stop_frame"),
     ],
 )
 def test_refusal_names_edit(edit: Any, field: str) -> None:
     with pytest.raises(InputError) as refused:
-        apply(Split(person=1, frame=10), edit)
+        place_edits(FOUND, [Rename(person=3, name="\u017eoe"), Split(person=1, frame=10), edit], FRAMES)
     (problem,) = refused.value.problems
-    assert (problem.code, problem.field) == ("edit_impossible", f"edits/1/{field}")
+    assert (problem.code, problem.field) == ("edit_impossible", f"edits/2/{field}")
     assert problem.hint
+
+
+@given(st.lists(edits, max_size=8))
+def test_places_stand_for_numbers(made: list[PeopleEdit]) -> None:
+    try:
+        placed = place_edits(FOUND, made, FRAMES)
+    except InputError:
+        return
+    assert not any(isinstance(getattr(edit, name, None), int) for edit in placed for name in ("person", "other"))
+    assert apply(*placed) == apply(*made)
+
+
+@given(st.lists(edits, max_size=8), st.integers(1, 1000))
+def test_run_of_some_frames_gets_same_people(made: list[PeopleEdit], first: int) -> None:
+    # The same run, as if the session had more frames before it.
+    def later(edit: PeopleEdit) -> PeopleEdit:
+        moved = {name: getattr(edit, name) + first for name in ("frame", "start_frame") if hasattr(edit, name)}
+        if getattr(edit, "stop_frame", None) is not None:
+            moved["stop_frame"] = edit.stop_frame + first  # type: ignore[union-attr, operator]
+        for name in ("person", "other"):
+            if isinstance(person := getattr(edit, name, None), PersonAt):
+                moved[name] = replace(person, frame=person.frame + first)
+        return replace(edit, **moved)
+
+    moved = apply_edits(FOUND, list(map(later, made)), range(first, first + NUM_FRAMES))
+    assert who(moved) == who(apply(*made))
+
+
+OF_ONE = st.one_of(
+    st.tuples(st.just("rename"), st.integers(0, 9)),
+    st.tuples(st.just("remove"), st.integers(0, 9)),
+    st.tuples(st.just("split"), st.integers(1, 8)),
+)
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 40), st.lists(OF_ONE, max_size=4)), unique_by=lambda item: item[0]), st.randoms()
+)
+def test_edits_of_different_people_give_same_take_in_any_order(
+    of_people: list[tuple[int, list[tuple[str, int]]]], random: Random
+) -> None:
+    """Forty people in two runs, which number and place them otherwise; edits of one person keep their order."""
+    runs = [
+        [
+            PersonSpan(41 - number if is_other else number, number, 10, ((number, 2.0 * number, 0.1 * is_other, 1.0),))
+            for number in range(1, 41)
+        ]
+        for is_other in (False, True)
+    ]
+
+    def edit_of(number: int, action: str, frame: int) -> PeopleEdit:
+        person = PersonAt(frame=number + frame, place_m=(2.0 * number, 0.0, 1.0))
+        match action:
+            case "rename":
+                return Rename(person=person, name=f"Name {number} {frame}")
+            case "remove":
+                return Remove(person=person)
+            case _:
+                return Split(person=person, frame=number + frame)
+
+    queues = [[edit_of(number, *edit) for edit in own] for number, own in of_people]
+    in_order = [edit for queue in queues for edit in queue]
+    mixed = []
+    while waiting := [queue for queue in queues if queue]:
+        mixed.append(random.choice(waiting).pop(0))
+    for run in runs:
+        assert who(apply_edits(run, mixed, range(60))) == who(apply_edits(run, in_order, range(60)))
+    ours, theirs = (
+        sorted(
+            (person.name or "", person.start_frame, person.stop_frame)
+            for person in apply_edits(run, mixed, range(60)).people
+        )
+        for run in runs
+    )
+    assert ours == theirs
+
+
+def test_edit_without_person_near_is_kept_and_told() -> None:
+    away = Remove(person=PersonAt(frame=10, place_m=(1.0, 0.6, 1.0)))
+    take = apply(away, Rename(person=at(1, 10), name="Anna"))
+    told, applied = take.outcomes
+    assert told.problem is not None
+    assert "within 0.5 m of (1.00, 0.60, 1.00) at frame 10" in told.problem.message
+    assert (told.person, applied.person, applied.problem) == (None, 1, None)
+    assert [person.name for person in take.people] == ["Anna", None, None]
+
+
+def test_person_is_named_by_frame_after_earlier_edits() -> None:
+    exchange = Exchange(person=at(1, 20), other=at(3, 20), start_frame=20)
+    take = apply(
+        exchange, Rename(person=at(1, 25), name="Anna"), Remove(person=at(2, 6)), Rename(person=at(2, 6), name="Bo")
+    )
+    assert [(person.id, person.name) for person in take.people] == [(1, None), (3, "Anna")]
+    gone = take.outcomes[3].problem
+    assert gone is not None
+    assert gone.message == "Earlier edits left out person 2 at frame 6."
+
+
+def test_merge_and_split_that_a_run_has_already_are_applied() -> None:
+    take = apply(Merge(person=at(1, 3), other=at(1, 20)), Split(person=at(2, 5), frame=5))
+    assert who(take) == who(apply())
+    assert [outcome.problem for outcome in take.outcomes] == [None, None]
+
+
+def test_place_is_taken_where_others_are_far() -> None:
+    crossing = (
+        PersonSpan(1, 0, 80, ((0, 0.0, 0.0, 1.0), (79, 8.0, 0.0, 1.0))),
+        PersonSpan(2, 0, 80, ((0, 8.0, 0.0, 1.0), (79, 0.0, 0.0, 1.0))),
+    )
+    (placed,) = place_edits(crossing, [Remove(person=1)], range(80))
+    assert placed == Remove(person=PersonAt(frame=30, place_m=(3.038, 0.0, 1.0)))

@@ -18,6 +18,7 @@ from pipeline.core.data.animation import Animation, Floor, FootContact, FootPart
 from pipeline.core.data.arrays import no_colours, no_detections
 from pipeline.core.data.detections import DamagedVideo, Detections, MapGrid, PafFields, PictureChanges
 from pipeline.core.data.people import Doubt, Leftovers, Observations, People, PersonLoss, Poses3D, Track3D
+from pipeline.core.joints import COCO_17
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.runtime.npz import open_archive
 from pipeline.run.engine import codec
@@ -205,6 +206,11 @@ def test_people_come_back_one_by_one(tmp_path: Path) -> None:
         assert_equal(seen, back_seen)
     assert [one.track_id for one in back.tracks[-1:]] == [back.observations[-1].track_id] == [2]
     assert StoredPeople(path).spans == (PersonSpan(1, 10, 4), PersonSpan(2, 20, 6))
+    write_people(path, people, joints=COCO_17)
+    hips_m = people.tracks[1].xyz_m[[0, -1]][:, COCO_17.indices(("left_hip", "right_hip"))].mean(1)
+    places = StoredPeople(path).spans[1].places
+    assert (places[0][0], places[-1][0]) == (20, 25)
+    np.testing.assert_allclose([places[0][1:], places[-1][1:]], hips_m, atol=0.0005)
     assert (back.doubts, back.leftovers) == ((), None)
 
 

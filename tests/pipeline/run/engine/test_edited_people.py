@@ -12,11 +12,13 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People, PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.edited_take import place_edits
 from pipeline.core.options.edits import Cut, Exchange, Merge, PeopleEdit, PersonSpan, Remove, Rename, Split
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import forward_kinematics
 from pipeline.run.engine import edited_people
 from pipeline.run.engine.local import reconstruct
+from pipeline.run.engine.stored_people import StoredPeople, write_people
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 
@@ -118,3 +120,37 @@ def test_losses_of_people_who_did_not_change_stay_and_are_cut(plain: Reconstruct
     assert list(kept.losses) == [lost[0], lost[2]]
     shorter = edited_people.cut(replace(plain, losses=kept.losses), range(8, 40))
     assert list(shorter.losses) == [PersonLoss("vanished", 1, 2, 32, place_m)]
+
+
+def test_places_follow_people_within_tolerance(plain: Reconstruction, tmp_path: Path) -> None:
+    people = People(plain.located, plain.observations)
+    write_people(tmp_path / "people", people, joints=plain.joints)
+    hips = plain.joints.indices(("left_hip", "right_hip"))
+    for track, span in zip(plain.located, StoredPeople(tmp_path / "people").spans, strict=True):
+        assert len(span.places) < track.num_frames / 3
+        centre_m = track.xyz_m[:, hips].mean(1)
+        for row in np.flatnonzero(np.isfinite(centre_m).all(-1)):
+            place_m = span.place_m(track.start_frame + int(row))
+            assert np.linalg.norm(centre_m[row] - place_m) < 0.051  # 5 cm, and places are rounded
+
+
+def test_edits_hold_in_runs_of_other_methods_and_frames(
+    session: KeypointSession, cache: Path, plain: Reconstruction, tmp_path: Path
+) -> None:
+    write_people(tmp_path / "people", People(plain.located, plain.observations), joints=plain.joints)
+    frames = range(plain.timebase.num_frames)
+    made = (Rename(person=2, name="Bo"), Split(person=3, frame=40), Remove(person=1))
+    edits = place_edits(StoredPeople(tmp_path / "people").spans, made, frames)
+    config = replace(PLAIN, method="clustering", frame_range=(10, 70), edits=edits)
+    take = reconstruct(session, config, cache=cache)
+    assert len(take.tracks) == len(plain.tracks)
+    (bo,) = (number for number, motion in enumerate(take.motions) if motion.name == "Bo")
+    middle_m = [take.located[bo].xyz_m[30 - take.located[bo].start_frame], plain.located[1].xyz_m[40]]
+    assert np.nanmax(np.abs(middle_m[0] - middle_m[1])) < 0.2
+    assert sorted((track.start_frame, track.num_frames) for track in take.tracks)[-1] == (30, 30)
+    removed_m = np.nanmean(plain.located[0].xyz_m[40], axis=0)
+    assert all(
+        np.linalg.norm(np.nanmean(track.xyz_m[30 - track.start_frame], axis=0) - removed_m) > 0.5
+        for track in take.located
+        if track.start_frame <= 30 < track.start_frame + track.num_frames
+    )
