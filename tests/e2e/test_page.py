@@ -232,7 +232,7 @@ def test_warnings_are_shown_without_useless_retry(page: Page, served: Served, sa
     card = capture(page, "Two cameras")
     warned = card.get_by_role("listitem").filter(has_text="Done").first
     expect(warned.get_by_text("Done, with warnings", exact=True)).to_be_visible()
-    expect(warned.get_by_role("list", name="Warnings of Two cameras")).to_contain_text("The session has 2 cameras")
+    expect(warned.get_by_role("list", name="Warnings of Two cameras")).to_contain_text("The capture has 2 cameras")
     refused = card.get_by_role("listitem").filter(has_text="Failed").first
     expect(refused.get_by_role("alert")).to_contain_text(failed["error"]["detail"])
     expect(refused.get_by_role("button", name="Delete job of Two cameras")).to_be_visible()
