@@ -217,7 +217,8 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
     expect(panel(page).get_by_role("heading", name="Edits")).to_be_focused()
     expect(panel(page).get_by_role("radio")).to_have_count(3)
     expect_in_view(page, "person-1", "person-2", "person-3")
-    panel(page).get_by_role("radio").first.focus()
+    # Anywhere on the page, such as in the 3D view.
+    page.locator(".look-canvas").focus()
     page.keyboard.press("Control+y")
     made(page, revision + 3)
     assert portal.people()["edits"] == [{"action": "merge", "person": 1, "other": 2}]
@@ -268,6 +269,18 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) 
     press(page, "Redo")
     made(page, revision + 7)
     assert portal.people()["edits"] == after["edits"]
+
+
+def test_range_of_timeline_trims_the_take(page: Page, portal: ServedPeople) -> None:
+    revision, num_frames = portal.people()["revision"], portal.people()["num_frames"]
+    page.locator(".look-canvas").focus()
+    for key in ("Home", "Shift+ArrowRight", "i"):
+        page.keyboard.press(key)
+    page.get_by_role("button", name="Trim: keep this range of the take").click()
+    made(page, revision + 1)
+    assert portal.people()["edits"] == [{"action": "cut", "start_frame": 10, "stop_frame": num_frames}]
+    expect(page.get_by_role("slider", name="Play head")).to_have_attribute("max", str(num_frames - 11))
+    expect(page.locator(".look-span")).to_be_hidden()
 
 
 def test_people_who_never_meet_are_merged_at_once(page: Page, portal: ServedPeople) -> None:

@@ -272,29 +272,161 @@ def test_keyboard_moves_play_head(shown: Shown) -> None:
     assert shown.frame == before
 
 
-def test_view_through_camera_shows_people_in_place(shown: Shown) -> None:
+# A red ball near a corner of the picture of a camera with a lens: where it is drawn, and where the lens model puts it.
+BALL = """async ({ lens, distortion }) => {
+  const THREE = await import("/portal/vendor/three/three.module.js");
+  const { prepareLens } = await import("/portal/viewer/video/overlay.js");
+  const { view, description } = globalThis.viewer;
+  const camera = Object.assign(description.cameras[0], { lens, distortion });
+  const { stage } = view;
+  view.apply({ body: false, trails: false, contacts: false, names: false });
+  const [width, height] = camera.size_px;
+  const [a, b, c] = prepareLens({ ...camera, lens: "standard", distortion: [] }).ray(0.2 * width, 0.2 * height);
+  const { rotation: r, translation_m: t } = camera.cam_from_world;
+  const point = [a, b, c].map((way, axis) => 3 * way - (r[0][axis] * t[0] + r[1][axis] * t[1] + r[2][axis] * t[2]));
+  const ball = new THREE.Mesh(new THREE.SphereGeometry(0.03), new THREE.MeshBasicMaterial({ color: 0xff0000 }));
+  ball.position.set(...point);
+  stage.add(ball);
+  view.see(0);
+  stage.renderer.render(stage.scene, stage.camera);
+  const { width: wide, height: high } = stage.canvas;
+  const sheet = Object.assign(document.createElement("canvas"), { width: wide, height: high });
+  const context = sheet.getContext("2d");
+  context.drawImage(stage.canvas, 0, 0);
+  const { data } = context.getImageData(0, 0, sheet.width, sheet.height);
+  let [count, x, y] = [0, 0, 0];
+  for (let place = 0; place < data.length; place += 4) {
+    if (data[place] < 200 || data[place + 1] > 60) continue;
+    count += 1;
+    x += (place / 4) % sheet.width;
+    y += Math.floor(place / 4 / sheet.width);
+  }
+  const scale = Math.max(width / wide, height / high);
+  const drawn = [
+    (x / count + 0.5 - wide / 2) * scale + width / 2 - 0.5, (y / count + 0.5 - high / 2) * scale + height / 2 - 0.5,
+  ];
+  const model = prepareLens(camera).project(...point, [0, 0]);
+  const isOn = stage.toScreen(ball.position, new THREE.Vector3());
+  return { drawn, model, straight: [0.2 * width, 0.2 * height], scale, isOn };
+}"""
+
+
+@pytest.mark.parametrize(
+    ("lens", "distortion"),
+    [
+        ("standard", [-0.28, 0.09, 0.01, -0.02, 0.01, 0.1, 0.02, 0.003, 0.004, -0.002, 0.003, 0.001]),
+        ("fisheye", [0.03, -0.004, 0.001, -0.0002]),
+    ],
+)
+def test_view_through_camera_is_bent_by_its_lens(shown: Shown, lens: str, distortion: list[float]) -> None:
     shown.mount()
-    shown.page.keyboard.press("1")
-    # A point in the picture, by three.js' projection and by the lens: the first camera has no distortion.
-    off_px = shown.page.evaluate(
+    found = shown.page.evaluate(BALL, {"lens": lens, "distortion": distortion})
+    assert found["isOn"]
+    off_px = np.subtract(found["drawn"], found["model"])
+    assert np.abs(off_px).max() < found["scale"]
+    # Without a lens the ball would be elsewhere.
+    assert np.hypot(*np.subtract(found["straight"], found["model"])) > 5 * found["scale"]
+
+
+def test_bodies_are_over_the_footage_of_their_camera(shown: Shown, numbered_video: Path) -> None:
+    clock = [[0, 0.0, 0.0], [NUM_FRAMES - 1, (NUM_FRAMES - 1) / RATE_HZ, (NUM_FRAMES - 1) / RATE_HZ]]
+    shown.mount(clock=clock, video=numbered_video)
+    page = shown.page
+    page.wait_for_function("() => globalThis.viewer.wall.tiles[0].isInTake")
+    page.keyboard.press("1")
+    page.wait_for_function("() => globalThis.viewer.hasFootage")
+    behind = page.locator(".look-view > .look-picture")
+    box, scene = behind.bounding_box(), page.locator(".look-view").bounding_box()
+    assert box is not None
+    assert scene is not None
+    # The picture is as large as fits, amid the view, as the projection assumes.
+    assert box["width"] / box["height"] == pytest.approx(320 / 180, rel=0.01)
+    assert min(scene["width"] - box["width"], scene["height"] - box["height"]) == pytest.approx(0, abs=1.5)
+    assert box["x"] + box["width"] / 2 == pytest.approx(scene["x"] + scene["width"] / 2, abs=1.5)
+    page.keyboard.press("0")
+    expect(behind).to_have_count(0)
+    expect(page.locator(".look-tile .look-picture")).to_have_count(len(page.locator(".look-tile").all()))
+
+
+def test_layout_is_remembered(shown: Shown) -> None:
+    shown.mount()
+    page = shown.page
+    layout = page.get_by_label("Layout", exact=True)
+    page.keyboard.press("v")
+    expect(layout).to_have_value("scene")
+    expect(page.locator(".look-wall")).to_be_hidden()
+    page.keyboard.press("v")
+    expect(page.locator(".look-tile:visible")).to_have_count(1)
+    layout.select_option("b large")
+    page.reload()
+    shown.mount()
+    expect(layout).to_have_value("camera:b")
+    expect(page.get_by_role("button", name="Enlarge b")).to_have_attribute("aria-pressed", "true")
+    page.get_by_role("button", name="Enlarge b").click()
+    expect(layout).to_have_value("both")
+
+
+def test_screen_is_filled_and_left(shown: Shown) -> None:
+    shown.mount()
+    page = shown.page
+    page.get_by_role("button", name="b on the full screen").click()
+    page.wait_for_function("() => document.fullscreenElement !== null")
+    expect(page.locator(".look-view")).to_be_hidden()
+    expect(page.locator(".look-tile:visible")).to_have_count(1)
+    page.keyboard.press("Shift+F")
+    page.wait_for_function("() => document.fullscreenElement === null")
+    expect(page.locator(".look-view")).to_be_visible()
+    expect(page.get_by_label("Layout", exact=True)).to_have_value("both")
+
+
+def test_range_is_marked_and_plays_alone(shown: Shown) -> None:
+    shown.mount()
+    page = shown.page
+    for key in ("Shift+ArrowRight", "i", "Shift+ArrowRight", "o", "Space"):
+        page.keyboard.press(key)
+    expect(page.locator(".look-span")).to_be_visible()
+    found = page.evaluate(
         """async () => {
-          const { prepareLens } = await import("/portal/viewer/video/overlay.js");
-          const { view, description } = globalThis.viewer;
-          const { stage, people } = view;
-          for (let count = 0; count < 3; count++) await new Promise(requestAnimationFrame); // drawn
-          const camera = description.cameras[0];
-          const point = people.anchors[0];
-          const seen = prepareLens(camera).project(point.x, point.y, point.z, [0, 0]);
-          const onScreen = point.clone();
-          stage.toScreen(point, onScreen);
-          const { clientWidth: width, clientHeight: height } = stage.canvas;
-          const pixels = Math.max(camera.size_px[0] / width, camera.size_px[1] / height);
-          const x = (onScreen.x - width / 2) * pixels + camera.size_px[0] / 2 - 0.5;
-          const y = (onScreen.y - height / 2) * pixels + camera.size_px[1] / 2 - 0.5;
-          return Math.hypot(x - seen[0], y - seen[1]);
+          const all = new Set();
+          while (all.size < 6 || !all.has(20)) {
+            await new Promise(requestAnimationFrame);
+            all.add(globalThis.viewer.player.frame);
+          }
+          return [...all].sort((one, other) => one - other);
         }"""
     )
-    assert off_px < 0.5
+    assert set(found) <= set(range(10, 21))
+    page.keyboard.press("x")
+    expect(page.locator(".look-span")).to_be_hidden()
+    # Without an editor there is nothing to trim.
+    expect(page.get_by_role("button", name="Trim: keep this range of the take")).to_have_count(0)
+
+
+def test_fit_frames_all_people(shown: Shown) -> None:
+    shown.mount()
+    for direction in ("top", "front", "side", None):
+        extent = shown.page.evaluate(
+            """(direction) => {
+              const { viewer } = globalThis;
+              viewer.fit(direction);
+              const { view: { stage, people } } = viewer;
+              stage.renderer.render(stage.scene, stage.camera);
+              const box = people.boxAt(viewer.frame);
+              const ends = [Infinity, -Infinity, Infinity, -Infinity];
+              for (let corner = 0; corner < 8; corner++) {
+                const point = box.min.clone();
+                ["x", "y", "z"].forEach((axis, bit) => { if (corner >> bit & 1) point[axis] = box.max[axis]; });
+                point.project(stage.camera);
+                [ends[0], ends[1]] = [Math.min(ends[0], point.x), Math.max(ends[1], point.x)];
+                [ends[2], ends[3]] = [Math.min(ends[2], point.y), Math.max(ends[3], point.y)];
+              }
+              return ends;
+            }""",
+            direction,
+        )
+        assert max(map(abs, extent)) <= 1, direction
+        # People take most of the picture in one of its directions.
+        assert max(extent[1] - extent[0], extent[3] - extent[2]) > 1.1, direction
 
 
 @pytest.mark.slow
@@ -466,22 +598,24 @@ def test_sheets_that_scroll_are_reached_by_keyboard(live: Live, job_ids: list[st
     with opened(str(live.client.base_url), {"width": 390, "height": 844}) as page:
         page.emulate_media(color_scheme="dark", reduced_motion="reduce")
         Shown(page, live, job_ids).mount()
-        for label in ("Show", "Keys"):
-            page.locator("summary", has_text=label).click()
-            sheet = page.get_by_role("group", name=label, exact=True)
-            expect(sheet).to_be_visible()
-            assert axe_findings(page, ".look-viewer") == [], label
-            page.keyboard.press("Tab")
-            expect(sheet).to_be_focused()
-            if sheet.evaluate("one => one.scrollHeight > one.clientHeight"):
-                # The sheet scrolls, and the play head stays.
-                page.keyboard.press("End")
-                page.wait_for_function("() => document.activeElement.scrollTop > 0")
-            else:
-                assert label == "Show"
-            assert page.evaluate("() => globalThis.viewer.player.frame") == 0
-            page.keyboard.press("Escape")
-            expect(sheet).to_be_hidden()
+        page.locator("summary", has_text="Show").click()
+        sheet = page.get_by_role("group", name="Show", exact=True)
+        expect(sheet).to_be_visible()
+        assert axe_findings(page, ".look-viewer") == []
+        page.keyboard.press("Tab")
+        expect(sheet).to_be_focused()
+        page.keyboard.press("End")
+        assert page.evaluate("() => globalThis.viewer.player.frame") == 0
+        page.keyboard.press("Escape")
+        expect(sheet).to_be_hidden()
+        page.keyboard.press("?")
+        keys = page.get_by_role("dialog", name="Keys")
+        expect(keys.get_by_text("next layout")).to_be_visible()
+        assert axe_findings(page, ".look-viewer") == []
+        page.keyboard.press("End")
+        assert page.evaluate("() => globalThis.viewer.player.frame") == 0
+        page.keyboard.press("Escape")
+        expect(keys).to_be_hidden()
 
 
 def test_narrow_screens_need_no_sideways_scrolling(live: Live, job_ids: list[str]) -> None:

@@ -21,9 +21,8 @@ export class JobMotion extends EventTarget {
 
   constructor(place) {
     super();
-    this.choice = document.createElement("div");
-    this.stage = document.createElement("div");
-    place.append(this.choice, this.stage);
+    this.choice = document.createElement("div"); // of the other job, for the view to show
+    this.stage = place;
   }
 
   /** Frame of the whole reconstruction at the play head; null outside of the job's take. */
@@ -37,9 +36,9 @@ export class JobMotion extends EventTarget {
     this.#viewer?.goTo(frame - this.#viewer.description.first_frame);
   }
 
-  /** Show a job of a session, or its new files. `isGuest`: by a link, which opens no other job. */
-  async open(job, session, { isGuest = false } = {}) {
-    Object.assign(this, { job, session });
+  /** Show a job of a session, or its new files. `isGuest`: by a link, which opens no other job. `editor` makes edits. */
+  async open(job, session, { isGuest = false, editor = null } = {}) {
+    Object.assign(this, { job, session, editor });
     if (this.#viewer === null) await this.#show(this.#chosen);
     else await this.#renew();
     if (isGuest) return;
@@ -127,10 +126,10 @@ export class JobMotion extends EventTarget {
     return orAway(async () => {
       const { ApiSource, mount, mountPair } = await import("../viewer/mount.js");
       const { cameras } = this.session.preflight;
-      const openSource = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character) });
+      const openSource = ({ id, spec }) => new ApiSource(id, cameras, addressed, { hasCharacter: Boolean(spec.character), fileRateHz: spec.output_rate_hz });
       this.#source = openSource(this.job);
       return other === null
-        ? mount(this.stage, this.#source)
+        ? mount(this.stage, this.#source, { editor: this.editor })
         : mountPair(this.stage, [this.#source, openSource(other)], [this.job, other].map(({ id }) => this.#titles.get(id)));
     });
   }

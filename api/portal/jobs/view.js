@@ -42,12 +42,15 @@ class JobView {
     this.below = document.createElement("div");
     this.links = document.createElement("div");
     place.append(this.frame, this.stage, this.people, this.below, this.links);
+    this.stage.className = "motion";
     this.motion = new JobMotion(this.stage);
     this.onFeed = () => this.#feedChanged();
+    this.onKey = (event) => this.#panel?.key(event);
   }
 
   async start() {
     feed.addEventListener("change", this.onFeed);
+    document.addEventListener("keydown", this.onKey);
     this.draw();
     await this.#persist(async () => {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
@@ -77,6 +80,7 @@ class JobView {
     this.#panel?.close();
     this.#sharing?.close();
     feed.removeEventListener("change", this.onFeed);
+    document.removeEventListener("keydown", this.onKey);
   }
 
   #feedChanged() {
@@ -102,7 +106,7 @@ class JobView {
       if (this.caller.scopes.includes("write")) this.#sharing ??= new Sharing(this.links, job);
       // Blurred videos are there since the job has succeeded.
       if (job.spec.blur_faces) this.session = await call(job.urls.session);
-      await this.motion.open(job, this.session, { isGuest: this.caller.isGuest });
+      await this.motion.open(job, this.session, { isGuest: this.caller.isGuest, editor: this.#panel });
       this.#showPeople();
     } catch (problem) {
       this.#shown = before;
@@ -153,10 +157,12 @@ class JobView {
         <span class="state" data-tone=${tone}>${words}</span>
         ${choiceList(job, this.options)}
         <p class="quiet facts">${jobFacts(job).map((fact) => html`<span>${fact}</span>`)}</p>
+        ${job.warnings?.length ? html`<details><summary>${TAKE.warnings(job.warnings.length)}</summary>
+          ${warningList(job.warnings, COMMON.warningsOf(job.session_name), this.session?.notes)}</details>` : nothing}
+        ${this.motion.choice}
       </div>
       ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
-      ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}
-      ${warningList(job.warnings, COMMON.warningsOf(job.session_name), this.session?.notes)}`;
+      ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}`;
   }
 
   #files() {

@@ -1,4 +1,4 @@
-// Controls of the viewer: play head, view, shapes of people, and the keyboard.
+// Controls of the viewer: play head, range, layout, view, and shapes of people.
 
 import { VIEWER } from "../shared/strings/viewer.js";
 import { clockText, el, icon, iconButton } from "./dom.js";
@@ -37,6 +37,30 @@ export function transport(player) {
   return element;
 }
 
+/** Controls beside those of the play head: range, frame rate, layout, full screen and keys. */
+export function viewerTools(viewer) {
+  const { player, description: { cameras, frame_rate_hz: rateHz } } = viewer;
+  const mark = (label, title, onclick, isHidden = false) => el("button", { type: "button", class: "look-button", title, "aria-label": title, hidden: isHidden, onclick }, label);
+  const all = mark(VIEWER.all, VIEWER.allFrames, () => player.setSpan());
+  const trim = mark(VIEWER.trim, VIEWER.trimTitle, () => viewer.trim());
+  const rate = el("select", { class: "look-select", "aria-label": VIEWER.rate, onchange: () => viewer.setRate(rate.value === "" ? null : Number(rate.value)) },
+    el("option", { value: "" }, VIEWER.captureRate(rateHz)), el("option", { value: viewer.fileRateHz }, VIEWER.fileRate(viewer.fileRateHz)));
+  const layouts = [["both", VIEWER.layouts.both], ["scene", VIEWER.layouts.scene], ...cameras.map(({ name }) => [`camera:${name}`, VIEWER.layouts.camera(name)])];
+  const layout = el("select", { class: "look-select look-layout", "aria-label": VIEWER.layout, title: VIEWER.layoutTitle, onchange: () => viewer.setLayout(layout.value) },
+    layouts.map(([value, label]) => el("option", { value }, label)));
+  const showSpan = () => { all.hidden = !player.hasSpan; trim.hidden = viewer.editor === null || !player.hasSpan; };
+  player.addEventListener("change", showSpan);
+  showSpan();
+  const element = el("div", { class: "look-tools" },
+    el("div", { class: "look-bar", role: "group", "aria-label": VIEWER.range },
+      mark(VIEWER.from, VIEWER.rangeFrom, () => player.setSpan({ from: player.frame })), mark(VIEWER.to, VIEWER.rangeTo, () => player.setSpan({ to: player.frame })), all, trim),
+    viewer.fileRateHz === null || viewer.fileRateHz === rateHz ? null : rate,
+    viewer.wall === null ? null : layout,
+    document.fullscreenEnabled ? iconButton("fill", VIEWER.fill, () => viewer.fillScreen("scene")) : null,
+    mark("?", VIEWER.keys, () => viewer.sheet.showModal()));
+  return { element, showLayout: (value) => { layout.value = value; } };
+}
+
 // Controls over the 3D view: what is shown, from where, and the keys.
 
 const DIRECTIONS = [["fit", null], ["top", "top"], ["front", "front"], ["side", "side"]];
@@ -51,7 +75,7 @@ export function viewControls(viewer, shapes, onoptions) {
   });
   const directions = directionBar(viewer, { fit: VIEWER.fitTitle });
   const element = el("div", { class: "look-overlay" }, directions.element,
-    el("div", { class: "look-bar" }, menu(VIEWER.show, [layers[0], shapes, ...layers.slice(1)]), menu(VIEWER.keys, keys())));
+    el("div", { class: "look-bar" }, menu(VIEWER.show, [layers[0], shapes, ...layers.slice(1)])));
   return { element, showSeen: directions.showSeen };
 }
 
@@ -77,10 +101,6 @@ function menu(label, content) {
   });
   element.addEventListener("focusout", (event) => { if (event.relatedTarget && !element.contains(event.relatedTarget)) element.open = false; });
   return element;
-}
-
-function keys() {
-  return el("dl", { class: "look-keys", id: "look-keys" }, VIEWER.keyTable.flatMap(([key, effect]) => [el("dt", {}, key), el("dd", {}, effect)]));
 }
 
 // Choice of what people look like in the 3D view: humans, capsules, or the job's character, which is loaded when it is chosen.
@@ -182,64 +202,4 @@ export class ShapeChoice {
     this.progress.value = 0;
     this.element.hidden = this.select.options.length < 2;
   }
-}
-
-// Keyboard of the viewer.
-
-const TURN_RAD = 0.12;
-
-/** Listen to the keys while the focus is in the viewer or nowhere; returns a function that ends it. */
-export function listenToKeys(viewer) {
-  if (!viewer.isLeader) return () => {};
-  const listen = (event) => {
-    const { target } = event;
-    const isElsewhere = target !== document.body && !(viewer.element.closest(".look-pair") ?? viewer.element).contains(target);
-    if (isElsewhere || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
-    if (isBusy(target, event.key)) return;
-    if (act(viewer, event)) event.preventDefault();
-  };
-  document.addEventListener("keydown", listen);
-  return () => document.removeEventListener("keydown", listen);
-}
-
-/** Whether a control needs the key itself. */
-function isBusy(target, key) {
-  if (target.matches?.("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]")) return true;
-  if (key === " " || key === "Enter") return target.matches?.("button, input[type=checkbox], a, summary") ?? false;
-  if (target.matches?.("input[type=range]")) return ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"].includes(key);
-  if (target.matches?.("[role=tab], .look-scroll, .look-sheet")) return key.startsWith("Arrow") || key === "Home" || key === "End";
-  return false;
-}
-
-function act(viewer, { key, shiftKey }) {
-  const { player } = viewer;
-  const orbit = (...angles) => viewer.view?.stage.orbit(...angles);
-  const actions = {
-    " ": () => player.toggle(),
-    ArrowLeft: () => player.step(shiftKey ? -10 : -1),
-    ArrowRight: () => player.step(shiftKey ? 10 : 1),
-    Home: () => { player.pause(); player.seek(0); },
-    End: () => { player.pause(); player.seek(player.numFrames - 1); },
-    n: () => viewer.strips.goToSpot(1),
-    p: () => viewer.strips.goToSpot(-1),
-    f: () => viewer.fit(),
-    l: () => player.setLooping(!player.isLooping),
-    "-": () => viewer.changeSpeed(-1),
-    "+": () => viewer.changeSpeed(1),
-    "=": () => viewer.changeSpeed(1),
-    a: () => orbit(-TURN_RAD, 0),
-    d: () => orbit(TURN_RAD, 0),
-    w: () => orbit(0, -TURN_RAD),
-    s: () => orbit(0, TURN_RAD),
-    q: () => orbit(0, 0, 0.88),
-    e: () => orbit(0, 0, 1 / 0.88),
-    0: () => viewer.see(null),
-  };
-  if (/^[1-9]$/.test(key)) {
-    viewer.see(Number(key) - 1);
-    return true;
-  }
-  const action = actions[key.length === 1 ? key.toLowerCase() : key];
-  action?.();
-  return action !== undefined;
 }

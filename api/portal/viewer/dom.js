@@ -23,6 +23,7 @@ const ICONS = {
   loop: "M7 7h9V4l5 4.5L16 13v-3H7v4H4V9a2 2 0 0 1 2-2zM17 17H8v3l-5-4.5L8 11v3h9v-4h3v5a2 2 0 0 1-2 2z",
   previous: "M15 5l-7 7 7 7 1.6-1.6L11.200 12l5.400-5.400z",
   next: "M9 5l7 7-7 7-1.600-1.600L12.800 12 7.400 6.600z",
+  fill: "M3 3h7v2H5v5H3zM14 3h7v7h-2V5h-5zM3 14h2v5h5v2H3zM19 14h2v7h-7v-2h5z",
   enlarge: "M4 4h7v2H6v5H4zM13 18h5v-5h2v7h-7z",
 };
 

@@ -13,12 +13,12 @@ import { Viewer } from "./viewer.js";
 /**
  * Show a job's motion in an element.
  *
- * `source` has the methods of `ApiSource`. Returns a promise of the viewer, which has `player` and `close()`; it is rejected,
+ * `source` has the methods of `ApiSource`, `options` are of `Viewer`. Returns a promise of the viewer, which has `player` and `close()`; it is rejected,
  * and the element tells why, if the motion can't be read.
  */
-export async function mount(element, source) {
+export async function mount(element, source, options) {
   const [description] = await describe(element, [source]);
-  return viewJob(element, source, description, new Player(frameRange([description])));
+  return viewJob(element, source, description, new Player(frameRange([description])), options);
 }
 
 /**
@@ -31,11 +31,12 @@ export async function mountPair(element, sources, titles) {
   const player = new Player(frameRange(descriptions));
   const places = titles.map((title) => el("section", { class: "look-side", "aria-label": title }, el("h2", {}, title), el("div")));
   // One play head, one row of buttons: above both, so that they are in sight with the pictures.
-  element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared" }, transport(player)), places));
+  element.replaceChildren(el("div", { class: "look-pair" }, el("div", { class: "look-viewer look-shared look-row" }, transport(player)), places));
   const viewers = places.map((place, number) => viewJob(place.lastChild, sources[number], descriptions[number], player, { isLeader: number === 0, hasTransport: false }));
   player.mustWait = (now) => viewers.some((viewer) => viewer.isLate(now));
   linkOrbits(viewers);
   const [first, second] = viewers;
+  element.querySelector(".look-shared").append(first.tools.element);
   first.follower = second;
   return first;
 }
@@ -89,9 +90,10 @@ export class ApiSource {
 
   /**
    * `cameras` are the session's cameras, with the URLs of their videos; `addressed` completes addresses, as by the secret of a link;
-   * `hasCharacter`: the job moves a character.
+   * `hasCharacter`: the job moves a character. `fileRateHz` is the frame rate of the job's files, null for the capture's.
    */
-  constructor(jobId, cameras = [], addressed = (address) => address, { hasCharacter = false } = {}) {
+  constructor(jobId, cameras = [], addressed = (address) => address, { hasCharacter = false, fileRateHz = null } = {}) {
+    this.fileRateHz = fileRateHz;
     this.job = `/v1/jobs/${encodeURIComponent(jobId)}`;
     this.address = `${this.job}/motion`;
     this.addressed = addressed;

@@ -5,9 +5,10 @@ export const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
 // A tab that was in the background must not jump ahead by minutes.
 const MAX_ELAPSED_S = 1;
 
-/** Events: `time` when the play head has moved, `change` when playing, speed or loop has changed. */
+/** Events: `time` when the play head has moved, `change` when playing, speed, loop or the range has changed. */
 export class Player extends EventTarget {
   #timeS;
+  #marks = { fromS: -Infinity, toS: Infinity }; // of the range that is played
 
   /** Frames `0` to `numFrames - 1` are at `startS + frame / rateHz`; frame 0 has the number `firstSourceFrame` in the source. */
   constructor(range) {
@@ -44,6 +45,11 @@ export class Player extends EventTarget {
     return this.frameAt(this.#timeS);
   }
 
+  /** Time of the frame that is shown. */
+  get frameTimeS() {
+    return this.startS + this.frame / this.rateHz;
+  }
+
   frameAt(timeS) {
     return Math.min(this.numFrames - 1, Math.max(0, Math.round((timeS - this.startS) * this.rateHz)));
   }
@@ -57,13 +63,35 @@ export class Player extends EventTarget {
     this.dispatchEvent(new Event("time"));
   }
 
+  /** Frames that are played, from the first to the last one. */
+  get span() {
+    const { fromS, toS } = this.#marks;
+    return { from: this.frameAt(Math.max(fromS, this.startS)), to: this.frameAt(Math.min(toS, this.endS)) };
+  }
+
+  get hasSpan() {
+    const { from, to } = this.span;
+    return from > 0 || to < this.numFrames - 1;
+  }
+
+  /** Play the frames of a range alone; without a range, all frames. A mark behind the other one moves it away. */
+  setSpan({ from = null, to = null } = {}) {
+    const at = (frame) => this.startS + frame / this.rateHz;
+    const { span } = this;
+    const first = from ?? (to === null || span.from > to ? 0 : span.from);
+    const last = to ?? (from === null || span.to < from ? this.numFrames - 1 : span.to);
+    this.#marks = { fromS: first > 0 ? at(first) : -Infinity, toS: last < this.numFrames - 1 ? at(last) : Infinity };
+    this.#set({});
+  }
+
   step(frames) {
     this.pause();
     this.seek(this.frame + frames);
   }
 
   play() {
-    if (this.frame === this.numFrames - 1) this.seek(0);
+    const { from, to } = this.span;
+    if (this.frame >= to) this.seek(from);
     this.#set({ isPlaying: true });
   }
 
@@ -87,14 +115,16 @@ export class Player extends EventTarget {
   /** Let time pass while playing. Returns whether the play head has jumped back to the start. */
   advance(elapsedS) {
     if (!this.isPlaying) return false;
+    const [startS, endS] = [Math.max(this.#marks.fromS, this.startS), Math.min(this.#marks.toS, this.endS)];
     let timeS = this.#timeS + Math.min(elapsedS, MAX_ELAPSED_S) * this.speed;
-    const isOver = timeS > this.endS + 1 / this.rateHz;
+    // The last frame of all is shown for its duration; within the take, the next frame follows after half of it.
+    const isOver = timeS > endS + (endS < this.endS ? 0.5 : 1) / this.rateHz;
     if (isOver && !this.isLooping) {
       this.pause();
-      timeS = this.endS;
+      timeS = endS;
     }
     const isBack = isOver && this.isLooping;
-    this.#timeS = isBack ? this.startS : timeS;
+    this.#timeS = isBack ? startS : timeS;
     this.dispatchEvent(new Event("time"));
     return isBack;
   }
@@ -105,11 +135,10 @@ export class Player extends EventTarget {
   }
 }
 
-/** Frames of takes on the session's clock, from the first to the last. */
-export function frameRange(descriptions) {
-  const rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz));
+/** Frames of takes on the session's clock, from the first to the last: of their own rate, or of another one as in files. */
+export function frameRange(descriptions, rateHz = Math.max(...descriptions.map((take) => take.frame_rate_hz))) {
   const startS = Math.min(...descriptions.map((take) => take.start_time_s));
   const { first_source_frame: firstSourceFrame } = descriptions.find((take) => take.start_time_s === startS);
   const endS = Math.max(...descriptions.map((take) => take.start_time_s + (take.num_frames - 1) / take.frame_rate_hz));
-  return { startS, rateHz, numFrames: Math.round((endS - startS) * rateHz) + 1, firstSourceFrame };
+  return { startS, rateHz, numFrames: Math.floor((endS - startS) * rateHz + 1e-6) + 1, firstSourceFrame };
 }

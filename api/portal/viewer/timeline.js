@@ -20,6 +20,7 @@ export class Strips {
   #description;
   #range;
   #head;
+  #span; // range that is played
   #announce;
   #current = null;
 
@@ -30,23 +31,28 @@ export class Strips {
     this.#announce = announce;
     this.spots = description.people.map((_, person) => badSpots(description, person));
     this.#range = el("input", {
-      type: "range", class: "look-range", min: 0, max: Math.max(0, description.num_frames - 1), step: 1, value: 0,
+      type: "range", class: "look-range", min: 0, step: 1,
       "aria-label": VIEWER.head, oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
     });
+    this.#span = el("div", { class: "look-span", "aria-hidden": "true" });
     this.#head = el("div", { class: "look-head", "aria-hidden": "true" });
     const rows = description.people.map((person, number) => this.#row(person, number, onperson, isShown(number)));
     this.element = el("div", { class: "look-timeline" },
-      el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#range)),
+      el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#span, this.#range)),
       el("div", { class: "look-rows", role: "group", "aria-label": VIEWER.quality }, rows, this.#head),
       rows.length === 0 ? el("p", { class: "look-quiet" }, VIEWER.empty) : this.#legend());
-    player.addEventListener("time", () => this.draw(), { signal });
+    for (const type of ["time", "change"]) player.addEventListener(type, () => this.draw(), { signal });
     this.draw();
   }
 
   draw() {
-    const { frame, numFrames, rateHz, startS } = this.#player;
+    const { frame, frameTimeS, numFrames, span, hasSpan } = this.#player;
+    this.#range.max = Math.max(0, numFrames - 1);
     this.#range.value = frame;
-    this.#range.setAttribute("aria-valuetext", VIEWER.headAt(frame, (startS + frame / rateHz).toFixed(2)));
+    this.#range.setAttribute("aria-valuetext", VIEWER.headAt(frame, frameTimeS.toFixed(2)));
+    this.#span.hidden = !hasSpan;
+    this.#span.style.setProperty("--from", span.from / numFrames);
+    this.#span.style.setProperty("--to", (span.to + 1) / numFrames);
     this.#head.style.setProperty("--place", numFrames > 1 ? (frame + 0.5) / numFrames : 0.5);
   }
 
@@ -54,7 +60,8 @@ export class Strips {
   goToSpot(direction, person = null) {
     const all = (person === null ? this.spots.flatMap((spots, number) => spots.map((spot) => ({ ...spot, number })))
       : this.spots[person].map((spot) => ({ ...spot, number: person }))).sort((a, b) => a.from - b.from);
-    const { frame } = this.#player;
+    const { start_time_s: startS, frame_rate_hz: rateHz } = this.#description;
+    const frame = Math.round((this.#player.timeS - startS) * rateHz);
     // Spots of several people may begin in the same frame.
     const isNext = (spot) => (direction > 0 ? spot.from > frame : spot.from < frame);
     const found = direction > 0 ? all.find(isNext) : all.findLast(isNext);
@@ -63,7 +70,7 @@ export class Strips {
       return;
     }
     this.#player.pause();
-    this.#player.seek(found.from);
+    this.#player.seekTime(startS + found.from / rateHz);
     const { name } = this.#description.people[found.number];
     this.#announce(VIEWER.spotAt(name, found.from, found.reason));
   }
@@ -97,7 +104,7 @@ export class Strips {
     const seek = (event) => {
       const { left, width } = canvas.getBoundingClientRect();
       this.#player.pause();
-      this.#player.seek(Math.floor(((event.clientX - left) / width) * this.#description.num_frames));
+      this.#player.seek(Math.floor(((event.clientX - left) / width) * this.#player.numFrames));
     };
     canvas.addEventListener("pointerdown", (event) => {
       this.#current = event.pointerId;

@@ -1,11 +1,14 @@
 // Viewer of one take: 3D view and time line around a play head, and what a page puts beside them: videos and figures.
 
 import { VIEWER } from "../shared/strings/viewer.js";
-import { listenToKeys, ShapeChoice, transport, viewControls } from "./controls.js";
+import { ShapeChoice, transport, viewControls, viewerTools } from "./controls.js";
 import { el, graphics } from "./dom.js";
+import { keySheet, listenToKeys } from "./keys.js";
 import { frameRange, SPEEDS } from "./player.js";
 import { SceneView } from "./scene/scene_view.js";
 import { Strips } from "./timeline.js";
+
+const LAYOUT_KEY = "multicap-layout";
 
 export class Viewer {
   #isOpen = true;
@@ -17,16 +20,19 @@ export class Viewer {
   #ofStore = new AbortController(); // of what listens to the store
   #figuresEnd = new AbortController(); // of what listens to the play head for the figures
   #makeFigures;
+  #rateHz; // frames a second of the play head, unless it has the take's
 
   /**
    * `store` has the frames of the take. `source`, if there is one, has the files of a character. `videos` makes the wall of
-   * videos of this viewer, and `figures` the figures of its people.
+   * videos of this viewer, and `figures` the figures of its people. `editor`, if people can be edited, has `add(edit)`.
    *
    * A leader moves the play head and listens to the keys; the other viewers of a pair follow, and share its buttons.
    */
-  constructor(element, store, player, { source = null, videos = () => null, figures = () => null, isLeader = true, hasTransport = true } = {}) {
-    Object.assign(this, { store, player, isLeader, hasTransport });
+  constructor(element, store, player, { source = null, videos = () => null, figures = () => null, isLeader = true, hasTransport = true, editor = null } = {}) {
+    Object.assign(this, { store, player, isLeader, hasTransport, editor });
     this.seen = null;
+    this.layout = "both"; // also "scene", the 3D view alone, and "camera:NAME", a camera large
+    this.fileRateHz = source?.fileRateHz ?? null;
     this.follower = null; // viewer of another job that shares the play head
     this.#makeFigures = figures;
     player.mustWait = (now) => this.isLate(now);
@@ -36,6 +42,7 @@ export class Viewer {
     player.addEventListener("change", () => this.#show(), { signal });
     this.#listenToStore();
     this.#show(true);
+    if (this.wall !== null) this.#arrange(localStorage.getItem(LAYOUT_KEY));
     requestAnimationFrame((now) => this.#tick(now));
   }
 
@@ -64,7 +71,7 @@ export class Viewer {
     this.shown.forEach((isShown, person) => { if (!isShown) this.view?.setShown(person, false); });
     if (hadFocus && !hadFocus.isConnected) this.figures?.focus();
     this.#listenToStore();
-    this.player.setRange(frameRange([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description)));
+    this.#setRange();
     this.#show(true);
     this.wall?.redraw();
     if (hasNewFiles) this.shapes.renew();
@@ -72,8 +79,8 @@ export class Viewer {
 
   /** Output frame of this take at the play head; null before its start and after its end. */
   get frame() {
-    const { start_time_s: startS, frame_rate_hz: rateHz, num_frames: numFrames } = this.description;
-    const frame = Math.round((this.player.timeS - startS) * rateHz);
+    const { num_frames: numFrames } = this.description;
+    const frame = Math.round(this.#placeAt(this.player.timeS));
     // While it plays, the play head runs on for the duration of the last frame.
     return frame >= 0 && frame <= numFrames ? Math.min(frame, numFrames - 1) : null;
   }
@@ -83,6 +90,45 @@ export class Viewer {
     const { start_time_s: startS, frame_rate_hz: rateHz } = this.description;
     this.player.pause();
     this.player.seekTime(startS + frame / rateHz);
+  }
+
+  /** Show the 3D view alone, it and all cameras, or a camera large; kept for other takes. */
+  setLayout(layout) {
+    this.#arrange(layout);
+    localStorage.setItem(LAYOUT_KEY, this.layout);
+  }
+
+  /** Show the next of the layouts; of the cameras the one that is seen through, or the first. */
+  nextLayout() {
+    const { cameras } = this.description;
+    const next = { both: "scene", scene: `camera:${cameras[this.seen ?? 0]?.name}` };
+    if (this.wall !== null) this.setLayout(next[this.layout] ?? "both");
+  }
+
+  /** Fill the screen with the 3D view (`scene`) or a camera, until the browser ends it; or end it. */
+  fillScreen(layout) {
+    if (document.fullscreenElement !== null) return document.exitFullscreen();
+    const before = this.layout;
+    this.main.onfullscreenchange = () => {
+      const isFull = document.fullscreenElement === this.main;
+      this.element.classList.toggle("look-alone", isFull);
+      this.#arrange(isFull ? layout : before);
+    };
+    return this.main.requestFullscreen();
+  }
+
+  /** Step through the frames of the files, where they have another frame rate than the capture; null: of the capture. */
+  setRate(rateHz) {
+    this.#rateHz = rateHz ?? undefined;
+    this.#setRange();
+  }
+
+  /** Edit the take so that it has the frames of the played range alone. */
+  trim() {
+    const { from, to } = this.player.span;
+    const [start, last] = [from, to].map((frame) => this.description.first_frame + Math.round(this.#placeAt(this.player.startS + frame / this.player.rateHz)));
+    this.player.setSpan();
+    return this.editor.add({ action: "cut", start_frame: start, stop_frame: last + 1 });
   }
 
   /** Play head and view, for a viewer of the same capture that `resume` puts there. */
@@ -118,9 +164,25 @@ export class Viewer {
   /** See through a camera, by its number; null, or a number that no camera has: orbit again. */
   see(number) {
     this.seen = number !== null && number < this.description.cameras.length ? number : null;
-    this.view?.see(this.seen);
-    this.wall?.choose(this.seen);
+    this.wall?.choose(this.seen, this.scene);
+    this.element.classList.toggle("look-over", this.hasFootage);
+    this.view?.see(this.seen, this.hasFootage);
     this.controls.showSeen(this.seen);
+    this.showPeople();
+  }
+
+  /** Whether the 3D view is over the picture of a camera's video. */
+  get hasFootage() {
+    const tile = this.wall?.tiles[this.seen];
+    return (tile?.isLent && tile.isInTake) ?? false;
+  }
+
+  /** Put the people where they are at the play head, or in the picture of the camera that is seen through. */
+  showPeople() {
+    if (!this.#isDrawn || this.view === null) return;
+    if (this.seen !== null && this.hasFootage !== (this.view.stage.scene.background === null)) return this.see(this.seen);
+    const place = this.player.rateHz === this.description.frame_rate_hz ? this.frame : this.#placeAt(this.player.frameTimeS);
+    this.view.show(this.frame !== null && this.hasFootage ? this.#placeAt(this.wall.tiles[this.seen].shownS) : place);
   }
 
   changeSpeed(step) {
@@ -150,6 +212,26 @@ export class Viewer {
     this.store.addEventListener("problem", () => this.say(VIEWER.framesFailed(this.store.problem.message)), { signal });
   }
 
+  /** Place of a time among the frames of this take. */
+  #placeAt(timeS) {
+    return (timeS - this.description.start_time_s) * this.description.frame_rate_hz;
+  }
+
+  #setRange() {
+    const range = frameRange([this, this.follower].filter((viewer) => viewer !== null).map((viewer) => viewer.description), this.#rateHz);
+    this.player.setRange(this.#rateHz ? { ...range, firstSourceFrame: 0 } : range);
+  }
+
+  #arrange(layout) {
+    const camera = this.description.cameras.findIndex(({ name }) => layout === `camera:${name}`);
+    this.layout = camera >= 0 || layout === "scene" ? layout : "both";
+    this.element.dataset.layout = camera >= 0 ? "camera" : this.layout;
+    this.wall?.enlarge(camera >= 0 ? camera : null);
+    this.see(this.seen);
+    this.tools?.showLayout(this.layout);
+    if (this.follower !== null) this.follower.setLayout(layout);
+  }
+
   #build(element, source, videos) {
     const { description, player } = this;
     this.shown = description.people.map(() => true);
@@ -163,9 +245,12 @@ export class Viewer {
       : [el("p", { class: "look-no-3d" }, VIEWER.no3d)];
     this.wall = videos(this);
     this.#buildFigures();
-    this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" },
-      el("div", { class: "look-top" }, el("div", { class: "look-view" }, drawn, this.shapes.progress, this.status), this.wall?.element),
-      this.hasTransport ? transport(player) : null, this.strips.element, this.figures?.element);
+    this.scene = el("div", { class: "look-view" }, drawn, this.shapes.progress, this.status);
+    this.tools = this.isLeader ? viewerTools(this) : null;
+    this.sheet = this.isLeader ? keySheet() : null;
+    this.main = el("div", { class: "look-main" }, el("div", { class: "look-top" }, this.scene, this.wall?.element),
+      this.hasTransport ? el("div", { class: "look-row" }, transport(player), this.tools.element) : null, this.strips.element, this.sheet);
+    this.element = el("div", { class: this.isLeader ? "look-viewer" : "look-viewer look-follower" }, this.main, this.figures?.element);
     element.replaceChildren(this.element);
     this.view = draws ? new SceneView(this.canvas, layer, this.store) : null;
     this.unlisten = listenToKeys(this);
@@ -201,7 +286,7 @@ export class Viewer {
     if (frame !== null) this.store.want(frame);
     if (isNew || frame !== this.#shownFrame) {
       this.#shownFrame = frame;
-      if (this.#isDrawn) this.view?.show(frame);
+      if (this.#isDrawn) this.showPeople();
       else if (frame === null || this.store.has(frame)) this.#first(frame);
     }
     this.wall?.follow();
@@ -224,7 +309,7 @@ export class Viewer {
     const elapsedS = (now - this.#lastTick) / 1000;
     this.#lastTick = now;
     if (this.isLeader && this.player.isPlaying && !this.player.mustWait(now)) this.player.advance(elapsedS);
-    this.view?.draw(now);
+    if (this.scene.clientWidth > 0) this.view?.draw(now);
     requestAnimationFrame((next) => this.#tick(next));
   }
 }

@@ -80,7 +80,7 @@ export class PeoplePanel {
 
   #panel() {
     const { editing } = this;
-    return html`<section class="panel people" aria-labelledby="people-title" @keydown=${(event) => this.#key(event)}>
+    return html`<section class="panel people" aria-labelledby="people-title">
       <div class="head"><div class="with-help"><h2 id="people-title">${PEOPLE.title}</h2>${helpLink("people-and-edits", PEOPLE.title)}</div>${this.#state()}</div>
       ${this.#notices()}
       ${lanes(this)}
@@ -148,8 +148,10 @@ export class PeoplePanel {
     feed.put(await call(this.editing.job.urls.retry, { method: "POST" }));
   }
 
-  #key(event) {
-    if (!(event.ctrlKey || event.metaKey) || event.target.matches("input:not([type=radio])")) return;
+  // Undo and redo by keys that are pressed anywhere on the page, but where a text is typed.
+  key(event) {
+    const isText = event.target.matches("input:not([type=radio], [type=checkbox], [type=range]), textarea");
+    if (!this.#isOpen || this.people === null || isText || !(event.ctrlKey || event.metaKey)) return;
     const key = event.key.toLowerCase();
     const isRedo = key === "y" || (key === "z" && event.shiftKey);
     if (!isRedo && key !== "z") return;

@@ -3,6 +3,7 @@
 export const TAKE = {
   title: "Take",
   captures: "Captures",
+  warnings: (number) => `${number} ${number === 1 ? "warning" : "warnings"}`,
   compare: "Compare with",
   noOther: "no other job",
   files: "Files",

@@ -54,6 +54,19 @@ export function between(before, after, share, out) {
   return out;
 }
 
+/**
+ * Write a person's positions at a place between two frames of a store, as its `positions` does; whether there are any.
+ *
+ * `next` is room for as many positions.
+ */
+export function positionsAt(store, person, place, field, out, next) {
+  const frame = Math.floor(place + 1e-6);
+  if (!store.positions(person, frame, field, out)) return false;
+  const share = place - frame;
+  if (share > 1e-3 && store.positions(person, frame + 1, field, next)) between(out, next, share, out);
+  return true;
+}
+
 /** Whether a foot stands on the floor in a frame; `contacts` are the rows of a person's description. */
 export function standing(contacts, side, frame) {
   return contacts.some(([ofSide, , first, count]) => ofSide === side && frame >= first && frame < first + count);

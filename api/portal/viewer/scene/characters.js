@@ -73,7 +73,7 @@ export class CharacterFigures {
     if (this.#model !== null && this.#model !== model) release(this.#model.scene);
     this.#model = model;
     this.#figures = new Map(figures.map((figure) => [figure.motion.file.id, figure]));
-    for (const { group } of figures) this.#stage.scene.add(group);
+    for (const { group } of figures) this.#stage.add(group);
   }
 }
 

@@ -1,7 +1,7 @@
 // People in 3D: bodies of humans, capsules or characters, skeletons of lines, trails and contacts of feet. One draw call for each.
 
 import * as THREE from "../../vendor/three/three.module.js";
-import { standing } from "../motion/kinematics.js";
+import { positionsAt, standing } from "../motion/kinematics.js";
 import { BodyPose, TRANSFORM_VALUES } from "../motion/orientations.js";
 import { integers } from "../motion/records.js";
 
@@ -24,6 +24,7 @@ export class PeopleFigures {
   #bones;
   #positions;
   #marks; // positions of the detector's joints
+  #next; // room for positions of the frame after a place
   #matrix = new THREE.Matrix4();
   #direction = new THREE.Vector3();
   #turn = new THREE.Quaternion();
@@ -43,6 +44,7 @@ export class PeopleFigures {
       .filter(({ parent, joint }) => parent !== null && !/^(Left|Right)Shoulder$/.test(skeleton.names[joint]));
     this.#positions = new Float32Array(3 * skeleton.names.length);
     this.#marks = new Float32Array(3 * marks.length);
+    this.#next = { skeleton: this.#positions.slice(), joints: this.#marks.slice() };
     // Capsules are shown where the description has no human bodies.
     this.humans = body && people.length > 0 ? new HumanBodies(stage, store.description) : null;
     this.joints = Object.fromEntries(skeleton.names.map((name, number) => [name, number]));
@@ -56,18 +58,20 @@ export class PeopleFigures {
     this.#people[person].isShown = isShown;
   }
 
-  show(frame) {
+  /** Put everybody where they are at a place, a frame or between two frames. */
+  show(place) {
+    const frame = Math.round(place);
     const { body, shape, skeleton, contacts } = this.options;
     const isHuman = shape === "human" && this.humans !== null;
     const isCapsule = shape === "capsule" || (shape === "human" && !isHuman);
     let segment = 0;
     this.characters.hide();
     this.#people.forEach((person, number) => {
-      const isHere = person.isShown && this.#store.positions(number, frame, "skeleton", this.#positions);
+      const isHere = person.isShown && this.#place(number, place, "skeleton", this.#positions);
       this.#anchor(number, isHere);
       this.#showCapsules(number, isHere && body && isCapsule);
-      this.#showHuman(number, isHere && body && isHuman, frame);
-      if (isHere && body && shape === "character") this.#showCharacter(number, frame);
+      this.#showHuman(number, isHere && body && isHuman, place);
+      if (isHere && body && shape === "character") this.#showCharacter(number, place);
       if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
       this.#showContacts(number, person, isHere && contacts, frame);
     });
@@ -86,7 +90,7 @@ export class PeopleFigures {
   boxAt(frame) {
     const box = new THREE.Box3();
     this.#people.forEach((person, number) => {
-      if (!person.isShown || !this.#store.positions(number, frame, "skeleton", this.#positions)) return;
+      if (!person.isShown || !this.#place(number, frame, "skeleton", this.#positions)) return;
       for (let joint = 0; joint < this.#positions.length; joint += 3) {
         if (Number.isFinite(this.#positions[joint])) box.expandByPoint(this.#from.fromArray(this.#positions, joint));
       }
@@ -121,8 +125,12 @@ export class PeopleFigures {
     this.trails = colouredLines(numPeople * TRAILED.length * TRAIL_STEPS);
     for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
       mesh.frustumCulled = false; // bounds of what moves would have to be computed for each frame
-      this.stage.scene.add(mesh);
+      this.stage.add(mesh);
     }
+  }
+
+  #place(person, place, field, out) {
+    return positionsAt(this.#store, person, place, field, out, this.#next[field]);
   }
 
   #anchor(number, isHere) {
@@ -133,14 +141,15 @@ export class PeopleFigures {
     if (top !== undefined) anchor.fromArray(this.#positions, 3 * top).z += 0.18;
   }
 
-  #showHuman(number, isShown, frame) {
-    if (isShown && this.#store.positions(number, frame, "joints", this.#marks)) this.humans.show(number, this.#positions, this.#marks);
+  #showHuman(number, isShown, place) {
+    if (isShown && this.#place(number, place, "joints", this.#marks)) this.humans.show(number, this.#positions, this.#marks);
     else this.humans?.hide(number);
   }
 
-  #showCharacter(number, frame) {
+  #showCharacter(number, place) {
+    const frame = Math.floor(place);
     const filed = this.#store.filed(number, frame);
-    if (filed !== null) this.characters.show(filed.id, filed.frame / this.#store.description.frame_rate_hz);
+    if (filed !== null) this.characters.show(filed.id, (filed.frame + place - frame) / this.#store.description.frame_rate_hz);
   }
 
   #showCapsules(number, isShown) {
@@ -199,7 +208,7 @@ export class PeopleFigures {
     const stride = Math.max(1, Math.round((TRAIL_S * frame_rate_hz) / TRAIL_STEPS));
     const points = this.trails.geometry.getAttribute("position");
     const colors = this.trails.geometry.getAttribute("color");
-    const background = this.stage.scene.background;
+    const { background } = this.stage;
     let vertex = 0;
     const numSteps = this.options.trails ? Math.min(TRAIL_STEPS, Math.round((TRAIL_S * frame_rate_hz) / stride)) : 0;
     const before = new Float32Array(this.#positions.length);
@@ -263,7 +272,7 @@ class HumanBodies {
     // Bounds of what moves would have to be computed for each frame.
     this.mesh.frustumCulled = false;
     this.mesh.boundingSphere = new THREE.Sphere();
-    stage.scene.add(this.mesh);
+    stage.add(this.mesh);
   }
 
   /** Bend a person's body to positions of the skeleton's joints and of the detector's. */

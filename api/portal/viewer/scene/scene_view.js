@@ -55,7 +55,7 @@ export class SceneView {
     this.#fit(OBLIQUE);
   }
 
-  /** Put everybody where they are in a frame; null: nobody is there. */
+  /** Put everybody where they are in a frame, or between two frames; null: nobody is there. */
   show(frame) {
     this.#frame = frame ?? -1;
     this.people.show(this.#frame);
@@ -67,11 +67,11 @@ export class SceneView {
     this.#fit(DIRECTIONS[direction] ?? null);
   }
 
-  /** See through a camera; null: orbit again. */
-  see(number) {
+  /** See through a camera; null: orbit again. `isClear`: its picture is behind the view. */
+  see(number, isClear = false) {
     this.seen = number;
     if (number === null) this.stage.leaveCamera();
-    else this.stage.lookThrough(this.cameras[number]);
+    else this.stage.lookThrough(this.cameras[number], isClear);
     this.rig.choose(number);
     this.#showCameras();
   }

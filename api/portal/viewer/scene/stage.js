@@ -3,6 +3,7 @@
 import { OrbitControls } from "../../vendor/three/addons/controls/OrbitControls.js";
 import * as THREE from "../../vendor/three/three.module.js";
 import { graphics } from "../dom.js";
+import { prepareLens } from "../video/overlay.js";
 
 const BACKGROUND = 0x161b1a;
 const FIELD_OF_VIEW_DEG = 42;
@@ -15,7 +16,34 @@ const PAUSE_MS = 2000;
 // Time without a change after which the view is at rest, and is drawn with all pixels.
 const REST_MS = 250;
 
+// Bends what is seen through a camera as its lens does (video/overlay.js): a vertex where the picture shows it. Beyond the reach
+// of the model, points go on straight.
+const BEND = `
+  uniform vec4 lens[3];
+  uniform vec2 lensKind; // 0 none, 1 standard, 2 fisheye; reach
+  vec4 bend(vec4 point) {
+    if (lensKind.x < 0.5 || point.z > -1e-3) return point;
+    vec2 ideal = vec2(point.x, -point.y) / -point.z;
+    vec2 q = ideal * min(1.0, lensKind.y / max(length(ideal), 1e-9));
+    float r2 = dot(q, q);
+    vec2 bent = q;
+    if (lensKind.x > 1.5) {
+      float radius = sqrt(r2), a = atan(radius), a2 = a * a;
+      float grown = a * (1.0 + a2 * (lens[0].x + a2 * (lens[0].y + a2 * (lens[0].z + a2 * lens[0].w))));
+      bent = radius > 1e-9 ? q * grown / radius : q;
+    } else {
+      float radial = (1.0 + r2 * (lens[0].x + r2 * (lens[0].y + r2 * lens[1].x))) / (1.0 + r2 * (lens[1].y + r2 * (lens[1].z + r2 * lens[1].w)));
+      vec2 p = lens[0].zw;
+      bent = q * radial + 2.0 * p * q.x * q.y + p.yx * (r2 + 2.0 * q * q) + r2 * (lens[2].xz + lens[2].yw * r2);
+    }
+    bent += ideal - q;
+    return vec4(bent.x * -point.z, bent.y * point.z, point.zw);
+  }`;
+const PLACED = "#include <project_vertex>\n  gl_Position = projectionMatrix * bend(mvPosition);";
+
 export class Canvas3D {
+  #lens = { lens: { value: [0, 1, 2].map(() => new THREE.Vector4()) }, lensKind: { value: new THREE.Vector2() } };
+  #project3D = null; // of the camera that is seen through
   #needsDraw = true;
   #durations = [];
   #lastDraw = 0;
@@ -27,10 +55,13 @@ export class Canvas3D {
   constructor(canvas, floor) {
     this.canvas = canvas;
     // Without a graphics card, smoothing of edges would cost more than all the rest.
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !graphics().isSoftware, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: true, antialias: !graphics().isSoftware, powerPreference: "high-performance" });
     this.renderer.setPixelRatio(this.#pixelRatio);
     this.scene = new THREE.Scene();
-    this.scene.background = new THREE.Color(BACKGROUND);
+    this.background = new THREE.Color(BACKGROUND);
+    this.scene.background = this.background;
+    this.ground = new THREE.Group();
+    this.scene.add(this.ground);
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.05, 500);
     this.camera.up.set(0, 0, 1);
     this.camera.position.set(4, -6, 3);
@@ -53,6 +84,19 @@ export class Canvas3D {
   /** Ask for a new picture at the next frame of the browser. */
   invalidate() {
     this.#needsDraw = true;
+  }
+
+  /** Add an object, which the lens of a camera bends that it is seen through. */
+  add(object) {
+    this.scene.add(object);
+    object.traverse(({ material }) => {
+      for (const one of [material ?? []].flat()) {
+        one.onBeforeCompile = (shader) => {
+          Object.assign(shader.uniforms, this.#lens);
+          shader.vertexShader = `${BEND}\n${shader.vertexShader.replace("#include <project_vertex>", PLACED)}`;
+        };
+      }
+    });
   }
 
   floorZ(x, y) {
@@ -79,7 +123,7 @@ export class Canvas3D {
     geometry.setAttribute("color", new THREE.Float32BufferAttribute(colors, 3));
     const ground = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ vertexColors: true }));
     ground.renderOrder = -1;
-    this.scene.add(ground);
+    this.ground.add(ground);
     this.#addAxes(x0, y0);
   }
 
@@ -87,27 +131,40 @@ export class Canvas3D {
   #addAxes(x, y) {
     const axes = new THREE.AxesHelper(0.8);
     axes.position.set(x, y, this.floorZ(x, y) + 0.004);
-    this.scene.add(axes);
+    this.ground.add(axes);
   }
 
-  /** Look at a box from a direction, so that all of it is in view. */
+  /** Look at a box from a direction, as near as all of it is in view. */
   fit(box, direction = null) {
     this.leaveCamera();
-    const sphere = box.getBoundingSphere(new THREE.Sphere());
-    const half = THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2);
-    const narrow = Math.min(half, Math.atan(Math.tan(half) * this.camera.aspect));
-    const distance = Math.max(1.5, (sphere.radius / Math.sin(narrow)) * 0.92);
-    const towards = direction ?? this.camera.position.clone().sub(this.controls.target).normalize();
-    this.controls.target.copy(sphere.center);
-    this.camera.position.copy(sphere.center).addScaledVector(towards, distance);
+    const towards = (direction ?? this.camera.position.clone().sub(this.controls.target)).clone().normalize();
+    const right = new THREE.Vector3(0, 0, 1).cross(towards).normalize();
+    const up = towards.clone().cross(right);
+    const tangent = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
+    const center = box.getCenter(new THREE.Vector3());
+    let distance = 1.5;
+    for (let corner = 0; corner < 8; corner++) {
+      const [x, y, z] = ["x", "y", "z"].map((axis, bit) => (corner >> bit & 1 ? box.max : box.min)[axis]);
+      const offset = new THREE.Vector3(x, y, z).sub(center);
+      const across = Math.max(Math.abs(offset.dot(right)) / this.camera.aspect, Math.abs(offset.dot(up)));
+      distance = Math.max(distance, offset.dot(towards) + across / tangent);
+    }
+    this.controls.target.copy(center);
+    this.camera.position.copy(center).addScaledVector(towards, distance);
     this.controls.update();
     this.invalidate();
   }
 
-  /** See what a camera of the capture sees: its place and its camera matrix, without distortion. */
-  lookThrough({ matrix, size_px: [width, height], cam_from_world: { rotation: r, translation_m: t } }) {
+  /** See what a camera of the capture sees: from its place, with its camera matrix and its lens. `isClear`: over its picture. */
+  lookThrough(camera, isClear = false) {
+    const { matrix, size_px: [width, height], lens, distortion, cam_from_world: { rotation: r, translation_m: t } } = camera;
     this.#orbit ??= { position: this.camera.position.clone(), target: this.controls.target.clone() };
-    this.throughMatrix = { fx: matrix[0][0], fy: matrix[1][1], cx: matrix[0][2], cy: matrix[1][2], width, height };
+    this.throughMatrix = { fx: matrix[0][0], fy: matrix[1][1], cx: matrix[0][2], cy: matrix[1][2], skew: matrix[0][1], width, height };
+    this.#project3D = prepareLens(camera);
+    this.#lens.lens.value.forEach((part, number) => part.fromArray([0, 1, 2, 3].map((place) => distortion[4 * number + place] ?? 0)));
+    this.#lens.lensKind.value.set(lens === "fisheye" ? 2 : 1, this.#project3D.reach);
+    this.scene.background = isClear ? null : this.background;
+    this.ground.visible = false; // its long lines would stay straight
     this.controls.enabled = false;
     // Rows of the rotation are the camera's axes: x to the right, y down, z forward. WebGL's y is up and z backward.
     const world = new THREE.Matrix4().set(
@@ -126,6 +183,9 @@ export class Canvas3D {
   leaveCamera() {
     if (!this.throughMatrix) return;
     this.throughMatrix = null;
+    this.#lens.lensKind.value.setX(0);
+    this.scene.background = this.background;
+    this.ground.visible = true;
     this.controls.enabled = true;
     this.camera.position.copy(this.#orbit.position);
     this.controls.target.copy(this.#orbit.target);
@@ -184,6 +244,12 @@ export class Canvas3D {
 
   /** Place of a world point in the canvas in CSS pixels, and whether it is in front of the camera. */
   toScreen(point, out) {
+    if (this.throughMatrix) {
+      const [u, v] = this.#project3D.project(point.x, point.y, point.z, [0, 0]);
+      const { left, top, pixels } = this.#picture();
+      out.set(left + (u + 0.5) / pixels, top + (v + 0.5) / pixels, 0);
+      return out.x > 0 && out.y > 0 && out.x < this.canvas.clientWidth && out.y < this.canvas.clientHeight;
+    }
     out.copy(point).project(this.camera);
     const isVisible = out.z < 1 && Math.abs(out.x) < 1.1 && Math.abs(out.y) < 1.1;
     out.x = (0.5 + out.x / 2) * this.canvas.clientWidth;
@@ -218,16 +284,24 @@ export class Canvas3D {
     this.camera.aspect = aspect;
     this.camera.updateProjectionMatrix();
     if (!this.throughMatrix) return;
-    const { fx, fy, cx, cy, width, height } = this.throughMatrix;
-    // The picture is as large as fits; what is beside it is shown too.
-    const pixels = Math.max(width / clientWidth, height / clientHeight);
+    const { fx, fy, cx, cy, skew, width, height } = this.throughMatrix;
+    const { pixels } = this.#picture();
     const [half, upright] = [(clientWidth * pixels) / 2, (clientHeight * pixels) / 2];
     const { near, far } = this.camera;
     const [x, y] = [cx + 0.5 - width / 2, cy + 0.5 - height / 2];
     this.camera.projectionMatrix.makePerspective(
       ((-half - x) / fx) * near, ((half - x) / fx) * near, ((upright + y) / fy) * near, ((-upright + y) / fy) * near, near, far,
     );
+    this.camera.projectionMatrix.elements[4] = -skew / half;
     this.camera.projectionMatrixInverse.copy(this.camera.projectionMatrix).invert();
+  }
+
+  /** Place of the picture of the camera that is seen through: as large as fits; what is beside it is shown too. */
+  #picture() {
+    const { width, height } = this.throughMatrix;
+    const { clientWidth, clientHeight } = this.canvas.parentElement;
+    const pixels = Math.max(width / clientWidth, height / clientHeight);
+    return { pixels, left: (clientWidth - width / pixels) / 2, top: (clientHeight - height / pixels) / 2 };
   }
 
   /** Draw with fewer pixels where drawing is slow, and with all of them where it is fast. */

@@ -85,16 +85,29 @@ export class SkeletonDrawing {
 const MIN_DEPTH_M = 1e-6;
 const MAX_ANGLE_RAD = (85 * Math.PI) / 180;
 const TINY = 1e-9;
+const [REACH_STEP, MAX_REACH] = [0.01, 12];
+const [NEWTON_ROUNDS, SLOPE_STEP] = [12, 1e-6];
 const SCAN_STEPS = 2000;
 const BISECTIONS = 50;
 
-/** Prepared projection of a camera of the description: `project(x, y, z, out)` writes pixels, NaN where it sees nothing. */
+/**
+ * Prepared projection of a camera of the description.
+ *
+ * `project(x, y, z, out)` writes pixels, NaN where it sees nothing. `reach` is the distance from the axis, at depth 1, up to
+ * which the model holds in and around the picture. `ray(u, v)` is the direction in the world of what a pixel shows.
+ */
 export function prepareLens(camera) {
   const { rotation: r, translation_m: t } = camera.cam_from_world;
   const [[fx, skew, cx], [skewY, fy, cy]] = camera.matrix;
   const bend = camera.lens === "fisheye" ? fisheye(camera.distortion) : standard(camera.distortion);
   const bent = [0, 0];
   return {
+    reach: findReach(bend, camera),
+    ray(u, v) {
+      const y = (v - cy - (skewY / fx) * (u - cx)) / (fy - (skewY * skew) / fx);
+      const [a, b] = straighten(bend, (u - cx - skew * y) / fx, y);
+      return [0, 1, 2].map((axis) => r[0][axis] * a + r[1][axis] * b + r[2][axis]);
+    },
     project(x, y, z, out) {
       const depth = r[2][0] * x + r[2][1] * y + r[2][2] * z + t[2];
       if (!(depth > MIN_DEPTH_M)) {
@@ -111,6 +124,38 @@ export function prepareLens(camera) {
       return out;
     },
   };
+}
+
+/** Farthest distance from the axis, at depth 1, that is within a quarter of the picture's size around it; beyond, models fold over. */
+function findReach(bend, { matrix, size_px: [width, height] }) {
+  const farPx = [matrix[0][2], width - matrix[0][2]].map((x) => Math.hypot(x / matrix[0][0], Math.max(matrix[1][2], height - matrix[1][2]) / matrix[1][1]));
+  const limit = 1.25 * Math.max(...farPx);
+  const out = [0, 0];
+  let [reach, radius] = [0, 0];
+  for (let far = REACH_STEP; far < MAX_REACH; far += REACH_STEP) {
+    bend(far, 0, out);
+    if (!(out[0] > radius) || radius > limit) break;
+    [reach, radius] = [far, out[0]];
+  }
+  return reach;
+}
+
+/** Point at depth 1 whose bent place is `(u, v)`: Newton's method with differences for slopes. */
+function straighten(bend, u, v) {
+  const [at, right, below] = [[0, 0], [0, 0], [0, 0]];
+  let [x, y] = [u, v];
+  for (let round = 0; round < NEWTON_ROUNDS; round++) {
+    bend(x, y, at);
+    bend(x + SLOPE_STEP, y, right);
+    bend(x, y + SLOPE_STEP, below);
+    const [a, b, c, d] = [right[0] - at[0], below[0] - at[0], right[1] - at[1], below[1] - at[1]].map((change) => change / SLOPE_STEP);
+    const [du, dv] = [u - at[0], v - at[1]];
+    const det = a * d - b * c;
+    if (!(Math.abs(det) > TINY)) break;
+    x += (d * du - b * dv) / det;
+    y += (a * dv - c * du) / det;
+  }
+  return [x, y];
 }
 
 /** OpenCV's standard model with 0, 4, 5, 8 or 12 coefficients: k1, k2, p1, p2, k3, k4, k5, k6, s1 to s4. */

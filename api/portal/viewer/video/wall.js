@@ -2,24 +2,28 @@
 
 import { VIEWER } from "../../shared/strings/viewer.js";
 import { el, graphics, iconButton } from "../dom.js";
-import { between } from "../motion/kinematics.js";
+import { positionsAt } from "../motion/kinematics.js";
 import { FrameClock } from "./frame_times.js";
 import { Film } from "./film.js";
 import { SkeletonDrawing } from "./overlay.js";
 import { Pictures } from "./pictures.js";
 
-// Largest share of the width that videos take beside the 3D view.
+// Largest share of the width that videos take beside the 3D view, and the width that the 3D view keeps beside a large one.
 const WIDEST = 0.44;
-const WIDEST_LARGE = 0.6;
+const BESIDE_PX = 300;
 
 export class Wall {
-  #enlarged = null;
+  #large = null; // number of the camera that is shown alone
 
   constructor(viewer, source) {
     const { store, player } = viewer;
-    const onthrough = (number) => viewer.see(viewer.seen === number ? null : number);
-    const isShown = (person) => viewer.shown[person];
-    this.tiles = store.description.cameras.map((camera, number) => new Tile(camera, number, store, player, { onthrough, isShown, onenlarge: (tile) => this.#enlarge(tile) }));
+    const on = {
+      through: (number) => viewer.see(viewer.seen === number ? null : number),
+      enlarge: ({ number, camera }) => viewer.setLayout(number === this.#large ? "both" : `camera:${camera.name}`),
+      fill: ({ camera }) => viewer.fillScreen(`camera:${camera.name}`),
+      picture: (number) => { if (viewer.seen === number) viewer.showPeople(); },
+    };
+    this.tiles = store.description.cameras.map((camera, number) => new Tile(camera, number, store, player, { on, isShown: (person) => viewer.shown[person] }));
     this.element = el("div", { class: "look-wall", role: "group", "aria-label": VIEWER.videos }, this.tiles.map((tile) => tile.element));
     for (const tile of this.tiles) this.#load(tile, source);
     this.resizing = new ResizeObserver(() => this.#arrange());
@@ -48,9 +52,21 @@ export class Wall {
     return this.tiles.filter((tile) => tile.isBehind(now)).length > 0;
   }
 
-  /** Mark the camera that the 3D view looks through. */
-  choose(number) {
-    this.tiles.forEach((tile) => tile.element.classList.toggle("look-chosen", tile.number === number));
+  /** Show the picture of the camera that the 3D view looks through behind it, in `place`, unless it is large; null: in the wall. */
+  choose(number, place) {
+    this.resizing.observe(place);
+    for (const tile of this.tiles) tile.lend(tile.number === number && number !== this.#large ? place : null);
+  }
+
+  /** Show one camera alone, by its number; null: all of them. */
+  enlarge(number) {
+    this.#large = number;
+    for (const tile of this.tiles) {
+      tile.element.classList.toggle("look-large", tile.number === number);
+      tile.element.querySelector(".look-icon").setAttribute("aria-pressed", String(tile.number === number));
+    }
+    this.element.classList.toggle("look-has-large", number !== null);
+    this.#arrange();
   }
 
   close() {
@@ -73,8 +89,8 @@ export class Wall {
     }
     this.element.style.setProperty("--columns", best.columns);
     this.element.style.setProperty("--tile", `${Math.floor(best.size) - 5}px`);
-    const large = this.#enlarged?.camera.size_px ?? [1, 1];
-    this.element.style.setProperty("--large", `${Math.floor(Math.min(width * WIDEST_LARGE, (height * large[0]) / large[1]))}px`);
+    const [w, h] = this.tiles[this.#large]?.camera.size_px ?? [1, 1];
+    this.element.style.setProperty("--large", `${Math.floor(Math.min(Math.max(width / 2, width - BESIDE_PX), (height * w) / h))}px`);
     this.tiles.forEach((tile) => tile.resize());
   }
 
@@ -84,17 +100,6 @@ export class Wall {
     } catch (error) {
       tile.note.textContent = error.message;
     }
-  }
-
-  #enlarge(tile) {
-    this.#enlarged = this.#enlarged === tile ? null : tile;
-    for (const other of this.tiles) {
-      const isLarge = other === this.#enlarged;
-      other.element.classList.toggle("look-large", isLarge);
-      other.element.querySelector(".look-icon").setAttribute("aria-pressed", String(isLarge));
-    }
-    this.element.classList.toggle("look-has-large", this.#enlarged !== null);
-    this.#arrange();
   }
 }
 
@@ -136,8 +141,9 @@ export class Tile {
   #waitedMs = 0; // for the video since playing began
   #askedAt = null;
 
-  constructor(camera, number, store, player, { onenlarge, onthrough, isShown }) {
-    Object.assign(this, { camera, number });
+  constructor(camera, number, store, player, { on, isShown }) {
+    Object.assign(this, { camera, number, on });
+    this.isLent = false; // whether the picture is behind the 3D view
     this.#player = player;
     this.#isShown = isShown;
     this.#clock = new FrameClock(camera.clock);
@@ -145,11 +151,12 @@ export class Tile {
     this.video.muted = true;
     this.canvas = el("canvas", { role: "img", "aria-label": VIEWER.picture(camera.name) });
     this.note = el("p", { class: "look-tile-note" }, VIEWER.noVideo);
-    this.element = el("figure", { class: "look-tile" },
-      el("div", { class: "look-picture" }, this.video, this.canvas, this.note),
-      el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: VIEWER.seeThrough(camera.name, number + 1), onclick: () => onthrough(number) }, camera.name),
-        iconButton("enlarge", VIEWER.enlarge(camera.name), () => onenlarge(this), { "aria-pressed": "false" })));
-    this.element.style.setProperty("--ratio", `${camera.size_px[0]} / ${camera.size_px[1]}`);
+    this.picture = el("div", { class: "look-picture" }, this.video, this.canvas, this.note);
+    this.element = el("figure", { class: "look-tile" }, this.picture,
+      el("figcaption", {}, el("button", { type: "button", class: "look-tile-name", title: VIEWER.seeThrough(camera.name, number + 1), onclick: () => on.through(number) }, camera.name),
+        el("span", { class: "look-bar" }, iconButton("enlarge", VIEWER.enlarge(camera.name), () => on.enlarge(this), { "aria-pressed": "false" }),
+          document.fullscreenEnabled ? iconButton("fill", VIEWER.fillWith(camera.name), () => on.fill(this)) : null)));
+    for (const part of [this.element, this.picture]) part.style.setProperty("--ratio", camera.size_px[0] / camera.size_px[1]);
     this.#numVideos = store.description.cameras.length;
     this.#overlay = new SkeletonDrawing(this.canvas, camera, store.description);
     this.replace(store);
@@ -166,6 +173,15 @@ export class Tile {
   /** Time on the session's clock of what the tile shows: the time of the video's picture, or the play head without a video. */
   get shownS() {
     return this.#shown ?? this.#player.timeS;
+  }
+
+  /** Show the picture in another place, such as behind the 3D view, without the skeletons; null: in the tile. */
+  lend(place) {
+    if (this.isLent === (place !== null)) return;
+    this.isLent = place !== null;
+    (place ?? this.element).prepend(this.picture);
+    this.element.classList.toggle("look-lent", this.isLent);
+    this.resize();
   }
 
   /** Whether a picture of the video is there and belongs to the play head's time. */
@@ -196,7 +212,7 @@ export class Tile {
     }
     this.#film = film;
     this.#pictures = new Pictures(this.#numVideos);
-    this.element.classList.add("look-kept");
+    this.picture.classList.add("look-kept");
     this.resize();
     try {
       await film.run(() => this.#missing(), (frame, picture) => this.#take(frame, picture));
@@ -204,7 +220,7 @@ export class Tile {
       if (!this.#isOpen) return undefined;
       film.close();
       [this.#film, this.#pictures, this.#shownFrame, this.#isShowing] = [null, null, null, false];
-      this.element.classList.remove("look-kept");
+      this.picture.classList.remove("look-kept");
       this.video.src = url;
     }
     return undefined;
@@ -212,9 +228,10 @@ export class Tile {
 
   /** Bring the video to the play head: exactly while it rests, by its speed and by waiting while it plays. */
   follow() {
+    if (this.#isHidden) return this.video.pause();
     if (!this.#isShowing && this.#film === null) return this.draw();
     const frame = this.#clock.frameAt(this.#player.timeS);
-    this.element.classList.toggle("look-out", frame === null);
+    this.picture.classList.toggle("look-out", frame === null);
     if (!this.#player.isPlaying) this.#waitedMs = 0;
     if (frame === null) [this.#shown, this.#shownFrame] = [null, null]; // the camera took none
     if (this.#film !== null) this.#showKept(frame);
@@ -226,7 +243,7 @@ export class Tile {
 
   /** Whether the play head must wait for this video. */
   isBehind(now) {
-    if (!this.isInTake || !this.#player.isPlaying || this.#shown === null) return false;
+    if (this.#isHidden || !this.isInTake || !this.#player.isPlaying || this.#shown === null) return false;
     const isBehind = this.#player.timeS - this.#shown > Math.max(WAIT_S * this.#player.speed, 1 / this.#player.rateHz);
     if (isBehind && this.#askedAt !== null) this.#waitedMs += now - this.#askedAt;
     this.#askedAt = isBehind ? now : null;
@@ -249,20 +266,18 @@ export class Tile {
     const place = (this.shownS - description.start_time_s) * description.frame_rate_hz;
     const frame = Math.floor(place + 1e-6);
     const picture = this.#isShowing && this.#shownFrame !== null ? this.#pictures?.get(this.#shownFrame) : null;
-    const state = `${place.toFixed(3)} ${this.#store.has(frame)} ${picture ? this.#shownFrame : ""} ${this.#isShowing}`;
-    if (!isNew && state === this.#drawn) return;
+    const state = `${this.isLent} ${place.toFixed(3)} ${this.#store.has(frame)} ${picture ? this.#shownFrame : ""} ${this.#isShowing}`;
+    if (!isNew && state === this.#drawn) return undefined;
     this.#drawn = state;
     // A picture may be still to come, also when the size has changed.
     if (this.#film !== null) this.note.hidden = Boolean(picture) || this.#clock.frameAt(this.#player.timeS) === null;
     const scale = this.#overlay.begin(picture);
+    if (this.isLent) return this.on.picture(this.number);
     description.people.forEach(({ color }, person) => {
-      if (!this.#isShown(person) || !this.#store.positions(person, frame, "joints", this.#before)) return;
-      const share = place - frame;
-      if (share > 1e-3 && this.#store.positions(person, frame + 1, "joints", this.#after)) {
-        between(this.#before, this.#after, share, this.#before);
-      }
+      if (!this.#isShown(person) || !positionsAt(this.#store, person, place, "joints", this.#before, this.#after)) return;
       this.#overlay.draw(this.#before, color, scale);
     });
+    return undefined;
   }
 
   close() {

@@ -53,6 +53,40 @@ test("without a loop the end pauses, and playing again begins at the start", () 
   assert.equal(one.frame, 0);
 });
 
+test("a range plays alone, and loops", () => {
+  const one = player();
+  one.setSpan({ from: 20 });
+  one.setSpan({ to: 30 });
+  assert.deepEqual([one.span, one.hasSpan], [{ from: 20, to: 30 }, true]);
+  one.seek(90);
+  one.play();
+  assert.equal(one.frame, 20);
+  one.seek(30);
+  assert.equal(one.advance(0.1), true);
+  assert.equal(one.frame, 20);
+  one.setLooping(false);
+  one.seek(30);
+  one.advance(0.1);
+  assert.deepEqual([one.isPlaying, one.frame], [false, 30]);
+  // A mark behind the other one moves it away.
+  one.setSpan({ from: 50 });
+  assert.deepEqual(one.span, { from: 50, to: 99 });
+  one.setSpan({ to: 10 });
+  assert.deepEqual(one.span, { from: 0, to: 10 });
+  one.setSpan();
+  assert.ok(!one.hasSpan);
+});
+
+test("frames of another rate are at their own times, and the range keeps its times", () => {
+  const take = { start_time_s: 2, frame_rate_hz: 50, num_frames: 100, first_source_frame: 0 };
+  const one = new Player(frameRange([take]));
+  one.setSpan({ from: 50 });
+  one.setRange(frameRange([take], 24));
+  assert.deepEqual([one.numFrames, one.span.from], [48, 24]);
+  one.seek(12);
+  assert.equal(one.frameTimeS, 2.5);
+});
+
 test("a tab that was hidden does not jump ahead", () => {
   const one = player();
   one.play();

@@ -67,6 +67,7 @@ def lens_cases() -> list[dict[str, Any]]:
             {
                 "name": name,
                 "camera": {
+                    "size_px": list(camera.size_px),
                     "matrix": matrix.tolist(),
                     "distortion": list(distortion),
                     "lens": lens,
