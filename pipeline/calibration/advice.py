@@ -8,7 +8,8 @@ from pipeline.core.errors import listed_names
 
 SUPPORTED = (
     "Use Qualisys QCA, Vicon XCP, OptiTrack MCAL, TOML (Caliscope, anipose, Pose2Sim, FreeMoCap), JSON, OpenCV's YAML "
-    "or XML, EasyMocap, JARVIS, OpenPose, 4D Association, COLMAP, CMU Panoptic, VoxelPose, MVPose, OpenCap or bioCV."
+    "or XML, EasyMocap, JARVIS, OpenPose, 4D Association, COLMAP, CMU Panoptic, Human3.6M, VoxelPose, MVPose, OpenCap, "
+    "Kalibr, MAMMA or bioCV."
 )
 
 _AS_OPENCV = (

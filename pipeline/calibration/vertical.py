@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.calibration.contents import CameraFile, Up
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
@@ -79,6 +80,26 @@ def turned_upright(cameras: Sequence[Camera], up: Float[np.ndarray, " 3"]) -> tu
             ),
         )
         for camera in cameras
+    )
+
+
+def upright_by_cameras(contents: CameraFile, otherwise: Up, note: str) -> CameraFile:
+    """Turn the world of a file so that its axis nearest to the cameras' up direction becomes Z.
+
+    Cameras that don't tell leave the axis ``otherwise``, with a note.
+    """
+    if not contents.cameras:
+        return contents
+    up, notes = up_of_cameras(contents.cameras), contents.notes
+    if float(np.linalg.norm(up)) < _MIN_MEAN_UP:
+        up, notes = AXES[otherwise], (*notes, note)
+    axis = nearest_axis(up)
+    side = "down" if axis.startswith("-") else "up"
+    return replace(
+        contents,
+        cameras=turned_upright(contents.cameras, AXES[axis]),
+        axes=f"{axis[-1]} {side}, turned to Z up",
+        notes=notes,
     )
 
 

@@ -150,17 +150,16 @@ def _mapping(key: str, camera: Camera) -> list[str]:
         f"   image_width: {camera.size_px[0]}",
         f"   image_height: {camera.size_px[1]}",
         *(["   camera_model: fisheye"] if camera.lens == "fisheye" else []),
-        *_matrix("camera_matrix", camera.matrix.tolist()),
-        *(line for name, numbers in vectors.items() for line in _matrix(name, [[number] for number in numbers])),
+        *storage_matrix("camera_matrix", camera.matrix.tolist()),
+        *(line for name, numbers in vectors.items() for line in storage_matrix(name, [[number] for number in numbers])),
     ]
 
 
-def _matrix(name: str, rows: list[list[float]]) -> list[str]:
+def storage_matrix(name: str, rows: list[list[float]], indent: int = 3) -> list[str]:
+    """Lines of a matrix in OpenCV's FileStorage."""
     data = ", ".join(repr(number) for row in rows for number in row)
+    fields = {"rows": len(rows), "cols": len(rows[0]), "dt": "d", "data": f"[ {data} ]"}
     return [
-        f"   {name}: !!opencv-matrix",
-        f"      rows: {len(rows)}",
-        f"      cols: {len(rows[0])}",
-        "      dt: d",
-        f"      data: [ {data} ]",
+        f"{' ' * indent}{name}: !!opencv-matrix",
+        *(f"{' ' * (indent + 3)}{field}: {value}" for field, value in fields.items()),
     ]

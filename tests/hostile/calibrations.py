@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.program_files import encode_kalibr, encode_mamma
 from pipeline.calibration.write import encode, encode_caliscope, encode_opencv, encode_toml
 from pipeline.core.data.cameras import Camera
 from tests.hostile.mutations import OF_BYTES, OF_TEXT, spoil
@@ -25,6 +26,9 @@ def in_every_format(cameras: Sequence[Camera]) -> Mapping[str, bytes]:
         "camera_array.toml": encode_caliscope(cameras),
         "cameras.yml": encode_opencv(cameras),
         "panoptic.json": json.dumps({"cameras": [_panoptic(camera) for camera in cameras]}, indent=1).encode(),
+        "mamma.yaml": encode_mamma(cameras),
+        "camchain.yaml": encode_kalibr(fisheyes),
+        "human36m.json": json.dumps(_human36m(cameras), indent=1).encode(),
         "cameras.xcp": f"<Cameras>{''.join(map(_xcp, cameras))}</Cameras>".encode(),
         "colmap.txt": _colmap(cameras).encode(),
         "cameras.qca.txt": _qca(cameras).encode(),
@@ -117,6 +121,22 @@ def _panoptic(camera: Camera) -> dict[str, object]:
         "distCoef": camera.distortion.tolist(),
         "R": pose.rotation.tolist(),
         "t": (100.0 * pose.translation_m).reshape(3, 1).tolist(),
+    }
+
+
+def _human36m(cameras: Sequence[Camera]) -> dict[str, object]:
+    poses = {camera.name: camera.cam_from_world for camera in cameras}
+    return {
+        "intrinsics": {
+            camera.name: {"calibration_matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist()}
+            for camera in cameras
+        },
+        "extrinsics": {
+            "S1": {
+                name: {"R": pose.rotation.tolist(), "t": (1000.0 * pose.translation_m).reshape(3, 1).tolist()}
+                for name, pose in poses.items()
+            }
+        },
     }
 
 

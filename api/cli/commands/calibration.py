@@ -26,8 +26,8 @@ from api.cli.options import UnitsOption, UpOption, checked, known_units, known_u
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.write import ENCODERS
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
@@ -68,7 +68,14 @@ def show(file: FileArgument, units: UnitsOption = None, as_json: JsonOption = Fa
 @app.command()
 def convert(
     file: FileArgument,
-    target: Annotated[Path, typer.Argument(metavar="TARGET", help=f"File to write: {', '.join(ENCODERS)}.")],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="File to write.")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help=f"Format: {', '.join(PROGRAM_FORMATS)}. Default: by the ending of TARGET.",
+        ),
+    ] = None,
     units: UnitsOption = None,
     up: UpOption = "z",
     size: Annotated[
@@ -81,22 +88,43 @@ def convert(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a calibration as Multicap's JSON, anipose's TOML or OpenCV's YAML, in metres and with Z up."""
+    """Write a calibration for Multicap or another program, with Z up where the format has no axes of its own."""
     with reporting(as_json):
         contents = read(file, units, up)
         contents, problems = _sized(file, contents, size or ())
-        if target.suffix.lower() not in ENCODERS:
-            hint = f"Use one of {', '.join(ENCODERS)}."
-            problems.append(Problem(CALIBRATION_FORMAT, "This ending is not supported.", file=target.name, hint=hint))
-        if problems:
+        name, of_target = _target_format(target, to)
+        problems += of_target
+        if name is not None:
+            problems += refusals(name, contents.cameras, target.name)
+        if problems or name is None:
             raise InputError(problems)
         with writing(target.name):
-            target.write_bytes(ENCODERS[target.suffix.lower()](contents.cameras))
+            target.write_bytes(PROGRAM_FORMATS[name].encode(contents.cameras))
     if as_json:
         emit(_document(contents, units) | {"file": str(target)})
         return
     _show_statement(contents, units)
     console.print(f"{len(contents.cameras)} cameras in {target}")
+
+
+def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[Problem]]:
+    """Name of the format of a file to write, ``None`` if there is none; and a problem of the format or the ending."""
+    file = target.name.lower()
+    by_ending = [name for name, known in PROGRAM_FORMATS.items() if file.endswith(known.endings)]
+    if stated is not None and stated not in PROGRAM_FORMATS:
+        hint = f"Use one of {', '.join(PROGRAM_FORMATS)}."
+        return None, [Problem(CALIBRATION_FORMAT, f"There is no format {stated[:40]!r} to write.", hint=hint)]
+    if stated is None:
+        # Several formats of programs are zip archives.
+        if by_ending and not file.endswith(".zip"):
+            return by_ending[0], []
+        hint = f"State it: --to with one of {', '.join(by_ending or PROGRAM_FORMATS)}."
+        return None, [Problem(CALIBRATION_FORMAT, "The ending does not tell the format.", file=target.name, hint=hint)]
+    if stated in by_ending:
+        return stated, []
+    title, endings = PROGRAM_FORMATS[stated][:2]
+    message = f"{title} is not read from a file of this ending."
+    return stated, [Problem(CALIBRATION_FORMAT, message, file=target.name, hint=f"Use {' or '.join(endings)}.")]
 
 
 def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[CameraFile, list[Problem]]:

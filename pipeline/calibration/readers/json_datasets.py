@@ -1,18 +1,24 @@
-"""Calibrations of data sets in JSON: CMU Panoptic, VoxelPose's files of Shelf and Campus, and CAMMA's MVOR.
+"""Calibrations of data sets in JSON: CMU Panoptic, VoxelPose's files of Shelf and Campus, Human3.6M, CAMMA's MVOR.
 
 Panoptic: ``x = K (R X + t)``, centimetres, the world's y axis points down. VoxelPose: ``x = K R (X - T)``, so T is the
-camera's centre, millimetres, no picture sizes; Faster-VoxelPose has a list of cameras a sequence. MVOR's annotations
-hold the cameras: transforms by rows from each camera to the first one, and from that one to the room, millimetres.
+camera's centre, millimetres; Faster-VoxelPose has a list of cameras a sequence. Human3.6M has the intrinsics of each
+camera once and its pose for each subject, ``x = K (R X + t)``, millimetres. MVOR's annotations hold the cameras:
+transforms by rows from each camera to the first one, and from that one to the room, millimetres.
 
 Rows of the table of formats:
 
 | CMU Panoptic | `.json`, cameras with `distCoef` | cm | y down, turned to Z up; videos may be called `hd_00_00` |
 | VoxelPose, Faster-VoxelPose | `.json`, cameras with `fx`, `fy`, `cx`, `cy`, `k`, `p`, or the list of one sequence | mm
-| as calibrated; `T` is the centre of the camera; videos may be called `Camera0` |
+| as calibrated; `T` is the centre of the camera; sizes of pictures beside the camera or beside all; videos may be
+called `Camera0` |
+| Human3.6M | `.json` with `intrinsics` and `extrinsics` of subjects (`camera-parameters.json`); or cameras with `R`,
+`t`, `f`, `c` (`Human36M_subject9_camera.json`) | mm | Z up; the name of the file has the subject, such as
+`camera-parameters-S9.json`, if the file has several |
 | MVOR (CAMMA) | `.json` with `cameras_info`: the annotations `camma_mvor_2018.json` | mm | Z up; cameras are called
 `cam1`, `cam2`, ...; the distortion is ignored, because the pictures have none |
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
@@ -23,12 +29,15 @@ from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
+from pipeline.core.errors import listed_names
 from pipeline.core.parsing import UnreadableError, read_numbers
 from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE
 
 _PANOPTIC = frozenset({"K", "R", "t", "distCoef", "resolution"})
 _PANOPTIC_PASSED_OVER = frozenset({"name", "type", "panel", "node"})
 _VOXELPOSE = frozenset({"R", "T", "fx", "fy", "cx", "cy", "k", "p"})
+_HUMAN36M, _HUMAN36M_LENS = frozenset({"intrinsics", "extrinsics"}), frozenset({"calibration_matrix", "distortion"})
+_HUMAN36M_PLAIN = frozenset({"R", "t", "f", "c"})
 # Starts of the names of video files, by the type of camera.
 _VIDEOS = {"hd": "hd", "vga": "vga", "kinect-color": "kinect"}
 # From a world with z up to Panoptic's, whose y points down.
@@ -53,6 +62,8 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
         reading = Reading(file)
         raw = [_raw_voxelpose(name, camera, reading) for name, camera in islice(cameras.items(), MAX_CAMERAS + 1)]
         return reading.contents("VoxelPose JSON", raw, "mm")
+    if (human36m := _read_human36m(document, file)) is not None:
+        return human36m
     information = document.get("cameras_info")
     if isinstance(information, dict) and isinstance(parameters := information.get("camParams"), dict):
         return _read_mvor(parameters, file)
@@ -60,12 +71,76 @@ def read_document(document: Mapping[str, Any], file: str) -> CameraFile | None:
 
 
 def _voxelpose_cameras(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Cameras by name, also of a document with the list of one sequence; empty if they are not VoxelPose's."""
-    cameras = document
-    if len(document) == 1 and isinstance(listed := next(iter(document.values())), list):
-        cameras = {str(number): camera for number, camera in enumerate(listed)}
-    is_voxelpose = all(isinstance(camera, dict) and camera.keys() >= _VOXELPOSE for camera in cameras.values())
-    return cameras if is_voxelpose else {}
+    """Cameras by name, also of one sequence's list or mapping; empty if they are not VoxelPose's.
+
+    A size beside the cameras is the size of all pictures.
+    """
+    sizes = {name: document[name] for name in size_names(document)}
+    cameras: Any = {name: value for name, value in document.items() if name not in sizes}
+    if len(cameras) == 1 and not _is_voxelpose(next(iter(cameras.values()))):
+        cameras = next(iter(cameras.values()))
+    if isinstance(cameras, list):
+        cameras = {str(number): camera for number, camera in enumerate(cameras)}
+    if not isinstance(cameras, dict) or not all(map(_is_voxelpose, cameras.values())):
+        return {}
+    return {name: camera if size_names(camera) else {**camera, **sizes} for name, camera in cameras.items()}
+
+
+def _is_voxelpose(camera: Any) -> bool:
+    return isinstance(camera, dict) and camera.keys() >= _VOXELPOSE
+
+
+def _read_human36m(document: Mapping[str, Any], file: str) -> CameraFile | None:
+    """Read Human3.6M's cameras; ``None`` if the document is of other ones."""
+    reading = Reading(file)
+    if document and all(isinstance(camera, dict) and camera.keys() >= _HUMAN36M_PLAIN for camera in document.values()):
+        plain = dict(islice(document.items(), MAX_CAMERAS + 1))
+        reading.notes.append(f"{file}: the file has no distortion; lenses are taken as free of it.")
+        raw = [
+            _raw_human36m(name, camera, reading, {"calibration_matrix": _matrix(camera["f"], camera["c"])})
+            for name, camera in plain.items()
+        ]
+        for camera, raw_camera in zip(plain.values(), raw, strict=True):
+            reading.pass_over(camera, _HUMAN36M_PLAIN | size_names(camera), raw_camera)
+        return reading.contents("Human3.6M JSON", raw, "mm")
+    lenses, subjects = document.get("intrinsics"), document.get("extrinsics")
+    if document.keys() != _HUMAN36M or not isinstance(lenses, dict) or not isinstance(subjects, dict):
+        return None
+    if not all(isinstance(lens, dict) and lens.keys() >= _HUMAN36M_LENS for lens in lenses.values()):
+        return None
+    words = set(re.split("[^0-9A-Za-z]+", file))
+    named = [subject for subject in subjects if subject in words or len(subjects) == 1]
+    if len(named) != 1:
+        message = f"The cameras stand elsewhere for each of the subjects {listed_names(list(subjects))}."
+        hint = "Put the subject of the take into the name of the file, such as camera-parameters-S9.json."
+        reading.complain(CALIBRATION_UNREADABLE, message, field="extrinsics", hint=hint)
+    poses = subjects[named[0]] if len(named) == 1 and isinstance(subjects[named[0]], dict) else {}
+    limited = dict(islice(lenses.items(), MAX_CAMERAS + 1))
+    raw = [_raw_human36m(name, poses.get(name), reading, lens) for name, lens in limited.items()]
+    for lens, raw_camera in zip(limited.values(), raw, strict=True):
+        reading.pass_over(lens, _HUMAN36M_LENS | size_names(lens), raw_camera)
+    return reading.contents("Human3.6M JSON", raw, "mm")
+
+
+def _raw_human36m(name: str, pose: Any, reading: Reading, lens: Mapping[str, Any]) -> RawCamera:
+    fields = pose if isinstance(pose, dict) else {}
+    return RawCamera(
+        name=name,
+        size_px=read_size(name, {**lens, **fields}, reading),
+        matrix=lens["calibration_matrix"],
+        distortion=_column(lens.get("distortion", [])),
+        rotation=fields.get("R"),
+        translation_m=None if fields.get("t") is None else _column(fields["t"]),
+    )
+
+
+def _matrix(focal_px: Any, point_px: Any) -> Any:
+    """Camera matrix of two focal lengths and the principal point; a text for what they are not."""
+    try:
+        (fx, fy), (cx, cy) = _row(focal_px), _row(point_px)
+    except (UnreadableError, ValueError):
+        return "unreadable"
+    return [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
 
 
 def _read_panoptic(listed: Sequence[Mapping[str, Any]], file: str) -> CameraFile:
@@ -143,12 +218,9 @@ def _listed(value: Any) -> list[Any]:
 
 def _raw_mvor(number: int, camera: Any, room_from_first: np.ndarray, first_from_camera: Any) -> RawCamera:
     fields = camera if isinstance(camera, dict) else {}
-    matrix: Any = None
-    try:
-        (fx, fy), (cx, cy) = (_row(fields.get(key)) for key in ("focallength", "principalpoint"))
-        matrix = [[fx, fields.get("skew_value", 0.0), cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
-    except (UnreadableError, ValueError):
-        matrix = "unreadable"
+    matrix = _matrix(fields.get("focallength"), fields.get("principalpoint"))
+    if isinstance(matrix, list):
+        matrix[0][1] = fields.get("skew_value", 0.0)
     pose = _transform(first_from_camera)
     camera_from_room = None if pose is None else np.linalg.inv(room_from_first @ pose)
     return RawCamera(

@@ -21,7 +21,7 @@ from typing import Any
 from pipeline.calibration.advice import other_keys
 from pipeline.calibration.contents import UNITS_M, CameraFile, possible_units, scaled
 from pipeline.calibration.formats import reader
-from pipeline.calibration.readers import easymocap
+from pipeline.calibration.readers import camchain, easymocap
 from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera, size_names
 from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.reading import Reading
@@ -67,6 +67,8 @@ def read_fields(fields: Mapping[str, Any], file: str) -> CameraFile | None:
     """
     if easymocap.is_rig(fields):
         return easymocap.read(fields, file)
+    if camchain.is_rig(fields):
+        return camchain.read(fields, file)
     listed = fields.get("cameras", fields)
     if isinstance(listed, list):
         listed = {_name(item, number): item for number, item in enumerate(listed) if is_camera(item)}

@@ -14,7 +14,6 @@ axes of the board, turned to Z up; the upright cameras tell how the board stood 
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from pipeline.calibration.readers.fields import read_size, size_names
 from pipeline.calibration.readers.pickle_values import read_values
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera
-from pipeline.calibration.vertical import AXES, nearest_axis, turned_upright, up_of_cameras
+from pipeline.calibration.vertical import upright_by_cameras
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.parsing import UnreadableError, read_numbers
 from pipeline.core.problems.session_codes import CALIBRATION_UNREADABLE
@@ -35,8 +34,6 @@ _MVPOSE = frozenset({"K", "RT"})
 # Fields that repeat others.
 _OPENCAP_PASSED_OVER = frozenset({"rotation", "translation", "rotation_EulerAngles"})
 _MVPOSE_PASSED_OVER = frozenset({"P"})
-# Least length of the mean of the cameras' up directions that tells the vertical.
-_MIN_MEAN_UP = 0.5
 _BOARD_NOTE = "the cameras don't tell the vertical; OpenCap's board is taken to have stood upright"
 
 
@@ -67,7 +64,7 @@ def read_members(members: Mapping[str, bytes], file: str) -> CameraFile:
     raw, reading = [_raw_opencap(name, document) for name, document in documents.items()], Reading(file)
     for document, raw_camera in zip(documents.values(), raw, strict=True):
         reading.pass_over(document, _OPENCAP | _OPENCAP_PASSED_OVER, raw_camera)
-    return _turned_upright(reading.contents("OpenCap", raw, "mm"), file)
+    return upright_by_cameras(reading.contents("OpenCap", raw, "mm"), "-y", f"{file}: {_BOARD_NOTE}.")
 
 
 def _mvpose(document: Mapping[str, Any], reading: Reading) -> list[RawCamera]:
@@ -109,20 +106,3 @@ def _raw_opencap(name: str, document: Mapping[str, Any]) -> RawCamera:
 
 def _flat(value: Any) -> list[float]:
     return read_numbers(value).ravel().tolist()
-
-
-def _turned_upright(contents: CameraFile, file: str) -> CameraFile:
-    """Turn the world of the board so that Z points up."""
-    if not contents.cameras:
-        return contents
-    up, notes = up_of_cameras(contents.cameras), contents.notes
-    if float(np.linalg.norm(up)) < _MIN_MEAN_UP:
-        up, notes = AXES["-y"], (*notes, f"{file}: {_BOARD_NOTE}.")
-    axis = nearest_axis(up)
-    side = "down" if axis.startswith("-") else "up"
-    return replace(
-        contents,
-        cameras=turned_upright(contents.cameras, AXES[axis]),
-        axes=f"{axis[-1]} {side}, turned to Z up",
-        notes=notes,
-    )

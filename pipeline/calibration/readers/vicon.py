@@ -27,7 +27,7 @@ from pipeline.core.problems.session_codes import INVALID_NUMBER, INVALID_ROTATIO
 
 _ASPECT = Quantity(0.01, 100, "")
 # Coefficients in pixels are about 1e-8, 1e-15 and 1e-22.
-_RADIAL = Quantity(-1e-4, 1e-4, "")
+RADIAL = Quantity(-1e-4, 1e-4, "")
 _MODEL = "Vicon3Parameter"
 _NUM_SAMPLES = 25
 # Largest distance of a point by OpenCV's coefficients from its place, by their number. Wide lenses of Vue cameras show
@@ -77,7 +77,7 @@ def _raw(element: Any, reading: Reading) -> RawCamera:
         rotation = np.eye(3)
     matrix = np.array([[focal_px, 0.0, centre_px[0]], [0.0, focal_px / aspect, centre_px[1]], [0.0, 0.0, 1.0]])
     lens = _lens(frame, centre_px)
-    distortion = None if lens is None else _fitted(*lens, size_px, matrix)
+    distortion = None if lens is None else fitted(*lens, size_px, matrix)
     if distortion is None:
         message = "The lens model is not Vicon's radial one, or its coefficients are not plausible."
         reading.complain(UNSUPPORTED_LENS, message, name, "VICON_RADIAL2")
@@ -111,12 +111,12 @@ def _lens(frame: Any, principal_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         centre_px, radial = new[:2], new[2:]
     else:
         centre_px, radial = principal_px, old
-    if len(radial) > 3 or not _RADIAL.holds(radial) or not PRINCIPAL_POINT_PX.holds(centre_px):
+    if len(radial) > 3 or not RADIAL.holds(radial) or not PRINCIPAL_POINT_PX.holds(centre_px):
         return None
     return centre_px, np.append(radial, np.zeros(3 - len(radial)))
 
 
-def _fitted(centre_px: np.ndarray, radial: np.ndarray, size_px: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
+def fitted(centre_px: np.ndarray, radial: np.ndarray, size_px: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     """OpenCV's coefficients by least squares over the picture; ``None`` if they are off by over half a pixel.
 
     They are k1, k2, p1, p2, k3, and for wide lenses also k4, k5, k6.

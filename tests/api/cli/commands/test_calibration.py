@@ -58,6 +58,41 @@ def test_convert(rig: Path, ending: str) -> None:
     assert_rig(read_contents(target), num_digits=9)
 
 
+@pytest.mark.parametrize(
+    ("target", "to"),
+    [
+        ("rig.qca.txt", None),
+        ("rig.xml", "qca"),
+        ("rig.zip", "colmap"),
+        ("rig.zip", "opencap"),
+        ("rig.toml", "freemocap"),
+    ],
+)
+def test_convert_writes_for_other_programs(rig: Path, target: str, to: str | None) -> None:
+    words = [] if to is None else [f"--to={to}"]
+    result = runner.invoke(app, ["calibration", "convert", str(rig), str(rig.with_name(target)), *words])
+    assert result.exit_code == 0
+    assert_rig(read_contents(rig.with_name(target)), num_digits=6)
+
+
+@pytest.mark.parametrize(
+    ("target", "to", "code", "told"),
+    [
+        ("rig.zip", None, "calibration_format", "--to with one of opencap, easymocap, colmap"),
+        ("rig.json", "qca", "calibration_format", "Use .qca.txt or .qca or .xml."),
+        ("rig.json", "vicon", "calibration_format", "Use one of multicap, anipose"),
+        ("rig.yaml", "mamma", "unsupported_lens", "MAMMA's YAML can't hold 5 coefficients of distortion, but 4."),
+    ],
+)
+def test_convert_refuses_in_a_sentence(rig: Path, target: str, to: str | None, code: str, told: str) -> None:
+    words = [] if to is None else [f"--to={to}"]
+    result = runner.invoke(app, ["calibration", "convert", str(rig), str(rig.with_name(target)), *words, "--json"])
+    problems = json.loads(result.stdout)["problems"]
+    assert (result.exit_code, {problem["code"] for problem in problems}) == (2, {code})
+    assert told in f"{problems[0]['message']} {problems[0]['hint']}"
+    assert not rig.with_name(target).exists()
+
+
 @pytest.mark.parametrize("up", ["y", "-y", "-z", "x"])
 def test_convert_turns_world_upright(tmp_path: Path, up: str) -> None:
     """Cameras above a floor whose axis is another one; the check names this axis."""

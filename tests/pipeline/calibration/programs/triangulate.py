@@ -6,6 +6,7 @@ which the program has them, and the points in metres.
 
 import json
 import sys
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -55,6 +56,25 @@ def by_opencv(path: Path, pixels: np.ndarray) -> Result:
     return names, crossing(projections, rays)
 
 
+def by_freemocap(path: Path, pixels: np.ndarray) -> Result:
+    """Load and triangulate by aniposelib, of which FreeMoCap's reader is a copy; lengths are millimetres."""
+    names, points_mm = by_aniposelib(path, pixels)
+    return names, points_mm / 1000
+
+
+def by_colmap(path: Path, pixels: np.ndarray) -> Result:
+    """Load by COLMAP itself, whose pixels begin at the outer corner of the first one."""
+    import pycolmap  # noqa: PLC0415 - each program alone
+
+    folder = path.with_suffix("")
+    zipfile.ZipFile(path).extractall(folder)
+    model = pycolmap.Reconstruction(str(folder))
+    images = [model.images[number] for number in sorted(model.images)]
+    rays = [image.camera.cam_from_img(seen + 0.5) for image, seen in zip(images, pixels, strict=True)]
+    projections = [image.cam_from_world().matrix() for image in images]
+    return [Path(image.name).stem for image in images], crossing(projections, rays)
+
+
 def crossing(projections: Sequence[np.ndarray], rays: Sequence[np.ndarray]) -> np.ndarray:
     """Points nearest to the rays of all cameras, by linear least squares."""
     rows = [ray[:, :, None] * projection[2] - projection[:2] for projection, ray in zip(projections, rays, strict=True)]
@@ -66,6 +86,8 @@ PROGRAMS: dict[str, Callable[[Path, np.ndarray], Result]] = {
     "anipose": by_aniposelib,
     "caliscope": by_caliscope,
     "opencv": by_opencv,
+    "freemocap": by_freemocap,
+    "colmap": by_colmap,
 }
 
 if __name__ == "__main__":

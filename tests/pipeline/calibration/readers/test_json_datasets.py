@@ -11,8 +11,8 @@ import pytest
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents
 from pipeline.core.data.cameras import Camera
-from pipeline.geometry.camera import center_in_world
-from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, problems_of
+from pipeline.geometry.camera import center_in_world, project
+from tests.pipeline.calibration.readers.rigs import POINTS_M, RIG, assert_rig, problems_of
 from tests.pipeline.validation.evaluation.datasets.mvor_files import cameras_info
 
 # Panoptic's world: y = -z, z = y.
@@ -84,6 +84,86 @@ def test_voxelpose_with_size(tmp_path: Path, size: dict[str, Any]) -> None:
     contents = read_contents(write(tmp_path / "rig.json", document))
     assert contents.notes == ("rig.json: fields that are not read: model.",)
     assert_rig(contents)
+
+
+@pytest.mark.parametrize("size", [{"image_size": [1920, 1080]}, {"width": 1920, "height": 1080}])
+def test_size_beside_cameras_of_voxelpose_is_of_all(tmp_path: Path, size: dict[str, Any]) -> None:
+    cameras = {one.name: voxelpose(one) for one in RIG}
+    for document in (cameras | size, {"cameras": cameras} | size, {"cameras": [voxelpose(one) for one in RIG]} | size):
+        contents = read_contents(write(tmp_path / "rig.json", document))
+        assert contents.format == "VoxelPose JSON"
+        assert [one.size_px for one in contents.cameras] == [(1920, 1080)] * 2
+        np.testing.assert_allclose(project(contents.cameras[1], POINTS_M), project(RIG[1], POINTS_M), atol=1e-6)
+
+
+def human36m(*subjects: str) -> dict[str, Any]:
+    """Human3.6M's parameters, as karfly's camera-parameters.json has them: poses differ from subject to subject."""
+    return {
+        "intrinsics": {
+            one.name: {"calibration_matrix": one.matrix.tolist(), "distortion": one.distortion.tolist()} for one in RIG
+        },
+        "extrinsics": {
+            subject: {
+                one.name: {
+                    "R": one.cam_from_world.rotation.tolist(),
+                    "t": (1000.0 * one.cam_from_world.translation_m + 50.0 * number).reshape(3, 1).tolist(),
+                }
+                for one in RIG
+            }
+            for number, subject in enumerate(subjects)
+        },
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "subjects"), [("rig.json", ("S1",)), ("camera-parameters-S1.json", ("S1", "S11", "S9"))]
+)
+def test_human36m_has_subject_of_file_name(tmp_path: Path, name: str, subjects: tuple[str, ...]) -> None:
+    contents = read_contents(write(tmp_path / name, human36m(*subjects)))
+    assert (contents.format, contents.unit, contents.notes) == ("Human3.6M JSON", "mm", ())
+    assert_rig(contents, tuple(replace(one, size_px=UNKNOWN_SIZE) for one in RIG))
+
+
+def test_human36m_of_several_subjects_asks_for_one(tmp_path: Path) -> None:
+    for name in ("camera-parameters.json", "S1-S9.json"):
+        path = write(tmp_path / name, human36m("S1", "S9"))
+        assert ("calibration_unreadable", None) in problems_of(path)
+
+
+def test_human36m_by_focal_lengths_has_no_distortion(tmp_path: Path) -> None:
+    document = {
+        str(number): {
+            "R": one.cam_from_world.rotation.tolist(),
+            "t": (1000.0 * one.cam_from_world.translation_m).tolist(),
+            "f": one.matrix.diagonal()[:2].tolist(),
+            "c": one.matrix[:2, 2].tolist(),
+        }
+        for number, one in enumerate(RIG, 1)
+    }
+    contents = read_contents(write(tmp_path / "Human36M_subject9_camera.json", document))
+    straight = [
+        replace(one, name=str(number), size_px=UNKNOWN_SIZE, distortion=np.zeros(0))
+        for number, one in enumerate(RIG, 1)
+    ]
+    assert_rig(contents, tuple(straight))
+    assert len(contents.notes) == 1
+    document["2"]["f"] = [1.0]
+    assert problems_of(write(tmp_path / "rig.json", document)) == [("invalid_matrix", "2")]
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "code"),
+    [
+        ("intrinsics", {"calibration_matrix": "none"}, "invalid_matrix"),
+        ("intrinsics", {"distortion": [0.1]}, "invalid_distortion"),
+        ("S1", {"R": [[1e300] * 3] * 3}, "invalid_rotation"),
+        ("S1", {"t": [1.0]}, "invalid_translation"),
+    ],
+)
+def test_faults_of_human36m(tmp_path: Path, part: str, changes: dict[str, Any], code: str) -> None:
+    document = human36m("S1")
+    (document[part] if part == "intrinsics" else document["extrinsics"][part])["right"] |= changes
+    assert problems_of(write(tmp_path / "rig.json", document)) == [(code, "right")]
 
 
 def test_lens_that_voxelpose_and_panoptic_do_not_name_is_problem(tmp_path: Path) -> None:

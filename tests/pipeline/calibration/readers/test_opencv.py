@@ -254,16 +254,26 @@ def mv3dpose(one: Camera) -> dict[str, Any]:
     }
 
 
-def test_unread_lens_is_one_problem_that_names_field_and_cameras(tmp_path: Path) -> None:
+def test_lens_of_mv3dpose_is_read(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({one.name: mv3dpose(one) for one in RIG}))
+    assert_rig(read_contents(path))
+
+
+def test_unread_lens_is_one_problem_that_names_field_and_cameras(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+
+    def other(one: Camera) -> dict[str, Any]:
+        return {("kc" if name == "discCoef" else name): value for name, value in mv3dpose(one).items()}
+
+    path.write_text(json.dumps({one.name: other(one) for one in RIG}))
     with pytest.raises(InputError) as error:
         read_contents(path)
     (problem,) = error.value.problems
-    assert (problem.code, problem.field) == ("unsupported_lens", "discCoef")
+    assert (problem.code, problem.field) == ("unsupported_lens", "kc")
     assert "left, right" in problem.message
     straight = tuple(replace(one, distortion=np.zeros(5)) for one in RIG)
-    path.write_text(json.dumps({one.name: mv3dpose(one) for one in straight}))
+    path.write_text(json.dumps({one.name: other(one) for one in straight}))
     assert_rig(read_contents(path), straight)
 
 
@@ -305,7 +315,7 @@ def test_size_under_another_name_is_problem(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     cameras = {one.name: mv3dpose(one) | {"discCoef": None, "dims": [1920, 1080]} for one in RIG}
     path.write_text(json.dumps(cameras))
-    assert read_contents(path).notes == ("rig.json: fields that are not read: discCoef, dims.",)
+    assert read_contents(path).notes == ("rig.json: fields that are not read: dims.",)
     del cameras["right"]["w"]
     path.write_text(json.dumps(cameras))
     assert problems_of(path) == [("invalid_size", None)]
