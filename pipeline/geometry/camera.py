@@ -9,7 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
+from pipeline.core.data.rigid import Rigid3
 from pipeline.geometry.fisheye import distort_fisheye
 
 
@@ -81,3 +83,12 @@ def rays_in_world(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> F
     in_cam = np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
     directions = in_cam @ camera.cam_from_world.rotation
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def look_at(center_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Rigid3:
+    """Compute ``cam_from_world`` of an upright camera that looks at a point, which must not be straight up or down."""
+    forward = (target_m - center_m) / np.linalg.norm(target_m - center_m)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Rigid3(read_only(rotation), read_only(-rotation @ center_m))

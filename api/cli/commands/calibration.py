@@ -1,5 +1,6 @@
-"""`multicap calibration`: show, check and convert calibration files."""
+"""`multicap calibration`: show, check and convert calibration files, and plan a rig."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -28,12 +29,13 @@ from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
 from pipeline.calibration.registry import read_contents
+from pipeline.calibration.room_plan import plan_room, plan_svg, planned_cameras
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.parsing import SIDE_PX
+from pipeline.core.parsing import SIDE_PX, Quantity
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, PARAMETER_UNREADABLE
 from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 from pipeline.export.quality.report import join_findings, people_findings, quality_report
@@ -42,12 +44,12 @@ from pipeline.run.engine.local import reconstruct
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
-app = typer.Typer(help="Calibration files: show, check, convert.", no_args_is_help=True)
+app = typer.Typer(help="Calibration files: show, check, convert; plan of a rig.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """Calibration files: show, check, convert."""
+    """Calibration files: show, check, convert; plan of a rig."""
 
 
 @app.command()
@@ -241,6 +243,84 @@ def _check(
         return alone
     reconstruction = reconstruct(session, replace(config, appearance="off", force=True), bars.update)
     return join_findings(alone, people_findings(quality_report(reconstruction)))
+
+
+# Limits of a plan: words of an option, with the number of each and the range that is plausible.
+_ROOM_M, _HEIGHT_M, _FIELD_DEG = Quantity(1, 100, "m"), Quantity(0.1, 50, "m"), Quantity(10, 150, "degrees")
+_NUM_CAMERAS, _NUM_PEOPLE = Quantity(2, 128, "cameras"), Quantity(1, 100, "people")
+
+
+@app.command()
+def plan(
+    room: Annotated[str, typer.Option(metavar="XxY", help="Sides of the floor in metres, such as 8x6.")],
+    cameras: Annotated[int, typer.Option(help="Number of cameras, evenly along the walls.")] = 4,
+    height: Annotated[float, typer.Option(help="Height of the cameras in metres.")] = 2.5,
+    fov: Annotated[float, typer.Option(help="Horizontal field of view of the cameras in degrees.")] = 70.0,
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures.")] = "1920x1080",
+    calibration: Annotated[
+        Path | None, typer.Option(help="Cameras that stand already; the room's middle is their origin.")
+    ] = None,
+    people: Annotated[int, typer.Option(help="Number of people in the room.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="SVG picture to write.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan a rig: which part of a room it covers, how many cameras see a joint, and the expected error by place."""
+    with reporting(as_json):
+        room_m, size_px = (tuple(map(float, re.findall(r"\d+(?:\.\d+)?", text))) for text in (room, size))
+        stated = {
+            "room": (room_m if len(room_m) == 2 else (), _ROOM_M),
+            "cameras": ((cameras,), _NUM_CAMERAS),
+            "height": ((height,), _HEIGHT_M),
+            "fov": ((fov,), _FIELD_DEG),
+            "size": (size_px if len(size_px) == 2 else (), SIDE_PX),
+            "people": ((people,), _NUM_PEOPLE),
+        }
+        if problems := [
+            Problem(PARAMETER_UNREADABLE, f"--{name} must be {allowed}.", field=name)
+            for name, (numbers, allowed) in stated.items()
+            if not numbers or not allowed.holds(np.array(numbers))
+        ]:
+            raise InputError(problems)
+        floor_m, sides_px = (room_m[0], room_m[1]), (int(size_px[0]), int(size_px[1]))
+        if calibration is None:
+            rig = planned_cameras(floor_m, cameras, height, sides_px, fov)
+        else:
+            contents, problems = _sized(calibration, read(calibration, None), ())
+            if problems:
+                raise InputError(problems)
+            rig = contents.cameras
+        found = plan_room(rig, floor_m, people)
+        if out is not None:
+            with writing(out.name):
+                out.write_text(plan_svg(found, rig, floor_m), encoding="utf-8")
+    # The middles of nine parts of the floor.
+    rows, columns = (np.array([1, 3, 5]) * len(places) // 6 for places in (found.y_m, found.x_m))
+    places = [
+        {
+            "x_m": round(float(found.x_m[column]), 2),
+            "y_m": round(float(found.y_m[row]), 2),
+            "views": round(float(found.views[row, column]), 1),
+            "error_mm": None if np.isnan(error_mm := found.error_mm[row, column]) else round(float(error_mm), 1),
+        }
+        for row in rows
+        for column in columns
+    ]
+    if as_json:
+        emit({"covered": round(found.covered, 3), "places": places, "cameras": camera_documents(rig)})
+        return
+    print_table(
+        ("x", "y", "views of a joint", "expected error"),
+        (
+            [
+                f"{p['x_m']} m",
+                f"{p['y_m']} m",
+                str(p["views"]),
+                f"{p['error_mm']} mm" if p["error_mm"] else "not located",
+            ]
+            for p in places
+        ),
+    )
+    console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
 
 
 def read(file: Path, units: str | None, up: str = "z") -> CameraFile:

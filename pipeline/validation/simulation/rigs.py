@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from jaxtyping import Float
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, LensModel
-from pipeline.core.data.rigid import Rigid3
+from pipeline.geometry.camera import look_at
 
 
 class Layout(Enum):
@@ -54,15 +53,6 @@ def build_cameras(rig: Rig, rng: np.random.Generator) -> tuple[Camera, ...]:
         _camera(f"cam_{number:02d}", center_m, target_m, rig, rng)
         for number, (center_m, target_m) in enumerate(zip(centers_m, targets_m, strict=True))
     )
-
-
-def look_at(center_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Rigid3:
-    """Compute ``cam_from_world`` of an upright camera that looks at a point, which must not be straight up or down."""
-    forward = (target_m - center_m) / np.linalg.norm(target_m - center_m)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    return Rigid3(read_only(rotation), read_only(-rotation @ center_m))
 
 
 def _camera(name: str, center_m: np.ndarray, target_m: np.ndarray, rig: Rig, rng: np.random.Generator) -> Camera:

@@ -242,3 +242,26 @@ def test_people_tell_turned_camera_and_wrong_floor(room: Path) -> None:
     lifted = [replace(one, cam_from_world=one.cam_from_world @ Rigid3(np.eye(3), -lift_m)) for one in cameras]
     (high,) = findings("lifted.json", lifted)
     assert (high["code"], high["evidence"]) == ("floor_not_at_zero", {"height_m": pytest.approx(0.5, abs=0.05)})
+
+
+def test_plan_states_coverage_and_draws_picture(tmp_path: Path, rig: Path) -> None:
+    picture = tmp_path / "plan.svg"
+    words = ["calibration", "plan", "--room=8x6", "--json"]
+    result = runner.invoke(app, [*words, "--cameras=6", "--people=3", f"--out={picture}"])
+    found = json.loads(result.stdout)
+    assert (result.exit_code, len(found["places"]), len(found["cameras"])) == (0, 9, 6)
+    assert 0.5 < found["covered"] < 1.0
+    middle = found["places"][4]
+    assert middle["views"] > 5
+    assert 5 < middle["error_mm"] < 30
+    assert picture.read_text().startswith("<svg")
+    stand = json.loads(runner.invoke(app, [*words, f"--calibration={rig}"]).stdout)
+    assert [camera["name"] for camera in stand["cameras"]] == ["left", "right"]
+
+
+def test_plan_refuses_all_wrong_options_at_once() -> None:
+    words = ["--room=8", "--cameras=1", "--height=0", "--fov=175", "--size=big", "--people=0", "--json"]
+    result = runner.invoke(app, ["calibration", "plan", *words])
+    problems = json.loads(result.stdout)["problems"]
+    assert (result.exit_code, len(problems)) == (2, 6)
+    assert "--room must be 1 to 100 m." in [problem["message"] for problem in problems]

@@ -13,8 +13,7 @@ from pipeline.calibration.adjustment.projection import linearise
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
-from pipeline.geometry.camera import project
-from pipeline.validation.simulation.rigs import look_at
+from pipeline.geometry.camera import look_at, project
 
 # All of OpenCV's twelve coefficients, of the size that lenses have.
 COEFFICIENTS = np.array([-0.1, 0.03, 5e-4, -4e-4, 0.01, 0.02, -0.01, 0.004, 2e-4, -1e-4, -3e-4, 1e-4])

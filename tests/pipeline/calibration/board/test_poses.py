@@ -8,8 +8,8 @@ import pytest
 from pipeline.calibration.board.poses import possible_poses
 from pipeline.calibration.board.spec import Board
 from pipeline.core.data.cameras import Camera, LensModel
-from pipeline.geometry.camera import project
-from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras, look_at
+from pipeline.geometry.camera import look_at, project
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 BOARD = Board("charuco", 7, 5, 0.08, 0.06, "DICT_4X4_50")
 DISTORTION: dict[LensModel, tuple[float, ...]] = {

@@ -12,8 +12,8 @@ from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
-from pipeline.geometry.camera import center_in_world
-from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras, look_at
+from pipeline.geometry.camera import center_in_world, look_at
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 from tests.pipeline.calibration.readers.rigs import RIG, fisheye
 
 OPPOSITE = {axis: axis[1:] if axis.startswith("-") else f"-{axis}" for axis in AXES}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.geometry.camera import center_in_world, project
-from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras, choose_views, look_at
+from pipeline.geometry.camera import center_in_world, look_at, project
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras, choose_views
 
 RIGS = {
     "ring": Rig(Layout.RING, 5, (4.0, 3.0), 2.0),

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.core.joints import COCO_17
+from pipeline.geometry.camera import look_at
 from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.motion.script import Role
-from pipeline.validation.simulation.rigs import look_at
 from pipeline.validation.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
 
 EYE = np.array([-4.0, 0.0, 1.2])
