@@ -2,8 +2,8 @@
 
 The digest is part of the keys of a stage's outputs: different code never finds outputs of an earlier version, and equal
 code finds them again. It also says which workers can run a chunk. The digest of a stage covers the files of all modules
-that its module imports, directly or indirectly, also inside functions. A checkout and an installed wheel have equal
-digests.
+that its module imports or runs as child processes, directly or indirectly, also inside functions. A checkout and an
+installed wheel have equal digests.
 """
 
 import functools
@@ -41,6 +41,8 @@ _LOADING, _LOADED = "pipeline.export.writers.registry", "pipeline.export.writers
 # The wheel's build puts this prefix before names of the packages. See `hatch_build.py`.
 _WHEEL_PREFIX = re.compile(rb"\bmulticap\.(?=(?:api|pipeline|worker)\b)")
 _FOR_TYPE_CHECKERS = re.compile(rb"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)*", re.MULTILINE)
+# Module that runs as a child process.
+_CHILD = re.compile(r"(?:run_confined|module_command)\(\s*\"(pipeline(?:\.\w+)+)\"")
 _IMPORT = re.compile(r"^[ \t]*from (pipeline(?:\.\w+)*) import (\([\s\S]*?^[ \t]*\)|.*)", re.MULTILINE)
 
 
@@ -88,7 +90,7 @@ class SourceFolder:
         self._modules: dict[str, tuple[str, frozenset[str]]] = {}
 
     def reachable_modules(self, modules: Iterable[str]) -> list[str]:
-        """List modules and those that they import, directly or indirectly, with their packages, sorted by name."""
+        """List modules and the modules that they import or run, directly or indirectly, with packages, by name."""
         reached: set[str] = set()
         waiting = set(modules)
         while waiting:
@@ -102,11 +104,12 @@ class SourceFolder:
         return self._module(module)[0]
 
     def _module(self, name: str) -> tuple[str, frozenset[str]]:
-        """SHA-256 of a module, and the modules that it imports."""
+        """SHA-256 of a module, and the modules that it imports or runs."""
         if name not in self._modules:
             source = _WHEEL_PREFIX.sub(b"", self._files[name].read_bytes())
-            origins = set()
-            for module, names in _IMPORT.findall(_FOR_TYPE_CHECKERS.sub(b"", source).decode()):
+            text = _FOR_TYPE_CHECKERS.sub(b"", source).decode()
+            origins = set(_CHILD.findall(text))
+            for module, names in _IMPORT.findall(text):
                 origins |= {module, *(f"{module}.{word}" for word in re.findall(r"\w+", names))}
             if name == _LOADING:
                 origins |= {module for module in self._files if module.startswith(_LOADED)}
