@@ -50,7 +50,7 @@ def test_capture_goes_from_form_to_files(page: Page, sample: Sample, first_resul
     page.get_by_label("Name of the capture").fill("<b>Take</b> 1")
     choose(page, *sample.videos.values(), sample.calibration)
     expect(page.get_by_label("Camera of cam02.mp4")).to_have_value("cam02", timeout=180_000)
-    page.get_by_text("More options", exact=True).click()
+    page.get_by_text("Customise", exact=True).click()
     page.get_by_label("after the last").fill(str(NUM_FIRST))
     page.get_by_role("button", name="Send and reconstruct").click()
     expect(page.get_by_role("heading", name="<b>Take</b> 1", level=1)).to_be_visible(timeout=180_000)
@@ -244,7 +244,7 @@ def test_warnings_are_shown_without_useless_retry(page: Page, served: Served, sa
 def test_detectors_that_are_not_installed_are_not_offered(page: Page, served: Served) -> None:
     known = served.client.get("/v1/options").raise_for_status().json()["detectors"]
     assert known[0]["installed"] is True
-    page.get_by_text("More options", exact=True).click()
+    page.get_by_text("Customise", exact=True).click()
     options = page.locator("select[name=send-detector] option")
     offered = options.evaluate_all("all => all.map(one => one.value)")
     assert offered == ["auto", *(one["name"] for one in known if one["installed"])]

@@ -114,7 +114,7 @@ def test_another_run_uploads_nothing(page: Page, served: Served, keypoints: dict
     twice.get_by_role("button", name="Run again: Twice").click()
     form = page.get_by_role("form", name="Run Twice again")
     # The form begins with the choices of the last job.
-    form.get_by_text("More options").click()
+    form.get_by_text("Customise").click()
     expect(form.get_by_label("after the last")).to_have_value("20")
     form.get_by_role("radio", name="Blender").check()
     with page.expect_response("**/v1/sessions/*/jobs") as answer:

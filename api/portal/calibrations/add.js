@@ -5,12 +5,13 @@ import { UploadQueue } from "../send/uploads.js";
 import { call, jsonPart } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { size } from "../shared/format.js";
-import { html, live, nothing, problemBox, svg, typed } from "../shared/lit.js";
+import { html, nothing, problemBox } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
+import { boardFields, boardSpec, emptyBoard, readStatures, statureField } from "./fields.js";
 
-const { add: ADD, board: BOARD_FIELDS } = CALIBRATIONS;
+const { add: ADD } = CALIBRATIONS;
 const MOST_SESSIONS = 100;
 
 function calibrationSpec({ source, title, board, stature, units, up, session }) {
@@ -18,7 +19,7 @@ function calibrationSpec({ source, title, board, stature, units, up, session }) 
     method: source.value === "session" ? "people" : source.value,
     ...(title.value.trim() && { name: title.value.trim() }),
     ...(source.value === "board" && { board: boardSpec(board) }),
-    ...(stature && { stature_m: stature.value.split(",").map(Number) }),
+    ...(stature && { stature_m: readStatures(stature.value) }),
     ...(units?.value && { units: units.value }),
     ...(up?.value && { up: up.value }),
     ...(session && { session_id: session.value }),
@@ -124,12 +125,8 @@ export class AddForm {
     return html`${this.#footageField()}${boardFields(this.#board, change)}`;
   }
 
-  #statureField() {
-    return html`<label class="field"><span>${ADD.stature}</span><input name="stature" required maxlength="100" placeholder="1.78, 1.65" inputmode="decimal" pattern="\\s*[0-9.]+(\\s*,\\s*[0-9.]+)*\\s*" autocomplete="off" aria-describedby="people-help"></label>`;
-  }
-
   #peopleFields() {
-    return html`${this.#footageField()}${this.#statureField()}
+    return html`${this.#footageField()}${statureField({ hintId: "people-help" })}
       <label class="field"><span>${ADD.intrinsics}</span><input name="intrinsics" type="file" accept=${ACCEPTED_CALIBRATIONS} aria-describedby="intrinsics-help"></label>
       <p id="intrinsics-help" class="quiet">${ADD.intrinsicsHint}</p>
       <p id="people-help" class="quiet">${ADD.peopleHint}</p>`;
@@ -138,7 +135,7 @@ export class AddForm {
   #sessionFields() {
     return html`<label class="field"><span>${ADD.session}</span><select name="session" required>
         ${(this.#sessions ?? []).map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
-      ${this.#statureField()}
+      ${statureField({ hintId: "people-help" })}
       <p id="people-help" class="quiet">${ADD.sessionHint}</p>`;
   }
 
@@ -155,63 +152,4 @@ export class AddForm {
       ${problemBox(this.#problem)}
     </form>`;
   }
-}
-
-// Fields that describe a board, and a picture of it.
-
-const DICTIONARIES = ["4X4", "5X5", "6X6", "7X7"].flatMap((bits) => [50, 100, 250, 1000].map((size) => `DICT_${bits}_${size}`)).concat("DICT_ARUCO_ORIGINAL");
-const MOST = 99; // numbers of squares that are drawn
-
-const emptyBoard = () => ({ kind: "charuco", cols: 7, rows: 5, square_mm: 60, marker_mm: 45, dictionary: "DICT_4X4_50" });
-
-const metres = (millimetres) => Number((millimetres / 1000).toPrecision(9));
-
-// Specification of the board for the service.
-function boardSpec({ kind, cols, rows, square_mm: square, marker_mm: marker, dictionary }) {
-  const spec = `${kind}:${cols}x${rows}:${metres(square)}`;
-  return kind === "charuco" ? `${spec}:${metres(marker)}:${dictionary}` : spec;
-}
-
-// Numbers of squares along the width and the height; a chessboard is described by its inner corners.
-const countSquares = ({ kind, cols, rows }) => (kind === "chessboard" ? [cols + 1, rows + 1] : [cols, rows]);
-
-function marker(x, y, share) {
-  const margin = (1 - share) / 2;
-  return svg`<rect class="ink" x=${x + margin} y=${y + margin} width=${share} height=${share} />
-    <rect class="paper" x=${x + 0.5 - share / 4} y=${y + 0.5 - share / 4} width=${share / 4} height=${share / 4} />`;
-}
-
-// Picture of a board, black squares at its first corner; nothing while its fields make no board.
-function boardPicture(board) {
-  const [across, down] = countSquares(board);
-  const { kind, square_mm: square, marker_mm: side } = board;
-  if (![across, down].every((count) => Number.isInteger(count) && count >= 2 && count <= MOST) || !(square > 0)) return nothing;
-  const cells = Array.from({ length: across * down }, (_, number) => [number % across, Math.floor(number / across)]);
-  const share = side > 0 && side < square ? side / square : 0;
-  const text = BOARD_FIELDS.size(across, down, Number((across * square).toPrecision(6)), Number((down * square).toPrecision(6)));
-  const corners = kind === "chessboard" ? cells.filter(([x, y]) => x > 0 && y > 0) : [];
-  return html`<figure class="board"><svg viewBox="-0.5 -0.5 ${across + 1} ${down + 1}" role="img" aria-label=${BOARD_FIELDS.picture(text)}>
-    <rect class="paper" x="-0.5" y="-0.5" width=${across + 1} height=${down + 1} />
-    ${cells.map(([x, y]) => ((x + y) % 2 === 0 ? svg`<rect class="ink" x=${x} y=${y} width="1" height="1" />` : kind === "charuco" && share ? marker(x, y, share) : nothing))}
-    ${corners.map(([x, y]) => svg`<circle class="corner" cx=${x} cy=${y} r="0.13" />`)}
-  </svg><figcaption class="quiet">${corners.length ? BOARD_FIELDS.caption(text, board.cols, board.rows) : BOARD_FIELDS.caption(text)}</figcaption></figure>`;
-}
-
-// `change(facts)` gets the changed fields.
-function boardFields(board, change) {
-  const isChessboard = board.kind === "chessboard";
-  const [across, down] = isChessboard ? BOARD_FIELDS.corners : BOARD_FIELDS.squares;
-  const number = (name, label, { least, most, step = 1 }) => html`<label class="field"><span>${label}</span>
-    <input type="number" name=${name} required min=${least} max=${most} step=${step} .value=${typed(board[name])}
-      @input=${(event) => change({ [name]: event.target.valueAsNumber })}></label>`;
-  return html`<label class="field"><span>${BOARD_FIELDS.kind}</span><select name="kind" @change=${(event) => change({ kind: event.target.value })}>
-      ${BOARD_FIELDS.kinds.map(([kind, label]) => html`<option value=${kind} .selected=${live(kind === board.kind)}>${label}</option>`)}</select></label>
-    <div class="pair">${number("cols", across, { least: isChessboard ? 2 : 3, most: MOST })}
-      ${number("rows", down, { least: isChessboard ? 2 : 3, most: MOST })}</div>
-    <div class="pair">${number("square_mm", BOARD_FIELDS.square, { least: 2, most: 2000, step: "any" })}
-      ${isChessboard ? nothing : number("marker_mm", BOARD_FIELDS.marker, { least: 1, most: 2000, step: "any" })}</div>
-    ${isChessboard ? nothing : html`<label class="field"><span>${BOARD_FIELDS.dictionary}</span><select name="dictionary" @change=${(event) => change({ dictionary: event.target.value })}>
-      ${DICTIONARIES.map((name) => html`<option .selected=${live(name === board.dictionary)}>${name}</option>`)}</select></label>`}
-    ${boardPicture(board)}
-    <p class="quiet">${BOARD_FIELDS.hint}</p>`;
 }

@@ -1,5 +1,6 @@
-// Part of the view Send that chooses the calibration of the cameras: a stored one, or a file.
+// Part of the view Send that chooses the calibration of the cameras: a stored one, a file, or one made from the videos.
 
+import { boardFields, statureField } from "../calibrations/fields.js";
 import { call, jsonPart, persistently } from "../shared/api.js";
 import { stem } from "../shared/format.js";
 import { html, live, nothing, problemBox, warningList } from "../shared/lit.js";
@@ -29,27 +30,32 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
   const chosen = sending.capture.calibration;
   // The list may be older than the chosen calibration.
   const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [chosen ?? { id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
+  const { calibrateFrom, stature, board } = sending.draft;
+  const pick = ({ target: { value } }) => {
+    const isMade = value in TEXT.from;
+    sending.assignDraft({ calibrateFrom: isMade ? value : null });
+    choose(isMade ? null : value, listed.find(({ id }) => id === value)?.name);
+  };
   return html`
-    <div class="pair">
-      <label class="field"><span>${TEXT.stored}</span>
-        <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value, listed.find(({ id }) => id === event.target.value)?.name)}>
-          <option value="" .selected=${live(!rig.id)}>${stored === null ? COMMON.loading : listed.length ? COMMON.choose : TEXT.noneStored}</option>
-          ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
-        </select>
-      </label>
-      <label class="field"><span>${TEXT.file}</span>
-        <input type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
-          @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}>
-      </label>
+    <div class="calibration-choice">
+      <select aria-label=${TEXT.stored} ?disabled=${isLocked} @change=${pick}>
+        <option value="" .selected=${live(!rig.id && !calibrateFrom)}>${stored === null ? COMMON.loading : listed.length ? COMMON.choose : TEXT.noneStored}</option>
+        ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
+        <optgroup label=${TEXT.missing}>${Object.entries(TEXT.from).map(([from, label]) => html`<option value=${from} .selected=${live(from === calibrateFrom)}>${label}</option>`)}</optgroup>
+      </select>
+      <label class="button">${TEXT.file}<input class="unseen" type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
+        @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}></label>
     </div>
+    ${calibrateFrom === "people" ? html`${statureField({ value: stature, isOff: isLocked, hintId: "calibrate-hint", change: (text) => sending.assignDraft({ stature: text }) })}` : nothing}
+    ${calibrateFrom === "board" ? boardFields(board, (facts) => sending.assignDraft({ board: { ...board, ...facts } })) : nothing}
+    ${calibrateFrom ? html`<p class="quiet" id="calibrate-hint">${TEXT.fromHint[calibrateFrom]}</p>` : nothing}
     ${problemBox(away && { message: TEXT.away(away.message) })}
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">${TEXT.checking}</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${calibrationFacts(chosen)}</span></p>
       ${warningList(chosen.warnings, TEXT.warnings)}` : nothing}
-    ${rig.file ? html`<div class="pair">
+    ${rig.file ? html`<details ?open=${rig.problem !== null}><summary>${TEXT.unitAndUp}</summary><div class="pair">
       ${choice(TEXT.unit, TEXT.units, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
-      ${choice(TEXT.up, AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div>` : nothing}
-    <p class="quiet">${TEXT.missing} <a href="#/calibrations">${TEXT.make}</a></p>`;
+      ${choice(TEXT.up, AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div></details>` : nothing}`;
 }
 
 // Calibration files as stored calibrations: a file whose content is stored already is not sent again.

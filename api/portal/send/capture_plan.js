@@ -1,6 +1,8 @@
 // The capture that the page shows, and the requests that send it: both come from `planCapture` alone.
 
+import { boardSpec, readStatures } from "../calibrations/fields.js";
 import { dateAndTime, stem } from "../shared/format.js";
+import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
 import { shownSpec } from "./choices.js";
 import { needsCamera } from "./files.js";
@@ -21,6 +23,7 @@ export function planCapture({ draft, rig, options }) {
     files,
     views: files.filter(({ kind }) => kind !== "timestamps"),
     calibration: rig.record,
+    calibrate: draft.calibrateFrom && { method: draft.calibrateFrom, ...(draft.calibrateFrom === "board" ? { board: boardSpec(draft.board) } : { stature_m: readStatures(draft.stature) }) },
     start: draft.clock,
     clock: has("video") ? (isMeasured ? "declared" : draft.clock) : null,
     needsFrameRate: hasPoints && !has("timestamps"),
@@ -54,22 +57,36 @@ export function videosByCamera(rows) {
   return groups;
 }
 
+const uploadIds = (files, kind) => files.filter((row) => row.kind === kind).map(({ url }) => url.slice(url.lastIndexOf("/") + 1));
+
+// Camera of a manifest with the parts of its recording.
+const cameraManifest = (name, [first, ...more]) => ({
+  name, file: first.name, ...(more.length && { more_files: more.map((row) => row.name) }),
+  offset_s: first.offset_s, ...(first.rate !== null && { rate: first.rate }),
+});
+
+const captureName = (name) => name.trim() || SEND.defaultName(dateAndTime(new Date()));
+
+// Request that makes a calibration from the people or the board in the videos of a capture. Its cameras have the names of the files.
+export function calibrationBody({ name, files, calibrate }) {
+  const cameras = groupRows(files).map((rows) => cameraManifest(stem(rows[0].name), rows));
+  return { ...calibrate, name: captureName(name), videos: uploadIds(files, "video"), cameras };
+}
+
+// Request that makes a session of the footage of a calibration.
+export const calibratedBody = ({ name, spec }, calibrationId, sessionId) => (
+  { session_id: sessionId, calibration_id: calibrationId, manifest: { name: captureName(name), sync: spec.sync } });
+
 // Request that makes a session of a capture whose files are sent.
 export function sessionBody({ name, files, calibration, clock, frameRate_hz, layout, spec }) {
-  const ids = (kind) => files.filter((row) => row.kind === kind).map(({ url }) => url.slice(url.lastIndexOf("/") + 1));
-  const cameras = [...videosByCamera(files)].map(([name, rows]) => {
-    const [first, ...more] = orderParts(rows) ?? rows;
-    return {
-      name, file: first.name, ...(more.length && { more_files: more.map((row) => row.name) }),
-      offset_s: first.offset_s, ...(first.rate !== null && { rate: first.rate }),
-    };
-  });
+  const ids = (kind) => uploadIds(files, kind);
+  const cameras = [...videosByCamera(files)].map(([name, rows]) => cameraManifest(name, orderParts(rows) ?? rows));
   const [timestamps] = ids("timestamps");
   return {
     videos: ids("video"), keypoints: [...ids("keypoints"), ...ids("array")], ...(timestamps && { timestamps }),
     calibration_id: calibration.id,
     manifest: {
-      name: name.trim() || SEND.defaultName(dateAndTime(new Date())), cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
+      name: captureName(name), cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
       ...(layout && { layout }),
       sync: spec.sync, ...(ids("array").length && { pair_by_order: true }),
     },
@@ -92,13 +109,16 @@ export function findDoubled(views) {
 
 const listed = (rows) => rows.map(({ name }) => name).join(", ");
 
-export function findFaults({ files, views, calibration, needsFrameRate, frameRate_hz }, rig) {
+export function findFaults({ files, views, calibration, calibrate, start, needsFrameRate, frameRate_hz }, rig) {
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
   const arrays = views.filter(({ kind }) => kind === "array");
   if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));
   if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(SEND.faults.fewCameras(MIN_CAMERAS));
-  if (rig.problem && asksForUnit(rig.problem)) faults.push(SEND.faults.unit(rig.name));
+  if (calibrate) {
+    if (views.some(({ kind }) => kind !== "video") || start !== "declared") faults.push(SEND.faults.calibrate);
+    if (calibrate.stature_m === null) faults.push(CALIBRATIONS.add.statureUnread);
+  } else if (rig.problem && asksForUnit(rig.problem)) faults.push(SEND.faults.unit(rig.name));
   else if (rig.problem) faults.push(SEND.faults.calibrationUnread(rig.name ?? ""));
   else if (!calibration) faults.push(SEND.faults.calibration);
   if (missing.length) faults.push(SEND.faults.missing(listed(missing)));

@@ -1,13 +1,13 @@
-// Form of a job's choices, made from what the service lists: first what an animator thinks of, the rest folded.
+// Form of a job's choices, made from what the service lists: purpose, people and quality, the rest folded.
 
 import { size } from "../shared/format.js";
 import { helpLink, html, live, nothing, problemBox, prose, svg, typed } from "../shared/lit.js";
-import { characters } from "../shared/resources.js";
+import { characters, describeSpec } from "../shared/resources.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { OPTIONS } from "../shared/strings/send.js";
 
-const GROUPS = ["purpose", "people", "quality"];
-const MOST_TILES = 6;
+const ASKED = ["people", "quality"]; // groups of choices that are always asked, beside the purpose
+const FOLDED = ["purpose", "advanced"];
 const FEW_PEOPLE = 4;
 
 // Values of a choice that can be had here: networks that a worker lacks are not offered.
@@ -51,22 +51,18 @@ export function choicesForm({ id, options, spec, onChange, hidden = [], valueNot
   if (!options) return html`<p class="quiet">${OPTIONS.loading}</p>`;
   const set = (choice, value) => onChange(choice.name, value);
   const draw = (choice) => FIELDS[choice.kind]?.({ id, choice, spec, options, valueNote, set: (value) => set(choice, value) }) ?? nothing;
-  // One value of few comes before several: the application before its files.
-  const shown = options.choices.filter(({ name }) => !hidden.includes(name));
-  const groupChoices = (group) => shown.filter((choice) => choice.group === group)
-    .sort((one, other) => (one.kind === "several") - (other.kind === "several"));
-  const rest = shown.filter((choice) => !GROUPS.includes(choice.group));
-  const numChanged = rest.filter(({ name }) => name in spec).length;
+  const groupChoices = (group) => options.choices.filter((choice) => choice.group === group && !hidden.includes(choice.name));
+  const isOfPurpose = ({ name }) => findPurpose(options, spec) && name in options.purposes[0].spec;
+  const changed = describeSpec(spec, { choices: FOLDED.flatMap(groupChoices).filter((choice) => !isOfPurpose(choice)) });
   return html`
-    ${GROUPS.map((group) => html`<div class="group" data-group=${group}><h3>${OPTIONS.groups[group]}</h3>
-      <div class="fields">${group === "purpose" ? purposeField({ id, options, spec, onChange }) : nothing}${groupChoices(group).map(draw)}</div></div>`)}
-    <details class="advanced">
-      <summary>${OPTIONS.advanced}${numChanged ? html` <span class="badge">${OPTIONS.changed(numChanged)}</span>` : nothing}</summary>
-      <div class="fields grid">${rest.map(draw)}</div>
-    </details>`;
+    <div class="fields asked">${purposeField({ id, options, spec, onChange })}${ASKED.flatMap(groupChoices).map(draw)}</div>
+    <details class="customise">
+      <summary>${OPTIONS.customise}</summary>
+      ${FOLDED.map((group) => html`<div class="group" data-group=${group}><h3>${OPTIONS.groups[group]}</h3>
+        <div class="fields grid">${groupChoices(group).map(draw)}</div></div>`)}
+    </details>
+    ${changed.length ? html`<ul class="choices" aria-label=${OPTIONS.set}>${changed.map(({ label, value }) => html`<li class="chip" title="${label}: ${value}">${label}: ${value}</li>`)}</ul>` : nothing}`;
 }
-
-const sentences = (...notes) => notes.filter(Boolean).map((note) => note[0].toUpperCase() + note.slice(1)).map((note) => (note.endsWith(".") ? note : `${note}.`)).join(" ");
 
 function tile({ id, choice, value, label, note, isChecked, onPick, type = "radio" }) {
   return html`<label class="tile">
@@ -77,21 +73,25 @@ function tile({ id, choice, value, label, note, isChecked, onPick, type = "radio
 
 const isSame = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
-const isOfPurposes = ({ name }, { purposes }) => name in purposes[0].spec;
+const findChoice = ({ choices }, wanted) => choices.find(({ name }) => name === wanted);
+
+// Purpose whose choices a spec has; undefined if they are others.
+function findPurpose(options, spec) {
+  return options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(choiceValue(findChoice(options, name), spec), value)));
+}
 
 // What a take is for, which sets several choices at once; none is checked if they were set otherwise.
 function purposeField({ id, options, spec, onChange }) {
-  const findChoice = (name) => options.choices.find((choice) => choice.name === name);
-  const chosen = options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(choiceValue(findChoice(name), spec), value)));
+  const chosen = findPurpose(options, spec);
   const pick = (purpose) => {
-    for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, findChoice(name).default) ? undefined : value);
+    for (const [name, value] of Object.entries(purpose.spec)) onChange(name, isSame(value, findChoice(options, name).default) ? undefined : value);
   };
   const tiles = options.purposes.map((purpose) => tile({
-    id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label, note: purpose.note,
+    id, choice: { name: "purpose" }, value: purpose.name, label: purpose.label,
     isChecked: purpose === chosen, onPick: () => pick(purpose),
   }));
   const setCharacter = (character) => onChange("character", character);
-  return html`${frame({ name: "what-for", label: OPTIONS.purpose, description: chosen ? OPTIONS.purposeSets : OPTIONS.purposeOwn }, tiles)}
+  return html`${frame({ name: "what-for", label: OPTIONS.purpose, description: chosen?.note ?? OPTIONS.purposeOwn }, tiles)}
     ${spec.character || chosen?.name === "character" ? characterField({ id, chosen: spec.character, set: setCharacter }) : nothing}`;
 }
 
@@ -122,9 +122,10 @@ const FIELDS = {
     const values = offered(choice, spec, options);
     const chosen = choiceValue(choice, spec);
     const pick = (name) => set(name === choice.default ? undefined : name);
-    if (choice.group !== "advanced" && !isOfPurposes(choice, options) && values.length <= MOST_TILES) {
-      return frame(choice, values.map(({ name, label, note }) => tile({
-        id, choice, value: name, label, note: sentences(valueNote(choice, name), note), isChecked: name === chosen, onPick: () => pick(name),
+    if (ASKED.includes(choice.group)) {
+      const note = values.find(({ name }) => name === chosen)?.note ?? "";
+      return frame({ ...choice, description: `${choice.description} ${note}` }, values.map(({ name, label }) => tile({
+        id, choice, value: name, label, note: valueNote(choice, name), isChecked: name === chosen, onPick: () => pick(name),
       })));
     }
     return field({ id, choice }, (inputId) => html`<select name=${inputId} id=${inputId} aria-describedby="${inputId}-about" @change=${(event) => pick(event.target.value)}>

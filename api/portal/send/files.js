@@ -1,5 +1,6 @@
 // Files of a capture: what they are, by their names.
 
+import { emptyBoard } from "../calibrations/fields.js";
 import { RequestProblem } from "../shared/api.js";
 import { countFrames } from "../shared/mp4.js";
 import { SEND } from "../shared/strings/send.js";
@@ -174,7 +175,10 @@ const DRAFT_KEY = "multicap.draft";
 export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera", "isUsed", "isJoined", "offset_s", "rate", "url", "sent", "isSent"];
 
 export function emptyDraft(kept = {}) {
-  return { name: "", calibrationId: null, clock: "declared", frameRate_hz: null, layout: null, spec: {}, rows: [], wasSending: false, request: null, sessionId: null, ...kept };
+  return {
+    name: "", calibrationId: null, calibrateFrom: null, stature: "", board: emptyBoard(), clock: "declared", frameRate_hz: null, layout: null, spec: {}, rows: [],
+    wasSending: false, calibrating: null, request: null, sessionId: null, ...kept,
+  };
 }
 
 export function loadDraft() {

@@ -1,6 +1,6 @@
 // Table of a capture's files: the camera of each, its timing, and how much of it is sent.
 
-import { percent, size } from "../shared/format.js";
+import { percent, size, stem } from "../shared/format.js";
 import { helpLink, html, live, moreLink, nothing, problemBox, prose, repeat, typed } from "../shared/lit.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
@@ -25,6 +25,7 @@ function timing(row, name, { label, empty, change, isLocked }) {
 function cameraField(row, sending, change, isLocked) {
   if (row.kind === "timestamps") return html`<span class="quiet">${SEND.timestamps}</span>`;
   if (row.kind === "array") return html`<span class="quiet">${SEND.allCameras}</span>`;
+  if (sending.draft.calibrateFrom) return html`<span class="quiet">${stem(row.name)}</span>`;
   const names = sending.cameraNames;
   if (names.length === 0) return html`<span class="quiet">${SEND.afterCalibration}</span>`;
   return html`<select aria-label=${SEND.cameraOf(row.name)} ?disabled=${isLocked || !row.isUsed}
@@ -91,10 +92,10 @@ function progressPart(sending) {
   const { phases } = SEND;
   const text = {
     waiting: phases.waiting(sending.unread.join(", ")), sending: phases.sending(size(sent), size(total)), paused: phases.paused(percent(sending.fraction)),
-    restoring: phases.restoring, checking: phases.checking, starting: phases.starting,
+    restoring: phases.restoring, calibrating: phases.calibrating(percent(sending.calibrated)), checking: phases.checking, starting: phases.starting,
   }[sending.phase];
   if (!text) return nothing;
-  return html`<div class="upload"><progress max="1" .value=${sending.fraction} aria-label=${SEND.upload}></progress><p class="quiet" role="status">${text}</p></div>`;
+  return html`<div class="upload"><progress max="1" .value=${sending.phase === "calibrating" ? sending.calibrated : sending.fraction} aria-label=${SEND.upload}></progress><p class="quiet" role="status">${text}</p></div>`;
 }
 
 function buttons({ sending, numTakes, send, failed, change }) {

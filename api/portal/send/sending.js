@@ -1,7 +1,7 @@
 // State of the view Send: the draft, its uploads, the check of its files. It outlives the view, so that an upload continues
 // while another view is open.
 
-import { call, persistently } from "../shared/api.js";
+import { call, persistently, RequestProblem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { percent } from "../shared/format.js";
 import { countCameraFrames, estimateTime } from "../shared/jobs.js";
@@ -10,21 +10,21 @@ import { readOptions } from "../shared/resources.js";
 import { COUNTS, PROBLEMS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
 import { ChosenCalibration } from "./calibration.js";
-import { planCapture, findFaults, jobBody, orderParts, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
+import { calibratedBody, calibrationBody, planCapture, findFaults, jobBody, orderParts, groupRows, sessionBody, videosByCamera } from "./capture_plan.js";
 import { addFiles, emptyDraft, needsCamera, loadDraft, saveDraft } from "./files.js";
 import { inOrder, matchCameras } from "./matching.js";
 import { UploadQueue } from "./uploads.js";
 
 const SAVE_MS = 300;
 const STILL_CHECKING_MS = 1500;
-const BUSY = ["restoring", "waiting", "sending", "checking", "starting"];
-const LOCKED = ["restoring", "checking", "checked", "starting"];
+const BUSY = ["restoring", "waiting", "sending", "calibrating", "checking", "starting"];
+const LOCKED = ["restoring", "calibrating", "checking", "checked", "starting"];
 
 class Sending extends EventTarget {
   draft = loadDraft();
   rig = new ChosenCalibration(() => { this.assignCameras(); this.changed(); });
   options = null; // choices that the service offers
-  phase = "draft"; // draft, waiting, sending, paused, restoring, checking, checked, starting
+  phase = "draft"; // draft, waiting, sending, paused, restoring, calibrating, checking, checked, starting
   problem = null;
   notes = []; // about files that were dropped
   session = null; // once the files are checked
@@ -40,11 +40,12 @@ class Sending extends EventTarget {
   async resume() {
     if (this.#isResumed) return;
     this.#isResumed = true;
-    const { calibrationId, request, sessionId } = this.draft;
+    const { calibrationId, calibrating, request, sessionId } = this.draft;
     if (calibrationId) this.#recallCalibration(calibrationId);
-    if (!request && !sessionId) return;
+    if (!calibrating && !request && !sessionId) return;
     this.#go("restoring");
-    if (request) await this.#check().catch((problem) => this.#fail(problem));
+    if (calibrating) await this.#calibrate().catch((problem) => this.#fail(problem));
+    else if (request) await this.#check().catch((problem) => this.#fail(problem));
     else await this.#recall();
   }
 
@@ -97,9 +98,13 @@ class Sending extends EventTarget {
   // Text about a running upload for other views; null without one.
   progress() {
     if (this.phase === "checking") return SEND.status.checking;
+    if (this.phase === "calibrating") return SEND.phases.calibrating(percent(this.calibrated));
     if (!["sending", "paused"].includes(this.phase)) return null;
     return SEND.status[this.phase](percent(this.fraction));
   }
+
+  // Share of the calibration from the videos that is done.
+  get calibrated() { return feed.jobs.get(this.draft.calibrating)?.progress ?? 0; }
 
   get fraction() {
     const [sent, total] = this.used.reduce(([a, b], row) => [a + row.sent, b + row.size], [0, 0]);
@@ -187,8 +192,8 @@ class Sending extends EventTarget {
   #begin() {
     this.#round += 1;
     this.#press += 1;
-    const { clock, frameRate_hz, layout, spec } = this.draft;
-    this.draft = emptyDraft({ clock, frameRate_hz, layout, spec, calibrationId: this.rig.id });
+    const { calibrateFrom, stature, board, clock, frameRate_hz, layout, spec } = this.draft;
+    this.draft = emptyDraft({ calibrateFrom, stature, board, clock, frameRate_hz, layout, spec, calibrationId: this.rig.id });
     this.session = this.problem = null;
     this.notes = [];
     this.#go("draft");
@@ -240,6 +245,7 @@ class Sending extends EventTarget {
   }
 
   readCalibration(file, units, up) {
+    this.draft.calibrateFrom = null;
     return this.#readRig(this.rig.readFile(file, units, up));
   }
 
@@ -248,6 +254,11 @@ class Sending extends EventTarget {
     await read;
     const { record, isReading } = this.rig;
     if (record && !isReading) announce(SEND.said.calibration(COUNTS.cameras(record.cameras.length)));
+  }
+
+  assignDraft(facts) {
+    Object.assign(this.draft, facts);
+    this.changed();
   }
 
   assign(row, facts) {
@@ -290,12 +301,41 @@ class Sending extends EventTarget {
       } while (this.unread.length || this.used.some(({ isSent }) => !isSent)); // it was changed meanwhile
       if (!this.#isComplete()) return;
       this.problem = null;
-      this.draft.request = { body: sessionBody(this.capture), key: newKey(), isCheckOnly };
       announce(SEND.said.sent);
-      await this.#check();
+      if (this.capture.calibrate) {
+        this.#go("checking");
+        const job = await this.#answered("/v1/calibrations", calibrationBody(this.capture), newKey());
+        for (const row of this.rows) row.url = null; // the calibration has the uploads now
+        feed.put(job);
+        Object.assign(this.draft, { wasSending: false, calibrating: job.id, isCheckOnly });
+        await this.#calibrate();
+      } else {
+        this.draft.request = { body: sessionBody(this.capture), key: newKey(), isCheckOnly };
+        await this.#check();
+      }
     } catch (problem) {
       if (!isOver()) this.#fail(problem);
     }
+  }
+
+  // Wait for the calibration from the sent videos, then make the capture of them with it.
+  async #calibrate() {
+    const id = this.draft.calibrating;
+    this.#go("calibrating");
+    this.save();
+    let made;
+    for (;;) {
+      made = await persistently(() => call(`/v1/calibrations/${id}`), { away: (problem) => this.#show(problem) });
+      if (made.state === "ready") break;
+      if (["failed", "canceled"].includes(made.state)) throw new RequestProblem(made.error ?? { detail: SEND.notCalibrated }, 422);
+      await new Promise((resolve) => { setTimeout(resolve, STILL_CHECKING_MS); });
+    }
+    if (!this.options) await this.loadOptions();
+    const { isCheckOnly } = this.draft;
+    const body = calibratedBody(this.capture, id, made.urls.session.split("/").at(-1));
+    Object.assign(this.draft, { calibrating: null, calibrateFrom: null, request: { body, key: newKey(), isCheckOnly } });
+    await this.chooseCalibration(id);
+    await this.#check();
   }
 
   // Have the files checked, then reconstruct them unless the check found errors. The service answers a request that it has
@@ -391,10 +431,9 @@ class Sending extends EventTarget {
 
   #fail(problem) {
     this.problem = problem;
-    this.draft.wasSending = false;
-    this.draft.request = null;
     // An upload that the service no longer has is sent again.
-    const isGone = (problem.items ?? []).some(({ code }) => code === "upload_unknown");
+    const isGone = this.draft.calibrating || (problem.items ?? []).some(({ code }) => code === "upload_unknown");
+    Object.assign(this.draft, { wasSending: false, calibrating: null, request: null });
     if (isGone) for (const row of this.rows) Object.assign(row, { url: null, sent: 0, isSent: false });
     this.#go("draft");
   }

@@ -123,8 +123,8 @@ class Takes {
         const take = this.waiting.includes(this.#shown) ? this.#shown : this.waiting[0];
         if (!take) break;
         if (take !== this.#shown) await this.#next(take);
-        else if (!take.hasCalibration) this.#sharedId = sending.rig.id;
         await sending.send();
+        if (!take.hasCalibration) this.#sharedId = sending.rig.id; // that was chosen, or made from its videos
         if (take.state !== "waiting") continue;
         if (sending.problem === null && sending.phase !== "checked") return; // it was paused
         this.#failed(take);

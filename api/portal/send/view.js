@@ -147,11 +147,14 @@ export function open(place) {
         <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
           ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (...chosen) => sending.readCalibration(...chosen) })}
         </section>
-        <section class="panel" aria-labelledby="choices-title"><h2 id="choices-title">${SEND.options}</h2>
+        ${recentJobs(feed)}
+      </div>
+      <div class="side">
+        <section class="panel" aria-label=${SEND.options}>
           ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, valueNote })}
         </section>
+        ${goPanel({ sending, numTakes: takes.waiting.length, send, failed, change: () => place.querySelector("#choose-files").focus() })}
       </div>
-      <aside class="side">${goPanel({ sending, numTakes: takes.waiting.length, send, failed, change: () => place.querySelector("#choose-files").focus() })}${recentJobs(feed)}</aside>
     </form>`;
   }
 

@@ -117,7 +117,7 @@ class MotionChoices:
     profile: Annotated[Profile, About("Profile", "Speed and accuracy of the detection.", group="quality")] = field(
         default="balanced", kw_only=True
     )
-    joints: Annotated[DetectedJoints, About("Joints", "Joints to find in videos.", group="quality")] = field(
+    joints: Annotated[DetectedJoints, About("Joints", "Joints to find in videos.")] = field(
         default="auto", kw_only=True
     )
     detector: Annotated[Detector, About("Detector", "One network in place of the profile's.")] = "auto"

@@ -136,7 +136,7 @@ def test_service_without_streams_is_polled(live: Live) -> None:
 def test_form_has_field_for_every_choice(live: Live) -> None:
     choices = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     with opened(f"{live.client.base_url}#/new") as page:
-        page.get_by_text("More options", exact=True).click()
+        page.get_by_text("Customise", exact=True).click()
         fields = page.locator("[name^='send-']")
         names = {name.removeprefix("send-") for name in fields.evaluate_all("all => all.map(one => one.name)")}
         # The clocks are measured where the start of the videos stands: tests/e2e/test_words.py

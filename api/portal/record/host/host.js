@@ -8,6 +8,7 @@ import { announce, go } from "../../shared/page.js";
 import { readCalibrations, readOptions, usable } from "../../shared/resources.js";
 import { COMMON } from "../../shared/strings/common.js";
 import { RECORD } from "../../shared/strings/record.js";
+import { sending } from "../../send/sending.js";
 import { shownBoard } from "../board/charuco.js";
 import { cleanName, isOfThisMachine, keepJoin } from "../room.js";
 import { HostedRecording } from "./recording.js";
@@ -24,7 +25,7 @@ export class RecordingView {
   calibrations = [];
   calibrationId = "";
   options = null;
-  spec = {}; // choices of the next jobs
+  spec = sending.draft.spec; // choices of the next jobs: the last ones of this browser
   takeName = "";
   askedName = ""; // name of the take that was asked for, until it has begun: the service may refuse it
   videoChoice = "best";

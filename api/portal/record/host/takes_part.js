@@ -1,6 +1,8 @@
 // Part of the view Record with the takes: start and stop, clips of the phones, and what is made of them.
 
+import { readStatures, statureField } from "../../calibrations/fields.js";
 import { choicesForm } from "../../send/choices.js";
+import { sending } from "../../send/sending.js";
 import { feed } from "../../shared/feed.js";
 import { clock } from "../../shared/format.js";
 import { jobState } from "../../shared/jobs.js";
@@ -91,7 +93,7 @@ function calibrateForm(view, recording, take) {
   const submit = async (event) => {
     event.preventDefault();
     const { kind, stature, board } = event.target.elements;
-    const choices = kind.value === "people" ? { stature_m: stature.value.split(/[\s,;]+/).filter(Boolean).map(Number) } : { board: board.value.trim() };
+    const choices = kind.value === "people" ? { stature_m: readStatures(stature.value) } : { board: board.value.trim() };
     if (await recording.calibrate(take, choices)) view.show(take.number, null);
   };
   const isBoard = view.calibratedBy === "board";
@@ -99,7 +101,7 @@ function calibrateForm(view, recording, take) {
     <label class="field"><span>${RECORD.from}</span><select name="kind" @change=${(event) => { view.calibratedBy = event.target.value; view.draw(); }}>
       <option value="people" .selected=${held(!isBoard)}>${RECORD.byPeople}</option><option value="board" .selected=${held(isBoard)}>${RECORD.byBoard}</option></select></label>
     ${isBoard ? html`<label class="field"><span>${RECORD.board}</span><input name="board" required maxlength="100" placeholder=${RECORD.boardPlaceholder} autocomplete="off" .value=${typed(view.board)}></label>`
-    : html`<label class="field"><span>${RECORD.stature}</span><input name="stature" required maxlength="60" placeholder="1.78" inputmode="decimal" autocomplete="off"></label>`}
+    : statureField()}
     <div class="actions"><button class="button primary">${RECORD.calibrate}</button><button type="button" class="button" @click=${() => view.show(take.number, null)}>${COMMON.close}</button></div></form>`;
 }
 
@@ -111,6 +113,7 @@ function reconstructForm(view, recording, take) {
   };
   const change = (name, value) => {
     if (value === undefined) delete view.spec[name]; else view.spec[name] = value;
+    sending.changed();
     view.draw();
   };
   return html`<form class="record-form" aria-label=${RECORD.reconstructOf(take.name)} @submit=${submit}>

@@ -84,7 +84,6 @@ export const RECORD = {
   byBoard: "A board",
   board: "Board specification",
   boardPlaceholder: "charuco:7x5:0.032:0.024:DICT_4X4_50",
-  stature: "Height in m, comma-separated",
   calibrate: "Calibrate",
   calibrateOf: (name) => `Calibrate from ${name}`,
   calibrationStarted: "The calibration job is started.",
