@@ -130,7 +130,7 @@ def calibrate_and_rename(host: Page, phone: Page) -> None:
     take = record(host, "Walk", 2, 2)
     take.get_by_role("button", name="Calibrate from Walk").click()
     form = take.get_by_role("form", name="Calibrate from Walk")
-    form.get_by_label(re.compile("^Height in m")).fill("1.78, 1.65")
+    form.get_by_label("Height of people").fill("1,78; 165 cm")
     form.get_by_role("button", name="Calibrate", exact=True).click()
     expect(take.get_by_text(re.compile("^Calibration: "))).to_be_visible(timeout=PATIENT_MS)
     host.get_by_role("button", name="Rename cam_3").click()

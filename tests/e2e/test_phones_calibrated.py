@@ -117,7 +117,7 @@ def calibrate(host: Page, take: Locator) -> None:
     """Calibrate the phones from the people of a take, and wait until the calibration is chosen by itself."""
     take.get_by_role("button", name="Calibrate from Walk").click()
     form = take.get_by_role("form", name="Calibrate from Walk")
-    form.get_by_label(re.compile("^Height in m")).fill("1.75")
+    form.get_by_label("Height of people").fill("1.75")
     form.get_by_role("button", name="Calibrate", exact=True).click()
     expect(take.get_by_text("Calibration ready")).to_be_visible(timeout=4 * PATIENT_MS)
     expect(host.get_by_label("Phone positions")).not_to_have_value("")
