@@ -95,7 +95,8 @@ class Lease:
         Returns whether the worker shuts down.
     on_stuck
         Called from the thread when the work has not stopped within ``STOP_GRACE_S``, for example during one long call.
-        A worker process ends itself here.
+        A worker process ends itself here. Work of an attempt that was replaced, such as by edits of people, has
+        ``lease_s``: another process would take longer to start than most calls take to end.
     limit_s
         Time after which the work is stopped: it renews the lease, but hangs.
     """
@@ -114,7 +115,7 @@ class Lease:
         self._lease_s, self._heartbeat_s = lease_s, heartbeat_s
         self._stopping, self._on_stuck = stopping, on_stuck
         self._done_units = 0
-        self._lost = False
+        self._lost = self._is_superseded = False
         self._is_too_long = False
         self._was_cut_off = False
         self._ended = threading.Event()
@@ -170,6 +171,7 @@ class Lease:
             beat_s = now_s
             try:
                 self._lost |= not self._beat()
+                self._is_superseded = self._lost and not self._store.leases.holds(*self._held)
             except DamagedDatabase:
                 self._lost = True
             except Exception as error:
@@ -178,10 +180,18 @@ class Lease:
                 elif not self._was_cut_off:  # logged once
                     log.warning("heartbeat_failed", chunk=self._claim.chunk_id, reason=type(error).__name__)
                 self._was_cut_off = True
-        if not self._ended.wait(STOP_GRACE_S):
-            self._on_stuck()
+        end_s = time.monotonic() + (self._lease_s if self._is_superseded else STOP_GRACE_S)
+        while not self._ended.wait(_LOOK_S):
+            if self._stopping():
+                end_s = min(end_s, time.monotonic() + STOP_GRACE_S)
+            if time.monotonic() > end_s:
+                self._on_stuck()
+                break
 
     def _beat(self) -> bool:
-        claim = self._claim
-        done_units = min(self._done_units, claim.unit_count)
-        return self._store.leases.heartbeat(claim.chunk_id, claim.lease_token, done_units, self._lease_s)
+        done_units = min(self._done_units, self._claim.unit_count)
+        return self._store.leases.heartbeat(*self._held, done_units, self._lease_s)
+
+    @property
+    def _held(self) -> tuple[int, str]:
+        return self._claim.chunk_id, self._claim.lease_token

@@ -32,7 +32,7 @@ from tests.worker.conftest import (
     slow_detect,
 )
 from worker.run import chunk
-from worker.run.chunk import Work
+from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_job
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import ChunkState, JobState
@@ -223,6 +223,31 @@ def test_pass_that_does_not_notice_is_given_up(bench: RunnerBench) -> None:
     thread.join()
     assert took_s < 5
     assert state is JobState.CANCELED
+
+
+def test_pass_of_replaced_attempt_may_end_its_call(bench: RunnerBench) -> None:
+    """Edits of people take the chunks of the edits before; the process stays for the next ones."""
+    begun = threading.Event()
+
+    def slow_to_stop(work: Work) -> Output:
+        begun.set()
+        try:
+            while True:
+                time.sleep(0.01)
+                work.check()
+        except StoppedError:
+            time.sleep(2 * chunk.STOP_GRACE_S)
+            raise
+
+    bench.stages[DETECT] = slow_to_stop
+    job = bench.create_job()
+    thread = in_thread(bench)
+    assert begun.wait(120)
+    bench.stages[DETECT] = detect
+    assert bench.store.leases.reap(0.0)
+    thread.join(120)
+    assert bench.stuck == []
+    assert bench.store.jobs.get(job.id).state is JobState.SUCCEEDED
 
 
 def limit_to(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
