@@ -221,7 +221,7 @@ def _queue_proxies(work: TenantRecords, session: QueuedSession) -> None:
     if not cameras or not has_videos(session) or work.jobs.page(session_id=session.id, kind="proxies", limit=1):
         return
     capture = work.sessions.capture(session.id)
-    if capture.is_blurred or capture.session.videos_deleted_at is not None:
+    if capture.blurs_faces or capture.session.videos_deleted_at is not None:
         return
     making = ProxyChoices(cameras)
     work.jobs.add(session.id, JobSpec(), plan_job(session, JobSpec(), making=making), None, tracing.current(), making)

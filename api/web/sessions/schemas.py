@@ -380,7 +380,7 @@ class SessionOut(ResponseModel):
     shows_blurred: bool = Field(
         default=False,
         description="Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and "
-        "thumbnails not at all.",
+        "thumbnails not at all. False until the first such job ends, if an earlier job has shown the videos.",
     )
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")

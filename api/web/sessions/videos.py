@@ -48,8 +48,8 @@ def get_session_video(
     The video is the file that was sent, if browsers play it. Else it is a proxy: a small copy at the true times of the
     frames, without sound, which is made behind the session's first reconstruction.
 
-    Of a session with a job that has `blur_faces`, in whatever state, it is a small copy with blurred heads that the
-    newest such job has made, and never the file that was sent. Frames that this job left out are black.
+    Of a session that `shows_blurred` it is a small copy with blurred heads that the newest job with `blur_faces` has
+    made, and never the file that was sent. Frames that this job left out are black.
     """
     capture = records.sessions.capture(session_id)
     session, cameras = capture.session, capture.session.preflight.cameras

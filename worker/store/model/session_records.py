@@ -90,7 +90,10 @@ class Capture:
         frozenset()
     )  # Names of the proxies that are made; see ``pipeline.core.options.job_choices.proxy_name``
     proxies_job: NewestJob | None = None  # Job that makes proxies; ``None``: no job had to
-    # A reconstruction blurs faces, so that no picture of the session is shown as it was sent
+    # A reconstruction blurs faces; no proxies are made
+    blurs_faces: bool = False
+    # No picture of the session is shown as it was sent: it blurs faces. But while its first blurred videos are made, a
+    # session that an earlier reconstruction has shown stays as it is
     is_blurred: bool = False
     # Names of the blurred videos that are made; see ``pipeline.core.options.job_choices.blurred_name``
     blurred: frozenset[str] = frozenset()

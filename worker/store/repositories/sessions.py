@@ -7,7 +7,7 @@ from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, false, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, case, delete, false, func, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
@@ -22,7 +22,7 @@ from worker.store.errors import Conflict, NotFound
 from worker.store.files.file_keys import job_prefix, session_prefix, thumbnails_prefix
 from worker.store.model.job_records import SIDE_KINDS, NewestJob
 from worker.store.model.session_records import Capture, InputFile, Purpose, Session
-from worker.store.model.states import FINISHED, JobState, job_state
+from worker.store.model.states import FINISHED, UNFINISHED, JobState, job_state
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
 
@@ -269,6 +269,7 @@ def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Cap
         if row.name is not None:
             made[row.session_id].add(row.name)
     blurred = _blurred_videos(connection, [row.id for row in rows])
+    shown = _shown_until_blurred(connection, list(blurred))
     return [
         Capture(
             read_session(row),
@@ -277,6 +278,7 @@ def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Cap
             frozenset(made[row.id]),
             jobs_that_make.get(row.id),
             row.id in blurred,
+            row.id in blurred and row.id not in shown,
             blurred.get(row.id, frozenset()),
         )
         for row in rows
@@ -304,6 +306,22 @@ def _blurred_videos(connection: Connection, session_ids: Sequence[str]) -> Mappi
     for row in connection.execute(query):
         names[row.session_id].add(row.name)
     return {session_id: frozenset(name for name in found if name) for session_id, found in names.items()}
+
+
+def _shown_until_blurred(connection: Connection, session_ids: Sequence[str]) -> set[str]:
+    """Sessions whose jobs that blur faces have all yet to end, and that another reconstruction has shown before."""
+    if not session_ids:
+        return set()
+    is_pending = jobs.c.state.in_(UNFINISHED) & jobs.c.results_revision.is_(None)
+    is_done = (jobs.c.kind == "reconstruction") & jobs.c.results_revision.is_not(None)
+    query = (
+        select(jobs.c.session_id)
+        .where(jobs.c.session_id.in_(session_ids))
+        .group_by(jobs.c.session_id)
+        .having(func.sum(case((blurs_faces() & ~is_pending, 1), else_=0)) == 0)
+        .having(func.sum(case((is_done, 1), else_=0)) > 0)
+    )
+    return set(connection.scalars(query))
 
 
 def delete_proxies(connection: Connection, access: Access, session_id: str) -> None:

@@ -63,6 +63,23 @@ def test_before_job_has_succeeded_nothing_is_shown(live: Live) -> None:
     assert live.client.get(address).json()["shows_blurred"] is False
 
 
+def test_shown_session_stays_until_blurred_job_ends(live: Live) -> None:
+    """An earlier run goes on with its videos; a job that ended in any way is asked to blur."""
+    address = send(live, "cam_0.mp4", "cam_1.mp4")
+    live.finish(str(start(live, address)["id"]))
+    job = start(live, address, **BLUR)
+    assert live.client.get(f"{address}/videos/cam_0").content == SENT
+    session = live.client.get(address).json()
+    assert session["shows_blurred"] is False
+    assert session["preflight"]["cameras"][0]["video_url"] == f"{address}/videos/cam_0"
+    live.client.post(f"/v1/jobs/{job['id']}/cancel")
+    problem_of(live.client.get(f"{address}/videos/cam_0"), 409, "not_finished")
+    again = start(live, address, **BLUR)
+    problem_of(live.client.get(f"{address}/videos/cam_0"), 409, "not_finished")
+    make(live, str(again["id"]), blurred_name(0), BLURRED_KIND, BLURRED)
+    assert live.client.get(f"{address}/videos/cam_0").content == BLURRED
+
+
 def test_blurred_videos_take_place_of_all_others(live: Live) -> None:
     address = send(live)
     job = start(live, address, **BLUR)
