@@ -3,8 +3,11 @@
 import { sending } from "./send/sending.js";
 import { call, persistently, reached, RequestProblem, signedOut, useLink } from "./shared/api.js";
 import { feed } from "./shared/feed.js";
-import { html, nothing, problemBox, prose, render } from "./shared/lit.js";
-import { announce, currentRoute, replace } from "./shared/page.js";
+import { percent } from "./shared/format.js";
+import { hasEnded } from "./shared/jobs.js";
+import { html, live, nothing, problemBox, prose, render } from "./shared/lit.js";
+import { canNotify, noticeEnds, notifies, setNotices } from "./shared/notices.js";
+import { announce, currentRoute, replace, setTitle, setTitleShare } from "./shared/page.js";
 import { PROBLEMS } from "./shared/strings/common.js";
 import { FRAME } from "./shared/strings/frame.js";
 
@@ -49,7 +52,7 @@ async function navigate({ isFirst = false } = {}) {
   at("view").replaceChildren(place);
   view = module.open(place, route, caller);
   showNav(route.name);
-  document.title = FRAME.title(view.title);
+  setTitle(view.title);
   scrollTo(0, 0);
   if (isFirst) return;
   at("view").focus({ preventScroll: true });
@@ -75,7 +78,7 @@ function showAway(name, problem) {
   const label = FRAME.nav[name] ?? FRAME.job;
   showPlace((place) => render(html`<h1 class="title">${label}</h1>${problemBox(problem)}`, place));
   showNav(name);
-  document.title = FRAME.title(label);
+  setTitle(label);
 }
 
 function showPlace(fill) {
@@ -102,7 +105,13 @@ function showNav(name) {
 
 function showStatus() {
   const upload = sending.progress();
+  const atWork = feed.newest().filter((job) => !hasEnded(job));
+  const { id } = currentRoute();
+  const shown = feed.jobs.has(id) ? atWork.find((job) => job.id === id) : atWork[0];
+  setTitleShare(shown && shown.state !== "queued" ? percent(shown.progress) : null);
+  const notify = (event) => setNotices(event.target.checked).finally(showStatus);
   render(html`
+    ${atWork.length && canNotify() ? html`<label class="with"><input type="checkbox" .checked=${live(notifies())} @change=${notify}>${FRAME.notify}</label>` : nothing}
     ${feed.problem && caller ? html`<span class="away" role="alert">${feed.problem.message}</span>` : nothing}
     ${upload === null ? nothing : html`<a class="sending" href="#/new">${upload}</a>`}
     ${caller?.name ? html`<span class="caller">${FRAME.caller(caller.name, caller.tenant)}</span>
@@ -116,7 +125,7 @@ function showEntrance(problem = null) {
   view = caller = null;
   showNav("");
   showStatus();
-  document.title = FRAME.title(FRAME.signIn);
+  setTitle(FRAME.signIn);
   const place = document.createElement("div");
   at("view").replaceChildren(place);
   const draw = (shown) => render(html`<section class="panel entrance" aria-labelledby="entrance-title">
@@ -160,7 +169,7 @@ function showEndedLink() {
   view?.close();
   view = caller = null;
   showStatus();
-  document.title = FRAME.title(FRAME.linkEnded);
+  setTitle(FRAME.linkEnded);
   const place = document.createElement("div");
   at("view").replaceChildren(place);
   render(html`<section class="panel entrance" aria-labelledby="ended-title" role="alert">
@@ -209,7 +218,7 @@ signedOut.addEventListener("signedout", () => {
   if (caller === GUEST) showEndedLink();
   else if (caller !== null) showEntrance();
 });
-feed.addEventListener("change", showStatus);
+feed.addEventListener("change", () => { noticeEnds(feed.jobs.values()); showStatus(); });
 sending.addEventListener("change", showStatus);
 addEventListener("hashchange", () => {
   // What a link opened is not mixed with what a key opens.

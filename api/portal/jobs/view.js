@@ -4,7 +4,7 @@ import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { jobFacts, hasEnded, hasFiles, jobState } from "../shared/jobs.js";
 import { html, nothing, problemBox, render, warningList } from "../shared/lit.js";
-import { announce } from "../shared/page.js";
+import { announce, setTitle } from "../shared/page.js";
 import { readOptions } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
 import { FRAME } from "../shared/strings/frame.js";
@@ -54,7 +54,7 @@ class JobView {
     this.draw();
     await this.#persist(async () => {
       this.job = feed.jobs.get(this.id) ?? await call(`/v1/jobs/${encodeURIComponent(this.id)}`);
-      document.title = FRAME.title(this.job.session_name);
+      setTitle(this.job.session_name);
       [this.session, this.options] = await Promise.all([call(this.job.urls.session), this.caller.isGuest ? null : readOptions()]);
       await this.#showResults();
     });
@@ -161,7 +161,7 @@ class JobView {
           ${warningList(job.warnings, COMMON.warningsOf(job.session_name), this.session?.notes)}</details>` : nothing}
         ${this.motion.choice}
       </div>
-      ${hasEnded(job) || job.revision > 0 ? nothing : html`<div class="panel">${stageList(job)}</div>`}
+      ${hasEnded(job) || hasFiles(job) ? nothing : html`<div class="panel">${stageList(job)}</div>`}
       ${errorBox(job)}${waitingBox(job)}${problemBox(this.problem)}`;
   }
 

@@ -2,6 +2,7 @@
 
 import { addressed, call } from "./api.js";
 import { hasEnded, isAtWork } from "./jobs.js";
+import { notifies } from "./notices.js";
 
 const POLL_MS = 1500;
 const QUIET_POLL_MS = 10_000;
@@ -100,7 +101,7 @@ class Feed extends EventTarget {
 
   #schedule() {
     clearTimeout(this.#timer);
-    if (!this.#isRunning || document.hidden) return;
+    if (!this.#isRunning || (document.hidden && !notifies())) return;
     const isLive = ({ id }) => this.#streams.get(id)?.readyState === EventSource.OPEN;
     const isUnseen = [...this.jobs.values()].some((job) => isAtWork(job) && !(isLive(job) && !hasEnded(job)));
     this.#timer = setTimeout(() => this.refresh(), isUnseen ? POLL_MS : QUIET_POLL_MS);

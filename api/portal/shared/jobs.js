@@ -18,7 +18,6 @@ const foundNobody = (job) => hasWarning(job, "nobody_found");
 
 // Words and tone of a job's state. A result without people, or with doubts, is no plain success.
 export function jobState(job) {
-  if (job.files_state === "updating") return { words: STATES.updatingAt(percent(job.progress)), tone: "run" };
   if (job.files_state === "failed") return { words: STATES.notUpdated, tone: "warn" };
   if (job.state === "succeeded" && foundNobody(job)) return { words: STATES.foundNobody, tone: "empty" };
   if (job.state === "succeeded" && hasWarning(job, "everybody_removed")) return { words: STATES.emptied, tone: "empty" };
@@ -33,6 +32,7 @@ export function jobFacts(job) {
   // A change of the edits is an attempt too.
   if (job.attempt > job.revision + 1) facts.push(STATES.attempt(job.attempt - job.revision));
   if (job.revision > 0) facts.push(STATES.revision(job.revision));
+  if (job.files_state === "updating") facts.push(STATES.updatingAt(percent(job.progress)));
   if (job.queue_position) facts.push(STATES.inQueue(job.queue_position));
   if (job.eta_s !== null) facts.push(STATES.timeLeft(roughly(job.eta_s)));
   if (hasEnded(job) && job.started_at && job.finished_at) {

@@ -1,4 +1,6 @@
-// What the whole page has: an announcer, and addresses of its views.
+// What the whole page has: an announcer, its title, and addresses of its views.
+
+import { FRAME } from "./strings/frame.js";
 
 let last = "";
 
@@ -8,6 +10,17 @@ export function announce(text) {
   last = text === last ? `${text}\u00a0` : text;
   place.textContent = last;
 }
+
+// Title of the page: the share of a job that is done, if one is at work, and the view.
+
+let [title, share] = ["", null];
+
+export function setTitle(name, done = share) {
+  [title, share] = [name, done];
+  document.title = FRAME.title(share === null ? title : FRAME.shareOf(share, title));
+}
+
+export const setTitleShare = (done) => setTitle(title, done);
 
 // Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay its API's.
 

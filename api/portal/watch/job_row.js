@@ -79,7 +79,7 @@ export function jobRow(view, job, number, notes) {
         ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label=${JOBS.deleteOf(name)} @click=${remove}>${JOBS.delete}</button>` : nothing}
       </div>
     </div>
-    ${hasEnded(job) ? nothing : stageList(job)}
+    ${hasEnded(job) || hasFiles(job) ? nothing : stageList(job)}
     ${errorBox(job)}
     ${waitingBox(job)}
     ${problemBox(view.problems.get(job.id))}

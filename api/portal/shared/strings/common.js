@@ -67,7 +67,7 @@ export const PROBLEMS = {
 export const STATES = {
   queued: "Waiting", running: "Running", canceling: "Canceling", succeeded: "Done", failed: "Failed", canceled: "Canceled", expired: "Expired",
   runningAt: (percent) => `Running ${percent}`,
-  updatingAt: (percent) => `Done, updating files ${percent}`,
+  updatingAt: (percent) => `updating files ${percent}`,
   notUpdated: "Done, files not updated",
   foundNobody: "Done: no person found",
   emptied: "Done: edits removed everyone",

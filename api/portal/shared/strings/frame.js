@@ -4,6 +4,8 @@ export const LANGUAGE = "en";
 
 export const FRAME = {
   title: (view) => `${view} · Multicap`,
+  shareOf: (percent, view) => `${percent} · ${view}`,
+  notify: "Notify me of ends",
   skip: "Skip to the content",
   views: "Views",
   nav: { new: "New capture", captures: "Captures", record: "Record", live: "Live", calibrations: "Calibrations" },
