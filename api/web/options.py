@@ -1,7 +1,7 @@
 """Routes for a form that sends captures: the choices of a job, the installed networks, a sample capture."""
 
 import mimetypes
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path as FilePath
 from typing import Annotated, Self
 from urllib.parse import quote
@@ -22,6 +22,7 @@ from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
+from pipeline.run.engine.costs import CAMERA_FRAME_S
 from worker.store.repositories.work.workers import installed_detectors, writable_formats
 
 
@@ -176,15 +177,6 @@ class SampleOut(ResponseModel):
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
-# Seconds of a job a camera's frame, by profile and joints: docs/lab/measurements.md, "Profiles".
-_CAMERA_FRAME_S: Mapping[tuple[config.Profile, config.JointsOfBody], float] = {
-    ("fast", "body"): 0.023,
-    ("fast", "feet"): 0.054,
-    ("balanced", "feet"): 0.063,
-    ("balanced", "whole"): 0.100,
-    ("accurate", "feet"): 0.151,
-}
-
 _INSTALL = "Run: multicap samples install"
 
 
@@ -289,7 +281,7 @@ def _profile_networks(
     return ProfileNetworksOut(
         joints=joints,
         networks=networks,
-        camera_frame_s=_CAMERA_FRAME_S.get((profile, joints)),
+        camera_frame_s=CAMERA_FRAME_S.get((profile, joints)),
         installed=None if installed is None else not missing,
         install=install_command(*networks),
     )

@@ -95,6 +95,7 @@ def test_dropped_files_become_capture_with_files_to_download(page: Page, keypoin
     expect(page.get_by_label("Stored calibration")).not_to_have_value("")
     expect(page.get_by_role("radio", name="Unreal Engine")).to_be_checked()
     # Files of one's own choice are for no purpose of the list.
+    page.get_by_text("Customise", exact=True).click()
     page.get_by_role("checkbox", name="GLB, body and animation").check()
     expect(page.get_by_role("group", name="The take is for").get_by_role("radio", checked=True)).to_have_count(0)
     page.get_by_role("radio", name="Web pages").check()

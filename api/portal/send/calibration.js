@@ -30,10 +30,11 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
   const chosen = sending.capture.calibration;
   // The list may be older than the chosen calibration.
   const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [chosen ?? { id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
-  const { calibrateFrom, stature, board } = sending.draft;
+  // A live capture has no videos from which to calibrate, and no draft.
+  const { calibrateFrom = null, stature, board } = sending.draft ?? {};
   const pick = ({ target: { value } }) => {
     const isMade = value in TEXT.from;
-    sending.assignDraft({ calibrateFrom: isMade ? value : null });
+    sending.assignDraft?.({ calibrateFrom: isMade ? value : null });
     choose(isMade ? null : value, listed.find(({ id }) => id === value)?.name);
   };
   return html`
@@ -41,7 +42,7 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
       <select aria-label=${TEXT.stored} ?disabled=${isLocked} @change=${pick}>
         <option value="" .selected=${live(!rig.id && !calibrateFrom)}>${stored === null ? COMMON.loading : listed.length ? COMMON.choose : TEXT.noneStored}</option>
         ${listed.map((calibration) => html`<option value=${calibration.id} .selected=${live(calibration.id === rig.id)}>${dated(calibration)}</option>`)}
-        <optgroup label=${TEXT.missing}>${Object.entries(TEXT.from).map(([from, label]) => html`<option value=${from} .selected=${live(from === calibrateFrom)}>${label}</option>`)}</optgroup>
+        ${sending.draft ? html`<optgroup label=${TEXT.missing}>${Object.entries(TEXT.from).map(([from, label]) => html`<option value=${from} .selected=${live(from === calibrateFrom)}>${label}</option>`)}</optgroup>` : nothing}
       </select>
       <label class="button">${TEXT.file}<input class="unseen" type="file" accept=${ACCEPTED_CALIBRATIONS} ?disabled=${isLocked}
         @change=${(event) => { if (event.target.files.length) readFile(event.target.files[0]); event.target.value = ""; }}></label>

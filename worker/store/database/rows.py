@@ -4,6 +4,7 @@ import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from datetime import timedelta
 from itertools import compress, groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -12,13 +13,14 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, 
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.findings import Finding
-from pipeline.core.options.config import method_warnings
+from pipeline.core.options.config import ReconstructionConfig, method_warnings
 from pipeline.core.options.edits import PeopleEdit, PersonSpan, read_edit
 from pipeline.core.options.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, jobs, sessions
+from worker.store.database.time_left import time_left_s
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
 from worker.store.model.session_records import InputFile, Session
@@ -134,7 +136,7 @@ def _job(
         stages=stages,
         progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
         queue_position=queue_position,
-        eta_s=_eta_s(row, stages),
+        eta_s=_eta_s(row, stages, config),
         problem=read_problem(row.problem),
         waiting_for=read_problem(row.waiting_for),
         warnings=(*preflight.findings, *method_warnings(config, has_videos), *map(Finding.from_json, row.warnings)),
@@ -187,13 +189,11 @@ def read_making(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})
 
 
-def _eta_s(row: Row[Any], stages: Iterable[StageProgress]) -> float | None:
+def _eta_s(row: Row[Any], stages: Iterable[StageProgress], config: ReconstructionConfig) -> float | None:
     if row.state != JobState.RUNNING:
         return None
-    # Outputs of an earlier job took no time.
-    worked_on = [stage for stage in stages if not stage.reused]
-    done, total = sum(stage.done for stage in worked_on), sum(stage.total for stage in worked_on)
-    return round(max(0.0, row.elapsed_s) * (total - done) / done, 1) if done else None
+    left_s = time_left_s(stages, config, row.started_at + timedelta(seconds=max(0.0, row.elapsed_s)))
+    return None if left_s is None else round(left_s, 1)
 
 
 def _stages(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, tuple[StageProgress, ...]]:
@@ -212,6 +212,7 @@ def _select_stages() -> Select[Any]:
             func.min(chunks.c.started_at),
             func.max(chunks.c.finished_at),
             _count(chunks.c.reused),
+            func.count(func.distinct(chunks.c.worker)),
             func.count(),
             *(_count(chunks.c.state == state) for state in _STATES),
         )
@@ -227,7 +228,7 @@ def _count(condition: ColumnElement[bool]) -> ColumnElement[int]:
 
 def _stage(row: Sequence[Any]) -> StageProgress:
     """Progress of a stage, from a row of ``_select_stages``: a page of jobs has hundreds of them."""
-    _, name, done, total, started_at, finished_at, num_reused, num_chunks, *of_states = row
+    _, name, done, total, started_at, finished_at, num_reused, num_workers, num_chunks, *of_states = row
     state = stage_state(compress(_STATES, of_states))
     return StageProgress(
         name=name,
@@ -237,6 +238,8 @@ def _stage(row: Sequence[Any]) -> StageProgress:
         started_at=started_at,
         finished_at=finished_at if state in _ENDED else None,
         reused=num_reused == num_chunks,
+        num_chunks=num_chunks,
+        num_workers=max(1, num_workers),
     )
 
 

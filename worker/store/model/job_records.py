@@ -105,6 +105,8 @@ class StageProgress:
     started_at: datetime | None
     finished_at: datetime | None
     reused: bool
+    num_chunks: int = 1
+    num_workers: int = 1  # Workers that have had its chunks
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +121,8 @@ class NewestJob:
 class JobRecord:
     """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
 
-    ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, as if all remaining
-    units took as long as the finished ones; ``None`` before any is finished. ``waiting_for`` is the outage that keeps
+    ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, see
+    ``worker.store.database.time_left``; ``None`` before any unit is finished. ``waiting_for`` is the outage that keeps
     its work waiting. ``warnings`` are about the files, the choices and the results. ``making`` has the choices of a
     calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
     ``revision`` the number of their changes, and ``people`` the reconstructed people before any edit; ``None`` until
