@@ -18,7 +18,10 @@ from api.web.downloads import Download, Stream, opened
 from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
 from pipeline.core.problems.request_codes import CONFLICT, NOT_FOUND
-from pipeline.run.engine.stage import DESCRIPTION, MOTION
+from pipeline.run.engine.stage import DESCRIPTION, DETECT, MOTION
+from worker.store.errors import NotFound
+from worker.store.files.artifacts import read_artifact
+from worker.store.files.file_keys import first_people_key
 from worker.store.model.job_records import Result
 from worker.store.tenant_records import TenantRecords
 
@@ -231,6 +234,52 @@ class _Part:
     num_bytes: int
     head: bytes | None = None
     start: int = 0
+
+
+_MAX_RANGES = 20  # of an answer
+
+
+class FirstPeople(ResponseModel):
+    """People who were located before they are tracked, while a job runs."""
+
+    ranges: tuple[dict[str, Any], ...] = Field(
+        description="Ranges of frames in order: `instants`, each with `time_s` and `people`; `joints`, `bones` and "
+        "`parents` of the skeleton; and `rig`, the cameras. A person has an `id` within the range, and `joints_m`: the "
+        "places of the joints, null where one is unknown."
+    )
+    next: int = Field(description="Number of the next range, to ask for later.", examples=[3])
+
+
+@router.get(
+    "/first-people",
+    operation_id="getFirstPeople",
+    summary="Look at the first people of a running job",
+    response_model=FirstPeople,
+    responses=problems(404),
+)
+def get_first_people(
+    job_id: JobId,
+    services: ServicesDep,
+    records: JobViewDep,
+    first: Annotated[int, Query(alias="from", ge=0, description="Number of the first range, from 0.")] = 0,
+) -> Response:
+    """List people of the ranges of frames in which all cameras' detections are done, a few ranges at a time.
+
+    They are located at a few instants, not tracked, and gone when the job has ended.
+    """
+    job = records.jobs.get(job_id)
+    num_cameras = len(records.sessions.get(job.session_id).preflight.cameras)
+    outputs = services.store.outputs.list_stage(job_id, DETECT)[first * num_cameras :]
+    found, number = list[bytes](), 0
+    while number < min(_MAX_RANGES, len(outputs) // num_cameras):
+        cameras = outputs[number * num_cameras : (number + 1) * num_cameras]
+        if any(output.sha256 is None for output in cameras):
+            break
+        number += 1
+        for output in cameras:
+            with contextlib.suppress(NotFound):
+                found.append(read_artifact(services.artifacts, first_people_key(job_id, job.attempt, output.key), None))
+    return Response(b'{"ranges":[%s],"next":%d}' % (b",".join(found), first + number), media_type="application/json")
 
 
 @router.get(

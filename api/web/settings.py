@@ -196,8 +196,9 @@ class Settings(SharedSettings):
     chunk_frames: int = Field(
         default=DEFAULT_CHUNK_FRAMES,
         gt=0,
-        description="Frames of a camera in a chunk of new sessions: a length for which networks take about 10 s. It "
-        "is doubled for a session that would have more than 20,000 chunks. Results do not depend on it.",
+        description="Frames of a camera in a chunk of new sessions: a length for which networks take about 10 s. A "
+        "quarter of a short take is enough. It is doubled for a session that would have more than 20,000 chunks. "
+        "Results do not depend on it.",
     )
 
     preflight_command: tuple[str, ...] = Field(

@@ -68,6 +68,8 @@ class Work:
     found: bytes | None  # Output of the chunk if it is stored already, and only the interim output is missing
     # Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it
     piece: Callable[[str], bytes | None] = lambda _: None
+    # Reads outputs of a running stage's chunks; ``None`` of a chunk that is not done
+    finished: Callable[[str, slice], list[bytes | None]] = lambda *_: []
 
 
 def time_limit_s(num_units: int, factor: float) -> float:

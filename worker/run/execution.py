@@ -213,6 +213,9 @@ class _TaskContext(Context):
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         return self.work.interim(stage, tasks)
 
+    def finished(self, stage: str, tasks: slice) -> list[bytes | None]:
+        return self.work.finished(stage, tasks)
+
     def stored_output(self) -> bytes | None:
         return self.work.found
 

@@ -19,7 +19,7 @@ from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
 from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NotFound, UnknownSchema
 from worker.store.files.artifacts import ArtifactStore, read_artifact, read_interim, write_interim
-from worker.store.files.file_keys import result_key, stage_key
+from worker.store.files.file_keys import first_people_key, result_key, stage_key
 from worker.store.model.job_records import Result
 from worker.store.model.session_records import MadeCalibration
 from worker.store.model.work import Ability, Claim, KeptPiece
@@ -252,6 +252,7 @@ class Runner:
                     check=lease.check,
                     interim=partial(self._interim, claim),
                     found=stored,
+                    finished=partial(self._finished, claim),
                     piece=partial(self._piece, claim),
                 )
             )
@@ -260,6 +261,9 @@ class Runner:
             pieces = [self._keep_piece(claim, key, path) for key, path in output.pieces.items()]
         if output.interim is not None:
             write_interim(self._artifacts, claim, output.interim)
+        if output.first_people is not None:
+            key = first_people_key(claim.job_id, claim.job_attempt, claim.output_key)
+            self._artifacts.put_bytes(key, output.first_people)
         if stored is None:
             self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
@@ -308,12 +312,17 @@ class Runner:
             for output in self._store.outputs.list_stage(claim.job_id, stage)
         )
 
-    def _stored(self, claim: Claim, sha256: str) -> bytes | None:
-        """Output of this chunk that an earlier job has left."""
+    def _stored(self, claim: Claim, sha256: str, output_key: str | None = None) -> bytes | None:
+        """Output of this chunk that an earlier job has left, or another output."""
         try:
-            return read_artifact(self._artifacts, stage_key(claim.session_id, claim.output_key), sha256)
+            return read_artifact(self._artifacts, stage_key(claim.session_id, output_key or claim.output_key), sha256)
         except (NotFound, DamagedArtifact):
             return None
+
+    def _finished(self, claim: Claim, stage: str, chunks: slice) -> list[bytes | None]:
+        """Outputs of a stage's chunks, ``None`` of the chunks that are not done."""
+        outputs = self._store.outputs.list_stage(claim.job_id, stage)[chunks]
+        return [None if one.sha256 is None else self._stored(claim, one.sha256, one.key) for one in outputs]
 
     def _piece(self, claim: Claim, key: str) -> bytes | None:
         """Piece that an earlier chunk has kept; ``None`` if it is missing or damaged."""

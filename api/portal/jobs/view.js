@@ -11,6 +11,7 @@ import { FRAME } from "../shared/strings/frame.js";
 import { TAKE } from "../shared/strings/take.js";
 import { choiceList, errorBox, stageList, waitingBox } from "../watch/job_row.js";
 import { downloads } from "./downloads.js";
+import { FirstPeople } from "./first_people.js";
 import { JobMotion } from "./job_motion.js";
 import { PeoplePanel } from "./people/panel.js";
 import { personColor } from "./people/person_names.js";
@@ -32,16 +33,18 @@ class JobView {
   #shown = null; // revision of the motion that is shown
   #panel = null; // to edit the people
   #sharing = null; // public links
+  #firstPeople = null; // while the job runs
   #isClosed = false;
 
   constructor(place, id, caller) {
     Object.assign(this, { place, id, caller });
     this.frame = document.createElement("div");
+    this.first = document.createElement("div");
     this.stage = document.createElement("div");
     this.people = document.createElement("div");
     this.below = document.createElement("div");
     this.links = document.createElement("div");
-    place.append(this.frame, this.stage, this.people, this.below, this.links);
+    place.append(this.frame, this.first, this.stage, this.people, this.below, this.links);
     this.stage.className = "motion";
     this.motion = new JobMotion(this.stage);
     this.onFeed = () => this.#feedChanged();
@@ -77,6 +80,7 @@ class JobView {
   close() {
     this.#isClosed = true;
     this.motion.close();
+    this.#firstPeople?.close();
     this.#panel?.close();
     this.#sharing?.close();
     feed.removeEventListener("change", this.onFeed);
@@ -93,6 +97,10 @@ class JobView {
 
   async #showResults() {
     const { job } = this;
+    const isFirst = job.kind === "reconstruction" && job.state === "running";
+    if (isFirst) this.#firstPeople ??= new FirstPeople(this.first, job.urls.self);
+    else this.#firstPeople?.close();
+    if (!isFirst) this.#firstPeople = null;
     const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.urls.people !== null;
     if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
     await this.#panel?.follow(job);

@@ -42,6 +42,9 @@ _KINDS = {form_kinds.VIDEOS: "video", form_kinds.INTRINSICS: form_kinds.CALIBRAT
 # Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "offset_std_s", "rate"}
 
+# Ranges of frames of a take, and the fewest frames of one: each chunk decodes from the keyframe before it.
+_MIN_RANGES, _MIN_CHUNK_FRAMES = 4, 25
+
 _tracer = trace.get_tracer("multicap")
 
 
@@ -211,8 +214,13 @@ def new_session(services: Services, checked: CheckedSession) -> NewSession:
         upload_ids=checked.upload_ids,
         metadata=checked.manifest.metadata,
         record_sha256=record_sha256,
-        chunk_frames=services.settings.chunk_frames,
+        chunk_frames=_chunk_frames(services.settings, checked.preflight.timebase.num_frames),
     )
+
+
+def _chunk_frames(settings: Settings, num_frames: int) -> int:
+    """Frames of a camera in a chunk: fewer of a short take, so that its first people are there before its last."""
+    return min(settings.chunk_frames, max(_MIN_CHUNK_FRAMES, -(-num_frames // _MIN_RANGES)))
 
 
 @contextlib.contextmanager

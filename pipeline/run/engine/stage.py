@@ -207,6 +207,10 @@ class Context(ABC):
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         """Interim outputs of tasks of an earlier stage, like ``outputs``; see ``Stage.leaves_interim``."""
 
+    def finished(self, stage: str, tasks: slice) -> list[bytes | None]:
+        """Outputs of other tasks of a stage that runs, ``None`` of a task that has not ended; none without viewers."""
+        return []
+
     @abstractmethod
     def stored_output(self) -> bytes | None:
         """Output of this task if an earlier job has left it, and this job lacks only the interim output."""
@@ -244,6 +248,8 @@ class Output:
     warnings: tuple[Finding, ...] = ()  # Findings about the results, for the last stage only
     # Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none
     interim: bytes | None = None
+    # JSON of ``pipeline.run.engine.first_people``, to be looked at until the job ends; ``None``: nothing to see
+    first_people: bytes | None = None
     # Calibration that the job has made: ``files``, texts by format, and ``report``
     calibration: Mapping[str, Any] | None = None
     # Files with pieces of the output, by key: kept with the session, so that later tasks find them. See

@@ -78,7 +78,31 @@ def detect(task: Task, context: Context) -> Output:
                 session, camera, span, detector, context.on_unit, config.uses_colours, config.follow_s
             )
     content = stored or encode(replace(detections, colour=no_colours()))
-    return Output(content, interim=encode_arrays({"colour": detections.colour}) if config.uses_colours else None)
+    colours = encode_arrays({"colour": detections.colour}) if config.uses_colours else None
+    return Output(content, interim=colours, first_people=_first_people(task, context, content))
+
+
+def _first_people(task: Task, context: Context, content: bytes) -> bytes | None:
+    """People of the task's frames, by the camera that is the last one to be done; clocks have to be known."""
+    from pipeline.core.data.detections import Detections
+    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.run.engine.codec import decode
+    from pipeline.run.engine.first_people import first_people
+
+    config, names = context.config, list(context.facts.camera_rates_hz)
+    place = names.index(task.one_camera)
+    first = task.index - place
+    contents = context.finished(DETECT, slice(first, first + len(names)))
+    if not contents or not config.is_of_people or config.sync == "auto":
+        return None
+    contents[place] = content
+    detections = {
+        name: decode(Detections, found) for name, found in zip(names, contents, strict=True) if found is not None
+    }
+    if len(detections) < len(names):
+        return None
+    session, joints = context.session(), detection_joints(config)
+    return first_people(session.cameras, session.times, session.timebase, detections, joints, task.frames)
 
 
 def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:

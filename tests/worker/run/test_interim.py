@@ -1,6 +1,7 @@
 """Interim outputs: they pass from stage to stage of one job, and go when it ends."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,25 @@ def run(bench: RunnerBench, **choices: object) -> JobRecord:
 def left(bench: RunnerBench) -> list[Path]:
     """Files with interim outputs, in the data folder or anywhere below it."""
     return [path for path in bench.data_dir.rglob("*") if path.is_file() and b"colours of" in path.read_bytes()]
+
+
+def test_first_people_are_stored_until_end(bench: RunnerBench) -> None:
+    """The last chunk of a range sees the outputs of the others, and leaves people to be looked at."""
+    seen: list[list[bytes | None]] = []
+
+    def detect_and_show(work: Work) -> Output:
+        seen.append(work.finished(DETECT, slice(0, NUM_CHUNKS)))
+        return replace(detect(work), first_people=b"people to see")
+
+    def identify_after(work: Work) -> Output:
+        assert len([path for path in bench.data_dir.rglob("*.people") if path.read_bytes() == b"people to see"]) > 0
+        return identify(work)
+
+    bench.stages |= {DETECT: detect_and_show, IDENTIFY: identify_after}
+    assert run(bench).state is JobState.SUCCEEDED
+    assert [sum(content is not None for content in contents) for contents in seen] == list(range(NUM_CHUNKS))
+    remove_files(bench.store.removals, bench.artifacts)
+    assert list(bench.data_dir.rglob("*.people")) == []
 
 
 def test_interim_outputs_reach_next_stage_until_end(bench: RunnerBench, stages: Stages) -> None:

@@ -86,6 +86,11 @@ def interim_key(job_id: str, attempt: int, output_key: str) -> str:
     return f"{interim_prefix(job_id, attempt)}{output_key}"
 
 
+def first_people_key(job_id: str, attempt: int, output_key: str) -> str:
+    """Key of the people to be looked at while a job runs, beside an interim output."""
+    return f"{interim_key(job_id, attempt, output_key)}.people"
+
+
 def results_prefix(job_id: str, revision: int = 0) -> str:
     """Prefix of the keys of the result files of a revision of a job."""
     return f"{job_prefix(job_id)}results/" if revision == 0 else f"{job_prefix(job_id)}revisions/{revision}/"

@@ -4,6 +4,8 @@ export const TAKE = {
   title: "Take",
   captures: "Captures",
   warnings: (number) => `${number} ${number === 1 ? "warning" : "warnings"}`,
+  firstPeople: "First people",
+  firstPeopleHint: (time) => `${time} so far, as the cameras see them now. The take is smoother, and knows who is who.`,
   compare: "Compare with",
   noOther: "no other job",
   files: "Files",
