@@ -56,7 +56,7 @@ export function viewerTools(viewer) {
       mark(VIEWER.from, VIEWER.rangeFrom, () => player.setSpan({ from: player.frame })), mark(VIEWER.to, VIEWER.rangeTo, () => player.setSpan({ to: player.frame })), all, trim),
     viewer.fileRateHz === null || viewer.fileRateHz === rateHz ? null : rate,
     viewer.wall === null ? null : layout,
-    document.fullscreenEnabled ? iconButton("fill", VIEWER.fill, () => viewer.fillScreen("scene")) : null,
+    document.fullscreenEnabled ? iconButton("fill", VIEWER.fill, () => viewer.fillScreen()) : null,
     mark("?", VIEWER.keys, () => viewer.sheet.showModal()));
   return { element, showLayout: (value) => { layout.value = value; } };
 }

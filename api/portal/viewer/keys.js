@@ -47,7 +47,7 @@ function act(viewer, { key, shiftKey }) {
     End: () => { player.pause(); player.seek(player.numFrames - 1); },
     n: () => viewer.strips.goToSpot(1),
     p: () => viewer.strips.goToSpot(-1),
-    f: () => (shiftKey ? viewer.fillScreen(viewer.layout === "both" ? "scene" : viewer.layout) : viewer.fit()),
+    f: () => (shiftKey ? viewer.fillScreen() : viewer.fit()),
     l: () => player.setLooping(!player.isLooping),
     "-": () => viewer.changeSpeed(-1),
     "+": () => viewer.changeSpeed(1),

@@ -105,8 +105,8 @@ export class Viewer {
     if (this.wall !== null) this.setLayout(next[this.layout] ?? "both");
   }
 
-  /** Fill the screen with the 3D view (`scene`) or a camera, until the browser ends it; or end it. */
-  fillScreen(layout) {
+  /** Fill the screen with the 3D view (`scene`) or a camera, such as the large one, until the browser ends it; or end it. */
+  fillScreen(layout = this.layout === "both" ? "scene" : this.layout) {
     if (document.fullscreenElement !== null) return document.exitFullscreen();
     const before = this.layout;
     this.main.onfullscreenchange = () => {

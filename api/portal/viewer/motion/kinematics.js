@@ -57,13 +57,14 @@ export function between(before, after, share, out) {
 /**
  * Write a person's positions at a place between two frames of a store, as its `positions` does; whether there are any.
  *
- * `next` is room for as many positions.
+ * `next` is room for as many positions. Corrections that a store has as its `preview` are made.
  */
 export function positionsAt(store, person, place, field, out, next) {
   const frame = Math.floor(place + 1e-6);
   if (!store.positions(person, frame, field, out)) return false;
   const share = place - frame;
   if (share > 1e-3 && store.positions(person, frame + 1, field, next)) between(out, next, share, out);
+  store.preview?.adjust(person, place, field, out);
   return true;
 }
 

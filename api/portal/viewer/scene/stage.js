@@ -257,6 +257,18 @@ export class Canvas3D {
     return isVisible;
   }
 
+  /** Line of sight through a place of the canvas in CSS pixels: its origin and its direction. */
+  sight(x, y) {
+    const origin = this.camera.position.clone();
+    if (this.throughMatrix) {
+      const { left, top, pixels } = this.#picture();
+      return { origin, direction: new THREE.Vector3(...this.#project3D.ray((x - left) * pixels - 0.5, (y - top) * pixels - 0.5)).normalize() };
+    }
+    const { clientWidth, clientHeight } = this.canvas;
+    const direction = new THREE.Vector3((2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight, 0.5).unproject(this.camera).sub(origin).normalize();
+    return { origin, direction };
+  }
+
   close() {
     this.#resizing.disconnect();
     this.controls.dispose();
