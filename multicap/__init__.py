@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pipeline.calibration.contents import CameraFile
     from pipeline.calibration.formats import reader as calibration_reader
     from pipeline.calibration.reading import Reading as CalibrationReading
+    from pipeline.calibration.registry import read_calibration
     from pipeline.calibration.validate import RawCamera
     from pipeline.capture.camera_files import Recording
     from pipeline.capture.keypoint_files.keypoint_reader import reader as keypoint_reader
@@ -36,7 +37,11 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoint_files.points import KeypointReading
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.session import CaptureSession, open_session
+    from pipeline.capture.session_maker import SessionMaker as Session
+    from pipeline.core.data.cameras import Camera
+    from pipeline.core.data.detections import Detections
     from pipeline.core.data.reconstruction import Reconstruction
+    from pipeline.core.data.rigid import Rigid3
     from pipeline.core.errors import ChildError, InputError, ModelError, PipelineError, Problem, SessionRefused
     from pipeline.core.options.choices import FileFormat
     from pipeline.core.options.config import ReconstructionConfig
@@ -57,11 +62,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CalibrationReading",
+    "Camera",
     "CameraFile",
     "CaptureSession",
     "CharacterSource",
     "ChildError",
     "Client",
+    "Detections",
     "FileFormat",
     "InputError",
     "Job",
@@ -79,7 +86,9 @@ __all__ = [
     "Reconstruction",
     "ReconstructionConfig",
     "Recording",
+    "Rigid3",
     "ServiceError",
+    "Session",
     "SessionRefused",
     "VmcSender",
     "Writer",
@@ -94,6 +103,7 @@ __all__ = [
     "open_keypoints",
     "open_session",
     "read_bodies",
+    "read_calibration",
     "reconstruct",
     "reconstruct_to_files",
     "recorded_frames",
@@ -105,11 +115,13 @@ __version__: str
 # References of the names above for the interpreter; a test compares both.
 _REFERENCES = {
     "CalibrationReading": "pipeline.calibration.reading:Reading",
+    "Camera": "pipeline.core.data.cameras:Camera",
     "CameraFile": "pipeline.calibration.contents:CameraFile",
     "CaptureSession": "pipeline.capture.session:CaptureSession",
     "CharacterSource": "pipeline.export.character.source:CharacterSource",
     "ChildError": "pipeline.core.errors:ChildError",
     "Client": "api.cli.client:Client",
+    "Detections": "pipeline.core.data.detections:Detections",
     "FileFormat": "pipeline.core.options.choices:FileFormat",
     "InputError": "pipeline.core.errors:InputError",
     "Job": "api.cli.client:Job",
@@ -127,7 +139,9 @@ _REFERENCES = {
     "Reconstruction": "pipeline.core.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.core.options.config:ReconstructionConfig",
     "Recording": "pipeline.capture.camera_files:Recording",
+    "Rigid3": "pipeline.core.data.rigid:Rigid3",
     "ServiceError": "api.cli.client:ServiceError",
+    "Session": "pipeline.capture.session_maker:SessionMaker",
     "SessionRefused": "pipeline.core.errors:SessionRefused",
     "VmcSender": "pipeline.run.live.vmc:VmcSender",
     "Writer": "pipeline.export.writers.registry:Writer",
@@ -142,6 +156,7 @@ _REFERENCES = {
     "open_keypoints": "pipeline.capture.keypoints:open_keypoints",
     "open_session": "pipeline.capture.session:open_session",
     "read_bodies": "pipeline.run.live.settings:read_bodies",
+    "read_calibration": "pipeline.calibration.registry:read_calibration",
     "reconstruct": "pipeline.run.engine.local:reconstruct",
     "reconstruct_to_files": "pipeline.run.engine.local:reconstruct_to_files",
     "recorded_frames": "pipeline.run.live.records:recorded_frames",

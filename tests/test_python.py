@@ -4,6 +4,7 @@ import ast
 import doctest
 import importlib.metadata
 import inspect
+import pydoc
 import re
 import subprocess
 import sys
@@ -66,12 +67,24 @@ def test_public_name_has_sections_and_example(name: str) -> None:
     needed = {"Examples"}
     is_error = inspect.isclass(thing) and issubclass(thing, Exception) and "__init__" not in vars(thing)
     if not is_error:
-        needed |= {"Attributes" if is_typeddict(thing) else "Parameters"}
+        needed |= {"Attributes" if is_typeddict(thing) else "Methods" if name == "multicap:Session" else "Parameters"}
     if not inspect.isclass(thing) and not returns_nothing(thing):
         needed |= {"Returns"}
     assert needed <= sections
     assert ">>> " in (inspect.getdoc(thing) or "")
     assert name.partition(":")[2] in dir(multicap) or name in METHODS
+
+
+def test_help_and_signatures_are_short() -> None:
+    """An enum is a plain `Literal`, and a default configuration shows what differs from the defaults."""
+    for name in multicap.__all__:
+        thing = resolve_name(f"multicap:{name}")
+        text = (inspect.getdoc(thing) or "") if inspect.isclass(thing) else pydoc.plain(pydoc.render_doc(thing))
+        assert len(text.splitlines()) <= 40, name
+        if not (inspect.isclass(thing) and issubclass(thing, Exception | dict)):
+            signature = str(inspect.signature(thing))
+            assert "Annotated" not in signature
+            assert len(signature) < 2_000
 
 
 def test_example_of_package_runs(tmp_path: Path) -> None:

@@ -16,7 +16,9 @@ from pipeline.calibration.readers import colmap, qca
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.arguments import checked
 from pipeline.core.parsing import UnreadableError, in_utf_8, parse
+from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
@@ -77,9 +79,31 @@ def _head(content: bytes) -> bytes:
     return content.lstrip(b"\xef\xbb\xbf \t\r\n")
 
 
-def read_calibration(path: Path, units: Units | None = None, up: Up = "z") -> tuple[Camera, ...]:
-    """Read cameras from a file in any supported format; see ``read_contents``."""
-    return read_contents(path, units, up).cameras
+@checked
+def read_calibration(path: StrPath, units: Units | None = None, up: Up = "z") -> tuple[Camera, ...]:
+    """Read cameras from a file in any supported format.
+
+    Parameters
+    ----------
+    path, units, up
+        See ``read_contents``.
+
+    Returns
+    -------
+    tuple of Camera
+        Cameras in the order of the file, in metres.
+
+    Raises
+    ------
+    InputError
+        With all problems of the file.
+
+    Examples
+    --------
+    >>> [camera.name for camera in read_calibration(folder / "calibration.json")]
+    ['cam_00', 'cam_01', 'cam_02']
+    """
+    return read_contents(Path(path), units, up).cameras
 
 
 def read_intrinsics(path: Path) -> CameraFile:

@@ -21,15 +21,17 @@ from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layou
 from pipeline.capture.keypoint_files.people import People, find_joint_set, is_detected
 from pipeline.capture.keypoint_files.readers import openpose
 from pipeline.capture.keypoint_files.scales import rescaled
-from pipeline.capture.keypoint_files.timestamps import times_from_file, times_from_rate
+from pipeline.capture.keypoint_files.timestamps import timebase_of, times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
 from pipeline.capture.preflight_record import LayoutRead
+from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
 from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
+from pipeline.core.options.arguments import checked
 from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
@@ -86,6 +88,8 @@ class KeypointSession:
     findings: tuple[Finding, ...]
     layout: LayoutRead | None = None
 
+    __repr__ = short_text
+
     @property
     def starts_s(self) -> dict[str, float]:
         """Time 0 of each camera, by camera name: the origin of timestamps and frame numbers."""
@@ -132,6 +136,7 @@ class KeypointSession:
         return replace(self, detections={})
 
 
+@checked
 def open_keypoints(
     folder: StrPath | Mapping[str, StrPath],
     calibration: StrPath,
@@ -148,39 +153,29 @@ def open_keypoints(
 ) -> KeypointSession:
     """Open a folder that contains a folder of keypoint files for each camera.
 
-    A folder belongs to the camera for which ``recordings`` names it, else to the camera whose name is a whole word in
-    the folder's name, see ``names.cameras_in_names``. Cameras without a folder are left out, with a warning.
+    A folder belongs to the camera whose name is a word in its name. Cameras without a folder are left out.
 
     Parameters
     ----------
     folder
         Folder of the cameras' folders, or the folder of each camera by the camera's name, whatever the folders' names.
-    timestamps
-        CSV file with the columns ``camera``, ``frame`` and ``time_s``: seconds on the clock that all cameras share.
-        Without it, frame k of all cameras is at k / ``frame_rate_hz``.
-    frame_rate_hz
-        Rate of all cameras; needed without ``timestamps``, and not allowed together with them.
-    units, up
-        See ``read_contents``.
-    max_joints
-        Limit on the joints of all people in all files, detected or not; ``None``: no limit. Reading stops at the limit.
-    pair_by_order
-        Pair the folders that ``recordings`` does not name with the other cameras by the natural order of their names; a
-        warning lists the pairs.
-    recordings
-        Names of some cameras' folders in ``folder``, in ``file`` of at most one recording a camera; nothing else of it
-        is used. A camera of a recording is never left out.
-    keeps_poses
+    timestamps, frame_rate_hz
+        CSV file with the columns ``camera``, ``frame`` and ``time_s``; or the rate of all cameras.
+    units, up, keeps_poses
         See ``open_session``.
+    max_joints
+        Limit on the joints of all people in all files, detected or not; ``None``: no limit.
+    pair_by_order
+        Pair folders without a camera by the natural order of the names; a warning lists the pairs.
+    recordings
+        Names of some cameras' folders, in ``file`` of a recording; such a camera is never left out.
     layout
-        Name of the layout of points that the files do not name, see ``layouts.FILE_LAYOUTS``; ``None``: the number of
-        points and the people tell it.
+        Layout of points without names; ``None``: the number of points and the people tell it.
 
     Returns
     -------
     KeypointSession
-        Cameras with a folder, in the order of the calibration; keypoints are distorted pixels, NaN with score 0 where a
-        joint was not detected.
+        Cameras in the order of the calibration; distorted pixels, NaN with score 0 for undetected joints.
 
     Raises
     ------
@@ -248,29 +243,68 @@ def open_keypoints(
         if timestamps is None
         else times_from_file(people_by_camera, timestamps, problems)
     )
-    if problems or joints is None or timebase is None:
-        raise InputError(problems)
-    if forms != {openpose.read_frame.name}:
+    if not problems and forms != {openpose.read_frame.name}:
         message = f"The keypoints are read in the form of {' and '.join(sorted(forms))}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
+    return _session(cameras, people_by_camera, joints, pairs, times, timebase, read, findings, problems)
+
+
+def _session(
+    cameras: Sequence[Camera],
+    people: Mapping[str, Mapping[int, People]],
+    joints: JointSet | None,
+    folders: Mapping[str, str],
+    times: Mapping[str, FrameTimes],
+    timebase: Timebase | None,
+    layout: LayoutRead | None,
+    findings: list[Finding],
+    problems: Sequence[Problem],
+) -> KeypointSession:
+    """Put a session together; raises ``InputError`` with the problems that were found."""
+    if problems or joints is None or timebase is None:
+        raise InputError(problems)
     findings += [
         Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw no people.", camera, hint="Check the detector's output.")
-        for camera, by_frame in people_by_camera.items()
+        for camera, by_frame in people.items()
         if not sum(map(len, by_frame.values()))
     ]
     return KeypointSession(
-        cameras=tuple(camera for camera in cameras if camera.name in pairs),
+        cameras=tuple(camera for camera in cameras if camera.name in people),
         times=times,
         timebase=timebase,
         detections={
-            camera: _as_detections(camera, list(by_frame.values()), joints)
-            for camera, by_frame in people_by_camera.items()
+            camera: _as_detections(camera, list(by_frame.values()), joints) for camera, by_frame in people.items()
         },
         joints=joints,
-        folders=pairs,
+        folders=folders,
         findings=tuple(findings),
-        layout=read,
+        layout=layout,
     )
+
+
+def session_of_frames(
+    cameras: Sequence[Camera],
+    people: dict[str, dict[int, People]],
+    counts: Mapping[str, frozenset[int]],
+    layout: str | None,
+    frame_rate_hz: float | None,
+    times: Mapping[str, FrameTimes],
+    findings: list[Finding],
+    problems: list[Problem],
+) -> KeypointSession:
+    """Put a session together from the people of each camera's frames in memory; see ``keypoint_files.people``.
+
+    ``counts`` are the numbers of points that have no names, by camera. ``times`` are used without a frame rate.
+    """
+    chosen = None if layout is None else _chosen(layout, problems)
+    names = {camera: camera for camera in people}
+    read = _in_layout(people, counts, names, cameras, chosen, findings, problems)
+    joints, timebase = _joint_set(people, problems), None
+    if frame_rate_hz is not None:
+        times, timebase = times_from_rate(people, names, frame_rate_hz, findings, problems)
+    elif not problems:
+        timebase = timebase_of(times, people, "", problems)
+    return _session(cameras, people, joints, names, times, timebase, read, findings, problems)
 
 
 def _paired(

@@ -19,9 +19,11 @@ from pipeline.capture.preflight_record import Clock, LayoutRead
 from pipeline.capture.slow_motion import slow_motion
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.capture.video_files import find_videos
+from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, Severity
+from pipeline.core.options.arguments import checked
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.core.paths import StrPath
 from pipeline.core.problems import finding_codes
@@ -69,6 +71,8 @@ class CaptureSession:
     frames: range | None = None
     whole_timebase: Timebase | None = None
     offset_std_s: Mapping[str, float] = field(default_factory=dict)
+
+    __repr__ = short_text
 
     @property
     def timebase(self) -> Timebase:
@@ -120,6 +124,7 @@ Session = CaptureSession | KeypointSession
 """A session of videos or of keypoints. Both have the same members, but for videos and detections."""
 
 
+@checked
 def open_session(
     videos: StrPath | Sequence[StrPath],
     calibration: StrPath | None,
@@ -134,16 +139,12 @@ def open_session(
 ) -> CaptureSession:
     """Open a folder of videos, or a list of videos, with a calibration.
 
-    Videos are synchronised at their first frames, unless ``recordings`` gives offsets. A video belongs to the camera
-    for which ``recordings`` names it, else to the camera whose name is a whole word in its name, see
-    ``names.cameras_in_names``. Cameras without a video are left out, with a warning. A calibration of another picture
-    size is adapted where ``fit_to_picture`` can do it, with a warning.
+    A video belongs to the camera whose name is a word in its name. Cameras without a video are left out.
 
     Parameters
     ----------
     calibration
-        ``None``: it is to be made from the videos, of which one may be alone. The cameras have the names of the videos,
-        or of their recordings, and are guessed, see ``guessed_camera``.
+        ``None``: it is to be made from the videos. The cameras have their names, and are guessed.
     recordings
         Facts about the videos of some cameras, at most one recording a camera.
     units, up
@@ -153,8 +154,7 @@ def open_session(
     images_rate_hz
         Frame rate of sequences of images, folders or zip archives in place of videos, whose recordings state none.
     pair_by_order
-        Pair the videos that ``recordings`` does not name with the other cameras by the natural order of their names; a
-        warning lists the pairs.
+        Pair videos without a camera by the natural order of the names; a warning lists the pairs.
     keeps_poses
         Whether the calibration's poses count; else it may have intrinsics alone, and poses in any unit.
 

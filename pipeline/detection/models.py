@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit, urlunsplit
 
 from pipeline.core.errors import ModelError
+from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import MotionChoices
 from pipeline.core.options.rules import install_command
 from pipeline.core.runtime.packages.archive import Archive, read_member
@@ -125,6 +126,7 @@ def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     return _install(entry, lambda: _from_files(entry, origin, source, on_bytes))
 
 
+@checked
 def install_networks(choices: MotionChoices, on_bytes: OnBytes = silent) -> tuple[Path, ...]:
     """Install the networks for the choices of a reconstruction; see ``install``.
 

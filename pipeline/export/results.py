@@ -13,11 +13,13 @@ from jaxtyping import Float
 
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.arrays import short_text
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import PipelineError, Problem
+from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import Body, JobChoices, Preset, Timeline
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, file_ending, formats_of_people, installed_formats
-from pipeline.core.options.rules import file_problems, format_problems, require
+from pipeline.core.options.rules import file_problems, format_problems, require, value_problems
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import TAKE_TOO_LARGE
 from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
@@ -73,7 +75,10 @@ class WrittenResults:
     paths: tuple[Path, ...]
     metrics: dict[str, Any]
 
+    __repr__ = short_text
 
+
+@checked
 def write_results(
     reconstruction: Reconstruction,
     folder: StrPath,
@@ -119,6 +124,7 @@ def write_results(
     'metrics.json'
     """
     folder = Path(folder)
+    require(value_problems({"output_rate_hz": frame_rate_hz}))
     require((*format_problems(exports, installed_formats()), *_model_problems(exports)))
     try:
         recordings = _write_rerun(reconstruction, folder, exports)

@@ -118,18 +118,28 @@ def times_from_file(
             problems.append(Problem(session_codes.TIMESTAMPS_ORDER, message, file=timestamps.name, camera=camera))
             continue
         times[camera] = FrameTimes(time_s)
+    return times, timebase_of(times, frames, timestamps.name, problems)
+
+
+def timebase_of(
+    times: Mapping[str, FrameTimes], frames: Mapping[str, Collection[int]], file: str, problems: list[Problem]
+) -> Timebase | None:
+    """Output frames for times of each camera's frames; ``None`` with a problem. See ``times_from_file``.
+
+    ``frames`` are the numbers of each camera's frames, and ``file`` the name of the file of the times.
+    """
     # A camera that saw nobody may have no frames: some programs list none without people.
     with_frames = [camera_times.time_s for camera_times in times.values() if len(camera_times.time_s)]
     if problems or not with_frames:
-        return times, None
+        return None
     start_s, first = min(
         (float(times[camera].time_s[0]), min(by_frame)) for camera, by_frame in frames.items() if by_frame
     )
     if start_s > _MAX_START_S:
         problems.append(
-            Problem(session_codes.TIMESTAMPS_START, "Times must count from 0.", file=timestamps.name, hint=_START_HINT)
+            Problem(session_codes.TIMESTAMPS_START, "Times must count from 0.", file=file or None, hint=_START_HINT)
         )
-        return times, None
+        return None
     rates_hz = [measured_rate_hz(time_s) for time_s in with_frames if len(time_s) > 1]
     rate_hz = max(rates_hz, default=float(DEFAULT_RATE))
     if not FRAME_RATE_HZ.holds(rate_hz, FRAME_RATE_TOLERANCE):
@@ -137,10 +147,10 @@ def times_from_file(
         hint = (
             "Check that the times are in seconds. Number pictures that are farther apart by seconds: 0, 1, 2 and so on."
         )
-        problems.append(Problem(session_codes.FRAME_RATE, message, file=timestamps.name, field="time_s", hint=hint))
+        problems.append(Problem(session_codes.FRAME_RATE, message, file=file or None, field="time_s", hint=hint))
     start_s = 0.0 if start_s * rate_hz < 1.0 else start_s
     source = TimeSource(
-        files=dict.fromkeys(times, timestamps.name),
+        files=dict.fromkeys(times, file),
         start_field="time_s",
         rate_field="time_s",
         start_hint="Check the times: seconds since the start of the capture, by a clock that all cameras share.",
@@ -149,9 +159,9 @@ def times_from_file(
     if all(frames.values()):
         problems += clock_problems(times, start_s, rate_hz, source)
     if problems:
-        return times, None
+        return None
     end_s = max(float(time_s[-1]) for time_s in with_frames)
-    return times, Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1, first)
+    return Timebase(start_s, rate_hz, round((end_s - start_s) * rate_hz) + 1, first)
 
 
 def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]) -> dict[str, dict[int, float]] | None:

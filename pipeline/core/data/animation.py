@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.core.data.arrays import short_text
 from pipeline.core.data.people import Track3D
 
 Side = Literal["left", "right"]
@@ -73,6 +74,8 @@ class SkeletonMotion:
     parent_from_joint: Float[np.ndarray, "frames joints 4"]
     contacts: tuple[FootContact, ...]  # Contacts of the feet with the floor, in order of their start
 
+    __repr__ = short_text
+
     @property
     def frames(self) -> range:
         """Output frames of the rows."""
@@ -86,3 +89,5 @@ class Animation:
     tracks: tuple[Track3D, ...]  # Tracks with final positions
     motions: tuple[SkeletonMotion, ...]  # One skeleton motion a track, in the tracks' order
     floor: Floor | None  # Floor plane; ``None`` if no foot was ever seen
+
+    __repr__ = short_text

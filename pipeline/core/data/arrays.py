@@ -1,4 +1,8 @@
-"""Read-only arrays, and empty ones for the records' defaults."""
+"""Read-only arrays, empty ones for the records' defaults, and short texts of records."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -33,3 +37,21 @@ def no_colours() -> UInt8[np.ndarray, "0 0 0"]:
 def no_detections() -> Int[np.ndarray, "0 0"]:
     """Return an empty, read-only array of detections by frame and camera."""
     return read_only(np.empty((0, 0), np.int32))
+
+
+_MAX_TEXT = 60
+
+
+def short_text(record: Any) -> str:
+    """Text of a record for interpreters: arrays by type and shape, sequences by their length."""
+    shown = (f"{field.name}={_short(getattr(record, field.name))}" for field in fields(record) if field.repr)
+    return f"{type(record).__name__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    text = "" if isinstance(value, Sequence | Mapping) and not isinstance(value, str | tuple) else repr(value)
+    if 0 < len(text) <= _MAX_TEXT:
+        return text
+    return f"<{len(value)} entries>" if isinstance(value, Sequence | Mapping) else f"<{type(value).__name__}>"

@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.core.data.arrays import short_text
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import Problem
 
@@ -19,18 +20,42 @@ that fit them lower the error by less than a quarter."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A calibrated pinhole camera with one of OpenCV's distortion models."""
+    """A calibrated pinhole camera with one of OpenCV's distortion models.
 
-    name: str  # Name of the camera, unique in a session
-    size_px: tuple[int, int]  # Width and height of the image, after the video's rotation is applied
-    matrix: Float[np.ndarray, "3 3"]  # Camera matrix K
-    # OpenCV's distortion coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; empty for none. Of a
-    # fisheye lens k1, k2, k3, k4.
+    Parameters
+    ----------
+    name
+        Name of the camera, unique in a session.
+    size_px
+        Width and height of the image, after the video's rotation is applied.
+    matrix
+        Camera matrix K in pixels.
+    distortion
+        OpenCV's coefficients k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; empty for none. Of a fisheye lens
+        k1, k2, k3, k4.
+    cam_from_world
+        Extrinsics: ``x_in_cam = R x_in_world + t``, in metres.
+    section
+        Second name of the camera in a calibration file, which video files may bear too; empty if there is none.
+    lens
+        Distortion model.
+
+    Examples
+    --------
+    >>> matrix = np.array([[1400.0, 0.0, 960.0], [0.0, 1400.0, 540.0], [0.0, 0.0, 1.0]])
+    >>> Camera("left", (1920, 1080), matrix, np.zeros(5), Rigid3(np.eye(3), np.array([0.0, 1.0, 4.0]))).is_ideal
+    True
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    matrix: Float[np.ndarray, "3 3"]
     distortion: Float[np.ndarray, " coefficients"]
-    cam_from_world: Rigid3  # Extrinsics: ``x_in_cam = R x_in_world + t``
-    # Second name of the camera in a calibration file, which video files may bear too; empty if there is none
+    cam_from_world: Rigid3
     section: str = ""
-    lens: LensModel = "standard"  # Distortion model
+    lens: LensModel = "standard"
+
+    __repr__ = short_text
 
     @property
     def is_ideal(self) -> bool:
@@ -43,6 +68,8 @@ class FrameTimes:
     """Times of one camera's frames on the session's clock, in seconds, ascending."""
 
     time_s: Float[np.ndarray, " frames"]
+
+    __repr__ = short_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

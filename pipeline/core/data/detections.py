@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from pipeline.core.data.arrays import no_changes, no_colours, no_frames, no_samples
+from pipeline.core.data.arrays import no_changes, no_colours, no_frames, no_samples, short_text
 from pipeline.core.data.turns import turned_axes
 
 
@@ -25,21 +25,45 @@ class PictureChanges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """2D bodies in the frames of one camera, sorted by frame."""
+    """2D bodies in the frames of one camera, sorted by frame.
 
-    camera: str  # The camera's name
-    frame: Int[np.ndarray, " n"]  # The camera's frame number of each body, ascending
-    # Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint
+    Parameters
+    ----------
+    camera
+        Name of the camera.
+    frame
+        The camera's frame number of each body, ascending.
+    keypoints_px
+        Joints in full-image pixels (distorted, as seen), NaN where the detector found no joint.
+    score
+        The detector's confidence in [0, 1], 0 where the joint is NaN.
+    box_px
+        x0, y0, x1, y1 around each body.
+    damaged
+        Numbers of the frames whose picture is damaged or missing, ascending.
+    colour
+        Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No
+        rows: colours were not measured.
+    changes
+        Changes of the pictures; none in detections of other programs.
+
+    Examples
+    --------
+    >>> joints_px, score = np.zeros((2, 17, 2)), np.ones((2, 17))
+    >>> len(Detections("left", np.array([0, 3]), joints_px, score, np.zeros((2, 4))).within(range(2)).frame)
+    1
+    """
+
+    camera: str
+    frame: Int[np.ndarray, " n"]
     keypoints_px: Float[np.ndarray, "n joints 2"]
-    score: Float[np.ndarray, "n joints"]  # The detector's confidence in [0, 1], 0 where the joint is NaN
-    box_px: Float[np.ndarray, "n 4"]  # x0, y0, x1, y1 around each body
-    # Numbers of the frames whose picture is damaged or missing, ascending
+    score: Float[np.ndarray, "n joints"]
+    box_px: Float[np.ndarray, "n 4"]
     damaged: Int[np.ndarray, " damaged"] = field(default_factory=no_frames)
-    # Histograms of the colours of each body's parts, see ``detect.appearance``; zeros where a part is unknown. No rows:
-    # colours were not measured.
     colour: UInt8[np.ndarray, "coloured parts bins"] = field(default_factory=no_colours)
-    # Changes of the pictures; none in detections of other programs
     changes: PictureChanges = field(default_factory=PictureChanges, kw_only=True)
+
+    __repr__ = short_text
 
     def within(self, frames: range) -> "Detections":
         """Select the bodies in a range of the camera's frame numbers, without the changes of the pictures."""

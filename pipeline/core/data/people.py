@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.core.data.arrays import no_detections
+from pipeline.core.data.arrays import no_detections, short_text
 
 
 class Source(IntEnum):
@@ -56,6 +56,8 @@ class Track3D:
     # uncertainty was computed.
     uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
 
+    __repr__ = short_text
+
     @property
     def num_frames(self) -> int:
         """Length in output frames."""
@@ -78,6 +80,8 @@ class Observations:
     # Rows of the detections in ``tracking.observations.Detections2D`` at the output frames that are nearest to them, -1
     # where there is none. No rows: not recorded, because no colours were measured.
     detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
+
+    __repr__ = short_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Refinement, Synchronization, Timebase
@@ -11,6 +13,22 @@ from pipeline.core.data.people import Doubt, Observations, PersonLoss, Track3D
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.joints import JointOffsets, JointSet
 from pipeline.core.options.providers import ProviderName
+from pipeline.core.paths import StrPath
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+Content = Literal["joints", "angles", "contacts"]
+Form = Literal["long", "wide"]
+
+# References: records import no other room.
+_TO_XARRAY = "pipeline.export.notebook.named_arrays:to_xarray"
+_TO_DATAFRAME = "pipeline.export.notebook.named_arrays:to_dataframe"
+_TO_PARQUET = "pipeline.export.notebook.named_arrays:to_parquet"
+_PLOT = "pipeline.export.notebook.plots:plot"
+_HTML = "pipeline.export.notebook.plots:html"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,18 +51,12 @@ class Reconstruction:
         Number of output frames that exceeded a limit of the exact methods of association.
     damaged
         Videos with damaged frames, in the cameras' order.
-    doubts
-        Doubts about the identity of each person, in the tracks' order; empty if nobody looked for them.
-    losses
-        Frames in which people are lost in the middle of the room, or were phantoms.
+    doubts, losses
+        Doubts about each person's identity, in the tracks' order; frames in which people are lost, or were phantoms.
     offsets
         Offsets of the detector's marks from the joints' centres, with which the skeletons were fitted.
-    refinement
-        Report of the refinement of the calibration; ``None`` if none was asked for.
-    synchronization
-        Measured clocks; ``None`` if times are as they were declared.
-    check
-        Check of the session by its people.
+    refinement, synchronization, check
+        Refinement of the calibration and measured clocks, ``None`` without; check of the session by its people.
     provider
         Execution provider of the networks; ``None`` if there was nothing to detect.
     layout
@@ -89,3 +101,104 @@ class Reconstruction:
     def motions(self) -> tuple[SkeletonMotion, ...]:
         """Skeleton motions, in the tracks' order."""
         return self.animation.motions
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return everything as named arrays, which the package ``movement`` takes.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``position`` in metres with dimensions (time, space, keypoints, individuals), ``confidence`` in [0, 1],
+            ``uncertainty_m``, ``error_px``, ``views``, ``source``; ``angle_deg`` and ``angle_sigma_deg`` (time, angles,
+            individuals); ``contact``, the confidence of a foot's contact, and ``pinned`` (time, feet, individuals).
+            NaN where a value is unknown.
+
+        Raises
+        ------
+        PipelineError
+            If xarray, of Multicap's extra ``notebook``, is not installed.
+        """
+        dataset: xr.Dataset = resolve_name(_TO_XARRAY)(self)
+        return dataset
+
+    def to_dataframe(self, of: Content = "joints", form: Form = "long") -> "pd.DataFrame":
+        """Return joints, angles or contacts of the feet as a table of pandas.
+
+        Parameters
+        ----------
+        of
+            Content. Joints have metres, confidence, uncertainty and reprojection error; angles degrees.
+        form
+            ``long``: a row for each known joint, angle or contact of a person in a frame. ``wide``: a row a frame, and
+            columns such as ``Person 1.nose.x_m``; NaN where a value is unknown.
+
+        Raises
+        ------
+        InputError
+            If ``of`` or ``form`` is no such name.
+        PipelineError
+            If pandas or xarray, of Multicap's extra ``notebook``, are not installed.
+        """
+        frame: pd.DataFrame = resolve_name(_TO_DATAFRAME)(self, of, form)
+        return frame
+
+    def to_parquet(self, path: StrPath, of: Content = "joints", form: Form = "long") -> Path:
+        """Write a table of ``to_dataframe`` as a Parquet file; return its path.
+
+        Raises
+        ------
+        PipelineError
+            If pyarrow, of Multicap's extra ``notebook``, is not installed, or the file can't be written.
+        """
+        written: Path = resolve_name(_TO_PARQUET)(self, path, of, form)
+        return written
+
+    def plot(
+        self,
+        person: int | None = None,
+        *,
+        angle: str | None = None,
+        camera: str | None = None,
+        frame: int | None = None,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw people in 3D, an angle over time, or a camera's view, with Matplotlib.
+
+        Parameters
+        ----------
+        person
+            Number of the person; ``None``: everybody.
+        angle
+            Name of a joint angle in degrees, such as ``left_knee_flexion``, which is drawn over time.
+        camera
+            Name of a camera: its picture's frame with the detected joints and the projected skeletons.
+        frame
+            Output frame of a skeleton or a view; ``None``: the middle frame of the person.
+        ax
+            Axes to draw on, with a 3D projection for people; ``None``: those of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            Axes with the drawing.
+
+        Raises
+        ------
+        InputError
+            If there is no such person, angle, camera or frame.
+        PipelineError
+            If Matplotlib, of Multicap's extra ``notebook``, is not installed.
+        """
+        axes: Axes = resolve_name(_PLOT)(self, person, angle, camera, frame, ax)
+        return axes
+
+    def __repr__(self) -> str:
+        timebase = self.timebase
+        return (
+            f"<Reconstruction: {len(self.tracks)} people, {timebase.num_frames} frames at {timebase.frame_rate_hz:g} "
+            f"Hz, {len(self.joints.names)} joints, {len(self.cameras)} cameras>"
+        )
+
+    def _repr_html_(self) -> str:
+        text: str = resolve_name(_HTML)(self)
+        return text

@@ -8,7 +8,18 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid3:
-    """Rotation and translation (metres): ``x_in_b = b_from_a.apply(x_in_a)``."""
+    """Rotation and translation (metres): ``x_in_b = b_from_a.apply(x_in_a)``.
+
+    Parameters
+    ----------
+    rotation, translation_m
+        Rotation matrix, and translation in metres.
+
+    Examples
+    --------
+    >>> Rigid3(np.eye(3), np.array([0.0, 0.0, 1.0])).apply(np.zeros(3)).tolist()
+    [0.0, 0.0, 1.0]
+    """
 
     rotation: Float[np.ndarray, "3 3"]
     translation_m: Float[np.ndarray, " 3"]

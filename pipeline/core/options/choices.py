@@ -5,7 +5,7 @@ as ``Annotated[Literal["name"], Value("label")]`` in the union of its choice. St
 """
 
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -179,6 +179,28 @@ def named_values(hint: Any, kind: type[_AnyValue]) -> dict[str, _AnyValue]:
             if isinstance(value, kind):
                 found[str(*get_args(literal))] = value
     return found
+
+
+def plain_hint(hint: Any) -> Any:
+    """Type without labels: one ``Literal`` for all names of a choice."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return plain_hint(args[0])
+    if origin in {Union, types.UnionType}:
+        plain = [plain_hint(member) for member in args]
+        names = tuple(name for member in plain if get_origin(member) is Literal for name in get_args(member))
+        rest = [member for member in plain if get_origin(member) is not Literal]
+        return Union[tuple([Literal[names], *rest] if names else rest)]  # noqa: UP007 - as many as there are
+    if origin is None or origin is Literal or not args:
+        return hint
+    if isinstance(args[0], list):  # arguments of a callable
+        return origin[[plain_hint(arg) for arg in args[0]], plain_hint(args[1])]
+    return origin[tuple(plain_hint(arg) for arg in args)]
+
+
+def plainly_annotated(function: Callable[..., Any]) -> None:
+    """Give a function types without labels, which ``help`` shows."""
+    function.__annotations__ = {name: plain_hint(hint) for name, hint in function.__annotations__.items()}
 
 
 def _schema(hint: Any, about: About) -> dict[str, Any]:

@@ -11,7 +11,15 @@ from dataclasses import dataclass, field, fields
 from typing import Annotated, Literal, cast, get_args
 
 from pipeline.core.findings import Finding
-from pipeline.core.options.choices import About, Network, OtherNames, Value, declared_choices, named_values
+from pipeline.core.options.choices import (
+    About,
+    Network,
+    OtherNames,
+    Value,
+    declared_choices,
+    named_values,
+    plainly_annotated,
+)
 from pipeline.core.options.edits import PeopleEdit, without_names
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
@@ -326,6 +334,11 @@ class ReconstructionConfig(JobChoices):
         int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)
     ] = 1
 
+    def __repr__(self) -> str:
+        names = (field.name for field in fields(self))
+        changed = (name for name in names if getattr(self, name) != getattr(_DEFAULTS, name))
+        return f"ReconstructionConfig({', '.join(f'{name}={getattr(self, name)!r}' for name in changed)})"
+
     @property
     def frames(self) -> range | None:
         """Output frames of the session to reconstruct; ``None``: all."""
@@ -356,6 +369,10 @@ class ReconstructionConfig(JobChoices):
     def uses_colours(self) -> bool:
         """Whether the colours of clothes are measured, where there are videos."""
         return self.is_of_people and self.method == "tracking" and self.appearance == "on"
+
+
+_DEFAULTS = ReconstructionConfig()
+plainly_annotated(ReconstructionConfig.__init__)
 
 
 def method_warnings(config: ReconstructionConfig, has_videos: bool) -> tuple[Finding, ...]:

@@ -9,9 +9,10 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.arguments import wrong_values
 from pipeline.core.options.choices import Choice, declared_choices
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES, NETWORKS, JobChoices, ReconstructionConfig, Smoothing
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, installed_formats
@@ -22,6 +23,9 @@ from pipeline.core.problems.session_codes import TOO_MANY_FRAMES
 
 CONFIG_CHOICES = {choice.name: choice for choice in declared_choices(ReconstructionConfig)}
 """Choices of a reconstruction on this machine by name: choices of jobs, and others."""
+_OTHER_FIELDS = {
+    name: hint for name, hint in get_type_hints(ReconstructionConfig).items() if name not in CONFIG_CHOICES
+}
 SAME_INSTANT = 1e-9
 """Part of a frame by which two instants differ that are the same but for rounding."""
 INSTALL_BODY = "Run: multicap bodies install"
@@ -32,6 +36,13 @@ def require(problems: Iterable[Problem]) -> None:
     """Raise ``InputError`` if there are any problems."""
     if found := tuple(problems):
         raise InputError(found)
+
+
+def unlisted_value(name: str, value: Any, values: Iterable[str]) -> Iterator[Problem]:
+    """Find out whether an argument is none of the values that it may have."""
+    if value not in (allowed := tuple(values)):
+        message = f"{name} must be one of {', '.join(allowed)}, not {value!r:.80}."
+        yield Problem(request_codes.VALUE_NOT_ALLOWED, message, field=name)
 
 
 @contextlib.contextmanager
@@ -64,7 +75,9 @@ def config_problems(config: ReconstructionConfig, num_frames: int, frame_rate_hz
 
     Choices are compared with each other and with the session only if they have values that they may have.
     """
-    wrong = tuple(value_problems({name: getattr(config, name) for name in CONFIG_CHOICES}))
+    others = {name: getattr(config, name) for name in _OTHER_FIELDS}
+    chosen = {name: getattr(config, name) for name in CONFIG_CHOICES}
+    wrong = (*value_problems(chosen), *wrong_values(_OTHER_FIELDS, others))
     yield from wrong
     if not wrong:
         yield from session_problems(config, num_frames, frame_rate_hz)

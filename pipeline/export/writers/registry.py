@@ -17,6 +17,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
+from pipeline.core.options.choices import plainly_annotated
 from pipeline.core.options.config import Body, Preset
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.export.scene import TakeScene
@@ -68,6 +69,8 @@ class PersonContent:
     skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
     angles: Callable[[], JointAngles]
 
+
+plainly_annotated(PersonContent.__init__)
 
 Expected = Callable[[range], Float[np.ndarray, "_ values components"]]
 """Gives the values that a file holds in a range of its frames."""
@@ -130,6 +133,9 @@ class Writer:
     holds_name: bool = False
     has_origin: bool = False
     take: TakeWriter | None = None
+
+
+plainly_annotated(Writer.__init__)
 
 
 def find_writer(export: Export) -> Writer:

@@ -12,6 +12,7 @@ from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import ReconstructionConfig, method_warnings
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import CalibrationChoices
@@ -45,6 +46,7 @@ _DEFAULTS = ReconstructionConfig()
 _STAGES_OF_RECORDS = {stage.name for stage in STAGES if not stage.makes_files} - {WRITE}
 
 
+@checked
 def reconstruct(
     session: Session,
     config: ReconstructionConfig = _DEFAULTS,
@@ -64,8 +66,7 @@ def reconstruct(
     on_progress
         Called after every unit of a stage, from the calling thread.
     cache
-        Folder in which outputs of tasks are kept for later runs, see ``pipeline.run.engine.output_folder``; ``None``:
-        no output is kept.
+        Folder in which outputs of tasks are kept for later runs; ``None``: no output is kept.
 
     Returns
     -------
@@ -75,14 +76,11 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a video can't be decoded or too many of its frames are damaged, if the configuration breaks a rule of
-        ``pipeline.core.options.rules``, or there is no such parameter.
+        If a video can't be decoded, too many of its frames are damaged, or the configuration breaks a rule.
     SessionRefused
-        If the check of the session finds errors, unless ``config.force``: an ``InputError`` with all of them.
+        If the check of the session finds errors, unless ``config.force``.
     ModelError
         If the detector is not installed.
-    PipelineError
-        If the folder for intermediate outputs can't be written.
 
     Examples
     --------
@@ -108,6 +106,7 @@ def reconstruct(
         )
 
 
+@checked
 def reconstruct_to_files(
     session: Session,
     folder: StrPath,
@@ -119,7 +118,7 @@ def reconstruct_to_files(
     on_file: OnFile = no_file,
     character: CharacterSource | None = None,
 ) -> WrittenResults:
-    """Reconstruct everybody in a capture session, and write the result files as the service does, by its stages.
+    """Reconstruct everybody in a capture session, and write the result files, like the service.
 
     Parameters
     ----------
@@ -134,8 +133,7 @@ def reconstruct_to_files(
     on_file
         Called with the path of each file when it is whole and has its name.
     character
-        Character onto which everybody is retargeted as well, see ``docs/start/own-character.md``; ``None``: there is
-        none.
+        Character onto which everybody is retargeted as well; ``None``: there is none.
 
     Returns
     -------
@@ -144,10 +142,8 @@ def reconstruct_to_files(
 
     Raises
     ------
-    InputError
-        See ``reconstruct``; and if the character can't be used.
-    ModelError
-        If the detector, or a human body that files shall have, is not installed.
+    InputError, ModelError
+        See ``reconstruct``; and if the character, or the human body, can't be used.
     PipelineError
         If a folder can't be written to, the disk is full, or the content of a file differs from the written content.
 

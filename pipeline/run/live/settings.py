@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
+from pipeline.core.options.arguments import checked
 from pipeline.core.parsing import UnreadableError, read_json
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
@@ -103,6 +104,7 @@ class LiveSettings:
 _MOST_FRAMES = 400
 
 
+@checked
 def read_bodies(path: StrPath) -> tuple[tuple[float, ...], ...]:
     """Lengths of the skeleton's bones, in metres, of each person of a result file ``skeletons.json``.
 

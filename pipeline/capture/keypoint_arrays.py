@@ -1,0 +1,145 @@
+"""Session of 2D joints from arrays in memory, checked like files."""
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
+from pipeline.capture.keypoint_files.people import CrowdError, KeypointsError, People
+from pipeline.capture.keypoint_files.points import KeypointReading
+from pipeline.capture.keypoints import KeypointSession, session_of_frames
+from pipeline.core.data.arrays import read_only
+from pipeline.core.data.cameras import Camera, FrameTimes
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.findings import Finding
+from pipeline.core.options.config import MAX_OUTPUT_FRAMES
+from pipeline.core.parsing import TIME_S
+from pipeline.core.paths import StrPath
+from pipeline.core.problems import session_codes
+from pipeline.core.problems.request_codes import INVALID_VALUE
+
+_SHAPES = "must be numbers of the shape (frames, people, joints, 2), or (frames, joints, 2) of one person"
+
+
+def keypoints_from_arrays(
+    keypoints_px: Any,
+    scores: Any,
+    cameras: Sequence[Camera] | StrPath,
+    frame_rate_hz: float | None,
+    times_s: Any,
+    joints: Sequence[str] | str | None,
+) -> KeypointSession:
+    """See ``SessionMaker.from_arrays``."""
+    problems: list[Problem] = []
+    findings: list[Finding] = []
+    checked = _checked_cameras(cameras, problems)
+    names = [camera.name for camera in checked]
+    if (frame_rate_hz is None) == (times_s is None):
+        message = "State frame_rate_hz, or times_s, and not both."
+        problems.append(Problem(session_codes.TWO_CLOCKS, message, field="frame_rate_hz"))
+    if problems:
+        raise InputError(problems)
+    of_cameras = _by_camera(keypoints_px, names, "keypoints_px", problems)
+    of_scores = {} if scores is None else _by_camera(scores, names, "scores", problems)
+    people: dict[str, dict[int, People]] = {}
+    counts: dict[str, frozenset[int]] = {}
+    times: dict[str, FrameTimes] = {}
+    for camera in checked:
+        if camera.name not in of_cameras:
+            continue
+        points = _points(of_cameras[camera.name], of_scores.get(camera.name), camera.name, problems)
+        if points is None:
+            continue
+        reading = KeypointReading(camera.size_px)
+        named = None if joints is None or isinstance(joints, str) else tuple(map(str, joints))
+        if named is not None and len(named) != points.shape[2]:
+            problems.append(_wrong("joints", f"has {len(named)} names; keypoints_px has {points.shape[2]} points"))
+            break
+        try:
+            layout = reading.layout(points.shape[2] if named is None else named, "joints")
+            people[camera.name] = {k: reading.people(frame, layout) for k, frame in enumerate(points)}
+        except KeypointsError as error:
+            problems.append(Problem(INVALID_VALUE, str(error), camera=camera.name, field="joints"))
+            continue
+        except CrowdError as error:
+            problems.append(_wrong("keypoints_px", f"has a frame with {error}, more than allowed", camera.name))
+            continue
+        counts[camera.name] = frozenset(reading.counts)
+        if times_s is not None:
+            shared = times_s.get(camera.name) if isinstance(times_s, Mapping) else times_s
+            times[camera.name] = _times(shared, len(points), camera.name, problems)
+    if problems:
+        raise InputError(problems)
+    chosen = joints if isinstance(joints, str) else None
+    rate_hz = None if frame_rate_hz is None else float(frame_rate_hz)
+    return session_of_frames(checked, people, counts, chosen, rate_hz, times, findings, problems)
+
+
+def _wrong(field: str, message: str, camera: str | None = None) -> Problem:
+    return Problem(INVALID_VALUE, f"{field} {message}.", camera=camera, field=field)
+
+
+def _checked_cameras(cameras: Sequence[Camera] | StrPath, problems: list[Problem]) -> tuple[Camera, ...]:
+    if isinstance(cameras, str | os.PathLike):
+        return read_calibration(cameras)
+    if not 0 < len(cameras) <= MAX_CAMERAS or len({camera.name for camera in cameras}) < len(cameras):
+        problems.append(_wrong("cameras", f"must be 1 to {MAX_CAMERAS} cameras, whose names differ"))
+        return ()
+    built: list[Camera] = []
+    for place, camera in enumerate(cameras):
+        pose = camera.cam_from_world
+        raw = RawCamera(
+            *(camera.name, camera.size_px, camera.matrix, camera.distortion, pose.rotation, pose.translation_m),
+            lens=camera.lens,
+        )
+        found = build_camera(raw, place, "cameras")
+        if isinstance(found, Camera):
+            built.append(found)
+        else:
+            problems += found
+    return tuple(built)
+
+
+def _by_camera(arrays: Any, names: Sequence[str], field: str, problems: list[Problem]) -> Mapping[str, Any]:
+    """Arrays by the camera's name: a mapping as it is, else the entries in the cameras' order."""
+    if isinstance(arrays, Mapping):
+        if unknown := [str(name) for name in arrays if name not in names]:
+            problems.append(_wrong(field, f"has arrays of unknown cameras: {', '.join(unknown[:8])}"))
+        return arrays
+    if not hasattr(arrays, "__len__") or len(arrays) != len(names):
+        problems.append(_wrong(field, f"must have an array for each of the {len(names)} cameras"))
+        return {}
+    return dict(zip(names, arrays, strict=True))
+
+
+def _points(keypoints_px: Any, scores: Any, camera: str, problems: list[Problem]) -> np.ndarray | None:
+    """People of each frame, their points, and x, y and score; without scores every finite point is certain."""
+    points, score = _floats(keypoints_px), None if scores is None else _floats(scores)
+    if points is not None and points.ndim == 3:
+        points, score = points[:, None], None if score is None else score[:, None]
+    if points is None or points.ndim != 4 or points.shape[-1] != 2 or not 0 < len(points) <= MAX_OUTPUT_FRAMES:
+        problems.append(_wrong("keypoints_px", _SHAPES, camera))
+        return None
+    if scores is not None and (score is None or score.shape != points.shape[:-1]):
+        problems.append(_wrong("scores", "must be numbers of the shape of keypoints_px without its last axis", camera))
+        return None
+    known = np.isfinite(points).all(-1)
+    return np.concatenate([points, (known * 1.0 if score is None else score)[..., None]], axis=-1)
+
+
+def _floats(values: Any) -> np.ndarray | None:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _times(values: Any, num_frames: int, camera: str, problems: list[Problem]) -> FrameTimes:
+    time_s = _floats(values)
+    if time_s is None or time_s.shape != (num_frames,) or not TIME_S.holds(time_s) or (np.diff(time_s) <= 0).any():
+        problems.append(_wrong("times_s", f"must be {num_frames} ascending times, {TIME_S}", camera))
+        return FrameTimes(np.zeros(num_frames))
+    return FrameTimes(read_only(time_s.copy()))
