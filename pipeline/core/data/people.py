@@ -1,9 +1,9 @@
 """People in the world: poses at instants, tracks over time with their observations, doubts about identities."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -68,6 +68,17 @@ class Track3D:
         """Output frames of the rows."""
         return range(self.start_frame, self.start_frame + len(self.xyz_m))
 
+    @property
+    def joint_arrays(self) -> dict[str, np.ndarray]:
+        """All arrays by name, a row a frame."""
+        names = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
+        return {name: array for name in names if (array := getattr(self, name)) is not None}
+
+    def part(self, rows: slice) -> "Track3D":
+        """Some rows of the track."""
+        arrays: dict[str, Any] = {name: array[rows] for name, array in self.joint_arrays.items()}
+        return replace(self, start_frame=self.start_frame + rows.start, **arrays)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
@@ -82,6 +93,10 @@ class Observations:
     detection: Int[np.ndarray, "recorded recorded_cameras"] = field(default_factory=no_detections)
 
     __repr__ = short_text
+
+    def part(self, rows: slice) -> "Observations":
+        """Some rows of the observations."""
+        return replace(self, points_px=self.points_px[rows], score=self.score[rows], detection=self.detection[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,11 +49,11 @@ def held_parts_m(
                 contact.rows for contact in contacts if contact.side == side and contact.part == part and contact.pinned
             ]
             places_m[:, foot, number] = _led_m(parts_m[:, foot, number], standing, frame_rate_hz)
-        places_m[:, foot] = _at_own_distance(parts_m[:, foot], places_m[:, foot])
+        places_m[:, foot] = at_own_distance(parts_m[:, foot], places_m[:, foot])
     return places_m
 
 
-def _at_own_distance(
+def at_own_distance(
     parts_m: Float[np.ndarray, "frames 2 3"], places_m: Float[np.ndarray, "frames 2 3"]
 ) -> Float[np.ndarray, "frames 2 3"]:
     """Places of heel and toe, moved along their line to the horizontal distance that heel and toe have."""
@@ -72,13 +72,30 @@ def _at_own_distance(
 def _led_m(
     point_m: Float[np.ndarray, "frames 3"], standing: Sequence[slice], frame_rate_hz: float
 ) -> Float[np.ndarray, "frames 3"]:
-    """Horizontal positions of a point that stands in ranges of frames; NaN where it is free, and for the height."""
+    """Positions of a point that stands at its horizontal median in ranges of frames, see ``led_m``."""
+    return led_m(point_m, [(rows, _horizontal_median_m(point_m[rows])) for rows in standing], frame_rate_hz)
+
+
+def _horizontal_median_m(point_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, " 3"]:
+    return np.append(np.median(point_m[:, :2], axis=0), np.nan)
+
+
+def led_m(
+    point_m: Float[np.ndarray, "frames 3"],
+    held: Sequence[tuple[slice, Float[np.ndarray, " 3"]]],
+    frame_rate_hz: float,
+) -> Float[np.ndarray, "frames 3"]:
+    """Positions of a point that is held at places in ranges of frames, in their order; NaN where it is free.
+
+    Places are NaN along axes in which the point is free.
+    """
     moved_m = np.zeros_like(point_m)
-    for rows in standing:
-        moved_m[rows] = np.median(point_m[rows], axis=0) - point_m[rows]
-    is_led = eased(moved_m, standing, frame_rate_hz)
+    for rows, place_m in held:
+        moved_m[rows] = np.nan_to_num(place_m - point_m[rows])
+    is_led = eased(moved_m, [rows for rows, _ in held], frame_rate_hz)
     places_m = np.where(is_led[:, None], point_m + moved_m, np.nan)
-    places_m[:, 2] = np.nan
+    # Floats: a height that is held is hardly ever exactly where it was.
+    places_m[:, 2] = np.where(moved_m[:, 2] != 0.0, places_m[:, 2], np.nan)
     return places_m
 
 

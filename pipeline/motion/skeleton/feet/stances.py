@@ -25,7 +25,10 @@ _SPEED_M_S, _SPEED_STEEP_M_S = 0.40, 0.07
 # A person's own floor level: quantile of the heights, and limits on its difference from the floor, under feet that
 # carry the person, and under others, whose marks are a foot's thickness above the floor.
 _OWN_SHARE, _OWN_LEVEL_M, _FOOT_LEVEL_M = 0.1, 0.15, 0.09
-_LIKELY, _SHORTEST_S = 0.5, 0.1
+_LIKELY = 0.5
+SHORTEST_S = 0.1
+"""Shortest time of a contact."""
+
 _SURE_AFTER_S = 0.15
 _CREEP_M, _ROOM_S = 0.04, 0.2
 # Contacts of a stance that are shorter, and so near to one that is not, are of the landing.
@@ -100,7 +103,7 @@ def find_contacts(
         for start, stop in find_runs(likely >= _LIKELY):
             for rows in _split_stance(point_m, start, stop, frame_rate_hz):
                 duration_s = (rows.stop - rows.start) / frame_rate_hz
-                if duration_s < _SHORTEST_S or (support is not None and support.rides(rows, foot)):
+                if duration_s < SHORTEST_S or (support is not None and support.rides(rows, foot)):
                     continue
                 stands_up = support is None or 2 * support.shin_stands[rows, foot].sum() >= rows.stop - rows.start
                 if stands_up and _drift_m_s(point_m[rows], frame_rate_hz) > _DRIFT_M_S + _DRIFT_M / duration_s:
@@ -178,7 +181,9 @@ def _split_stance(
     yield slice(begun, stop)
 
 
-_MARKS: Mapping[str, str] = {"heel": "heel", "toe": "big_toe"}
+LANDMARKS: Mapping[str, str] = {"foot": "ankle", "heel": "heel", "toe": "big_toe"}
+"""Landmark of each part of a foot."""
+
 # Share of the frames with a known ankle in which heel and toe must be known, so that a foot stands by its parts.
 _KNOWN_SHARE = 0.5
 
@@ -214,7 +219,7 @@ def foot_points(fitted: SkeletonFit, motion: SkeletonMotion, joints: JointSet) -
     ankles_known = np.stack([_known(fitted.track, joints, f"{side}_ankle") for side in SIDES], axis=1)
     parts_known = np.stack(
         [
-            np.stack([_known(fitted.track, joints, f"{side}_{_MARKS[part]}") for part in PARTS], axis=1)
+            np.stack([_known(fitted.track, joints, f"{side}_{LANDMARKS[part]}") for part in PARTS], axis=1)
             for side in SIDES
         ],
         axis=1,
@@ -236,7 +241,7 @@ def _positions_m(
     for foot, side in enumerate(SIDES):
         ankles_m[:, foot], world_from_foot = joint_pose(motion, f"{side.capitalize()}Foot")
         for number, part in enumerate(PARTS):
-            offset_m = fitted.offset_m(f"{side}_{_MARKS[part]}")
+            offset_m = fitted.offset_m(f"{side}_{LANDMARKS[part]}")
             if offset_m is not None:
                 parts_m[:, foot, number] = ankles_m[:, foot] + world_from_foot.apply(offset_m)
     return ankles_m, parts_m
@@ -300,7 +305,7 @@ def _places_m(
     parts_m = held_parts_m(on_ground_m[1], contacts, frame_rate_hz) + ground_m[:, None, None]
     places_m = {f"{side}_ankle": ankles_m[:, foot] for foot, side in enumerate(SIDES) if not points.by_parts[foot]}
     return places_m | {
-        f"{side}_{_MARKS[part]}": parts_m[:, foot, number]
+        f"{side}_{LANDMARKS[part]}": parts_m[:, foot, number]
         for foot, side in enumerate(SIDES)
         if points.by_parts[foot]
         for number, part in enumerate(PARTS)

@@ -69,6 +69,14 @@ class FitState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Proportions:
+    """What a fit learns of a person once: lengths of bones, and offsets of landmarks in head and feet by name."""
+
+    bone_length_m: Float[np.ndarray, " joints"]
+    offsets_m: Mapping[str, Float[np.ndarray, " 3"]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Evidence:
     """Rays, if available, and target positions of landmarks with a weight (1 / variance) along each axis."""
 
@@ -117,6 +125,8 @@ class SkeletonFit:
         Ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. ``None``: they are usual.
     bone_length_m
         Lengths of the bones at the start. ``None``: they are measured between the positions.
+    known
+        Proportions of the person, which stay as they are. ``None``: ``motion`` learns them.
     """
 
     def __init__(
@@ -130,17 +140,21 @@ class SkeletonFit:
         is_predicted: Bool[np.ndarray, "frames joints"] | None = None,
         lively: Float[np.ndarray, " frames"] | None = None,
         bone_length_m: Float[np.ndarray, " joints"] | None = None,
+        known: Proportions | None = None,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
         self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
         self._lively = np.ones(track.num_frames) if lively is None else lively
-        self._offsets = offsets
+        self._offsets, self._known = offsets, known
+        if known is not None:
+            bone_length_m = known.bone_length_m
         if bone_length_m is None:
             bone_length_m = bone_lengths_m(Landmarks(track.xyz_m, track.source, joints, track.views))
         self._use_lengths(bone_length_m)
         usual_m = usual_step_m(joints, timebase)[self._skeleton.landmark]
         self._usual_m = usual_m if rays_of else np.full_like(usual_m, np.inf)
         self._uncertainty_m: np.ndarray | None = None
+        self._pin_m, self._damping = _PIN_M, 0.0
 
     @classmethod
     def resumed(
@@ -169,7 +183,7 @@ class SkeletonFit:
             state.lively,
             motion.bone_length_m,
         )
-        fitted._root_m, fitted._quat = np.array(motion.root_m), np.array(motion.parent_from_joint)
+        fitted.set_pose(motion.root_m, motion.parent_from_joint)
         fitted._uncertainty_m = state.uncertainty_m
         return fitted
 
@@ -195,6 +209,11 @@ class SkeletonFit:
         return self._uncertainty_m
 
     @property
+    def carried(self) -> frozenset[str]:
+        """Names of the joints that the skeleton carries."""
+        return frozenset(self._joints.names[number] for number in self._skeleton.landmark)
+
+    @property
     def sees_feet(self) -> bool:
         """Whether toes or heels determine the rotation of feet."""
         return len(self._skeleton.freedoms) > len(FREEDOMS)
@@ -216,7 +235,8 @@ class SkeletonFit:
         if self._rays_of is None or not self.has_torso:
             self._fit(start, {}, _NUM_STEPS, on_share)
         else:
-            self._use_lengths(self._learnt_lengths_m())
+            if self._known is None:
+                self._use_lengths(self._learnt_lengths_m())
             sigma_m = np.empty((num_frames, len(self._skeleton.landmark)))
             self._fit(start, {}, _NUM_STEPS, on_share, Blend(sigma_m))
             self._uncertainty_m = np.full(self._track.xyz_m.shape[:2], np.nan)
@@ -264,7 +284,9 @@ class SkeletonFit:
     def _use_lengths(self, bone_length_m: Float[np.ndarray, " joints"]) -> None:
         """Build the skeleton with lengths of bones, and measure heads and feet with it."""
         self._bone_length_m = bone_length_m
-        self._offsets_m = landmark_offsets_m(self._track, self._joints, bone_length_m)
+        known = self._known
+        offsets_m = landmark_offsets_m(self._track, self._joints, bone_length_m) if known is None else known.offsets_m
+        self._offsets_m = offsets_m
         self._centers = articulate(bone_length_m, self._joints, self._offsets_m)
         self._skeleton = self._marked(bone_length_m) if self._offsets else self._centers
 
@@ -284,17 +306,31 @@ class SkeletonFit:
             spread.append((bodies, self._evidence(rows[number], bodies, {}), self._usual_step_m(rows[number])))
         return learn_lengths(self._bone_length_m, self._marked, spread, self._timebase.frame_rate_hz)
 
-    def pin(self, places_m: Mapping[str, Float[np.ndarray, "frames 3"]], on_share: OnShare = ignore) -> None:
-        """Refine the motion with landmarks held at given positions.
+    def set_pose(self, root_m: Float[np.ndarray, "frames 3"], quat_xyzw: Float[np.ndarray, "frames joints 4"]) -> None:
+        """Set the motion, which ``pin`` refines."""
+        self._root_m, self._quat = np.array(root_m), np.array(quat_xyzw)
+
+    def pin(
+        self,
+        places_m: Mapping[str, Float[np.ndarray, "frames 3"]],
+        on_share: OnShare = ignore,
+        sigma_m: float = _PIN_M,
+        num_steps: int = _NUM_STEPS_PINNED,
+        damping: float = 0.0,
+    ) -> None:
+        """Refine the motion with landmarks held at given positions, within a standard deviation.
+
+        ``damping`` is for landmarks that are held far from where they are, see ``gauss_newton.refine``.
 
         The motion is changed in place, because two motions of a long session would need too much memory. Positions
         (metres, in the world) are by landmark, NaN in frames and along axes in which it is free.
         """
+        self._pin_m, self._damping = sigma_m, damping
 
         def start(rows: slice) -> JointPoses:
             return start_from(self._root_m[rows], self._quat[rows], self._skeleton)
 
-        self._fit(start, places_m, _NUM_STEPS_PINNED, on_share)
+        self._fit(start, places_m, num_steps, on_share)
 
     def turn(self, name: str, rotation: Rotation) -> None:
         """Set the rotation of a joint to its parent in all frames of the motion, in place."""
@@ -333,7 +369,15 @@ class SkeletonFit:
             evidence = self._evidence(rows, bodies, {name: place_m[rows] for name, place_m in places_m.items()})
             # After a pause, the start of the fit is often far off.
             steps = num_steps if bodies.is_tied is None or places_m else _NUM_STEPS_APART
-            refine(bodies, self._skeleton, evidence, self._usual_step_m(rows), self._timebase.frame_rate_hz, steps)
+            refine(
+                bodies,
+                self._skeleton,
+                evidence,
+                self._usual_step_m(rows),
+                self._timebase.frame_rate_hz,
+                steps,
+                self._damping,
+            )
             if sigma_m is not None:
                 sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
             root_m.add(rows, bodies.root_m)
@@ -380,7 +424,7 @@ class SkeletonFit:
         for name, pin_m in places_m.items():
             number = landmark.tolist().index(self._joints.index(name))
             pinned = np.isfinite(pin_m)
-            strength[:, number] = np.where(pinned, 1.0 / _PIN_M**2, strength[:, number])
+            strength[:, number] = np.where(pinned, 1.0 / self._pin_m**2, strength[:, number])
             place_m[:, number] = np.where(pinned, pin_m, place_m[:, number])
         rays = self._rays_of(rows) if self._rays_of else None
         if rays is not None:
@@ -397,6 +441,7 @@ def fit_to_rays(
     name: str,
     offsets: JointOffsets = MARKED_AT_CENTERS,
     on_share: OnShare = ignore,
+    proportions: Proportions | None = None,
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
 
@@ -408,6 +453,8 @@ def fit_to_rays(
         Observations of the track in distorted pixels, NaN where a camera does not see a joint.
     offsets
         Offsets of the detector's marks from the joints' centres; unused for a person without hips and shoulders.
+    proportions
+        Known proportions of the person, see ``SkeletonFit``.
 
     Returns
     -------
@@ -444,7 +491,7 @@ def fit_to_rays(
         for rows in windows(len(xyz_m), overlap=0):
             xyz_m[rows] = centers_from_marks(Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m)
     positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))
-    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted, lively)
+    return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted, lively, known=proportions)
 
 
 def follow(

@@ -148,14 +148,16 @@ def refine(
     usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
     num_steps: int,
+    damping: float = 0.0,
 ) -> None:
     """Refine bodies by Gauss-Newton steps, in place.
 
     ``usual_m`` are the usual second differences of landmarks in metres, the same for all frames or one for each of the
-    ``frames - 2`` differences; infinite for landmarks without this term.
+    ``frames - 2`` differences; infinite for landmarks without this term. ``damping`` (Levenberg 1944) makes steps
+    shorter where a limb is straight and its bend hardly moves anything; in 1 / variance of a rotation.
     """
     for _ in range(num_steps):
-        move(bodies, skeleton, _step(bodies, skeleton, evidence, usual_m, frame_rate_hz))
+        move(bodies, skeleton, _step(bodies, skeleton, evidence, usual_m, frame_rate_hz, damping))
 
 
 def _step(
@@ -164,8 +166,10 @@ def _step(
     evidence: Evidence,
     usual_m: Float[np.ndarray, "*differences landmarks"],
     frame_rate_hz: float,
+    damping: float,
 ) -> Float[np.ndarray, "frames freedoms"]:
     system = linearise(bodies, skeleton, evidence, usual_m, frame_rate_hz)
+    system.lower.reshape(*system.right.shape, -1)[:, NUM_ROOT:, 0] += damping
     return system.solve(system.right.ravel()).reshape(system.right.shape)
 
 

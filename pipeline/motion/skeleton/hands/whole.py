@@ -143,13 +143,16 @@ def fit_hands(
     views: Mapping[Side, HandViews],
     joints: JointSet,
     cameras: Sequence[Camera] | None,
+    lengths_m: Float[np.ndarray, " whole"] | None = None,
 ) -> FittedHands:
     """Fit both hands of a person.
 
-    ``track`` serves for the lengths of bones. The fit follows the rays of ``cameras``; ``None``: the positions.
+    The fit follows the rays of ``cameras``; ``None``: the positions. ``lengths_m`` are the lengths of bones; ``None``:
+    they are measured in ``track``.
     """
     is_seen = {side: view.is_seen for side, view in views.items()}
-    lengths_m = whole_lengths_m(body.bone_length_m, track, joints, is_seen)
+    if lengths_m is None:
+        lengths_m = whole_lengths_m(body.bone_length_m, track, joints, is_seen)
     fitted = {side: fit_hand(side, body, lengths_m, view, cameras) for side, view in views.items()}
     return FittedHands(lengths_m, views, fitted)
 
