@@ -398,6 +398,15 @@ def test_range_is_marked_and_plays_alone(shown: Shown) -> None:
     assert set(found) <= set(range(10, 21))
     page.keyboard.press("x")
     expect(page.locator(".look-span")).to_be_hidden()
+    box = page.locator(".look-strip").first.bounding_box()
+    assert box is not None
+    page.keyboard.down("Shift")
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.5 * box["width"] + 1, box["y"] + 5)
+    page.mouse.up()
+    page.keyboard.up("Shift")
+    assert page.evaluate("() => globalThis.viewer.player.span") == {"from": 60, "to": 90}
     # Without an editor there is nothing to trim.
     expect(page.get_by_role("button", name="Trim: keep this range of the take")).to_have_count(0)
 

@@ -4,15 +4,15 @@ import { VIEWER } from "../shared/strings/viewer.js";
 import { el, iconButton } from "./dom.js";
 import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "./motion/strips.js";
 
-// Heights of the bands in pixels: sources, error, cameras, identity.
-const BANDS = { sources: 12, error: 6, cameras: 6, identity: 6 };
+// Heights of the bands in pixels: sources, error, cameras, identity, contacts of the left foot over the right foot's.
+const BANDS = { sources: 12, error: 6, cameras: 6, identity: 6, contacts: 6 };
 const GAP = 1;
 const HEIGHT = Object.values(BANDS).reduce((sum, height) => sum + height + GAP, -GAP);
 const SOURCES = [["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"]];
 const EMPTY = "#232a28";
 const LEGEND = [
   ["measured", "#35b3a2"], ["interpolated", "#e3b341"], ["predicted", "#e5704b"], ["error", "#f0e14a"],
-  ["cameras", "#5b3f8f"], ["identity", "#e0529c"],
+  ["cameras", "#5b3f8f"], ["identity", "#e0529c"], ["contacts", "#cfd8d3"],
 ];
 
 export class Strips {
@@ -23,6 +23,7 @@ export class Strips {
   #span; // range that is played
   #announce;
   #current = null;
+  #marked = null; // frame at which the pointer went down
 
   /** `isShown` says whether a person is shown at first; `signal` ends that the strips follow the play head. */
   constructor(description, player, { announce, onperson, isShown = () => true, signal }) {
@@ -103,11 +104,15 @@ export class Strips {
   #listen(canvas) {
     const seek = (event) => {
       const { left, width } = canvas.getBoundingClientRect();
+      const frame = Math.min(this.#player.numFrames - 1, Math.max(0, Math.floor(((event.clientX - left) / width) * this.#player.numFrames)));
       this.#player.pause();
-      this.#player.seek(Math.floor(((event.clientX - left) / width) * this.#player.numFrames));
+      this.#player.seek(frame);
+      this.#marked ??= frame;
+      if (event.shiftKey) this.#player.setSpan({ from: Math.min(this.#marked, frame), to: Math.max(this.#marked, frame) });
     };
     canvas.addEventListener("pointerdown", (event) => {
       this.#current = event.pointerId;
+      this.#marked = null;
       canvas.setPointerCapture(event.pointerId);
       seek(event);
     });
@@ -147,6 +152,10 @@ function paint(context, description, strips, person, limitPx) {
     fill(context, bucket, top, BANDS.cameras, ramp("#5b3f8f", "#4c9bd6", (strips.cameras[bucket] - 1) / Math.max(1, numCameras - 1)));
     top += BANDS.cameras + GAP;
     fill(context, bucket, top, BANDS.identity, ramp("#e0529c", "#33403d", strips.identity[bucket] / 255));
+  }
+  context.fillStyle = "#cfd8d3";
+  for (const [side, , start, count] of person.contacts) {
+    context.fillRect(start / length, HEIGHT - BANDS.contacts + (side * BANDS.contacts) / 2, count / length, BANDS.contacts / 2 - 1);
   }
 }
 

@@ -72,10 +72,10 @@ export const VIEWER = {
   nextSpot: (name) => `${name}: next spot to check`,
   previousSpot: (name) => `${name}: previous spot to check`,
   strip: (name, measured, number) => `${name}: ${measured === null ? "" : `${measured} % of the joints measured, `}${spots(number)}`,
-  stripTitle: "Click to go there",
+  stripTitle: "Click to go there, drag with Shift to mark a range",
   showPerson: (name) => `Show ${name}`,
   colours: "Colours of the strips",
-  legend: { measured: "measured", interpolated: "interpolated", predicted: "predicted", error: "large error", cameras: "few cameras", identity: "doubtful identity" },
+  legend: { measured: "measured", interpolated: "interpolated", predicted: "predicted", error: "large error", cameras: "few cameras", identity: "doubtful identity", contacts: "left over right foot stands" },
   reasons: {
     identity: "doubtful identity", absent: "most joints are absent", predicted: "many joints are predicted", cameras: "fewer than two cameras", error: "large reprojection error",
   },
