@@ -53,7 +53,7 @@ def events(served: Served, name: str) -> list[dict[str, Any]]:
 
 @pytest.mark.slow
 def test_fast_edits_end_no_worker(service: Served, busy: None, tmp_path: Path) -> None:
-    write_simulation(record(replace(find_scene("room"), duration_s=12.0), seed=4, num_views=3), tmp_path / "capture")
+    write_simulation(record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3), tmp_path / "capture")
     job_id = reconstructed(service, tmp_path / "capture")
     lists = lists_of_edits(service.client.get(f"/v1/jobs/{job_id}/people").json()["found"])
     for number, edits in enumerate(lists, start=1):
