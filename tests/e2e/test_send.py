@@ -11,6 +11,7 @@ from playwright.sync_api import Locator, Page, Route, ViewportSize, expect
 
 from tests.e2e.browsing import opened
 from tests.e2e.captures import keypoint_capture, two_videos
+from tests.e2e.datasets import folder_of, needs
 from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import cut_at_keyframes, write_pictures
@@ -114,6 +115,50 @@ def test_calibration_is_read_after_others_were_checked(served: Served, videos: d
         expect(refused).to_contain_text("Too many of your captures are being checked at once.")
         expect(page.locator(".chosen b")).to_be_visible(timeout=180_000)
         expect(refused).to_have_count(0)
+
+
+@pytest.mark.slow
+def test_videos_without_calibration_go_on_in_same_form(page: Page, served: Served, videos: dict[str, Path]) -> None:
+    choose(page, videos["left.mp4"], videos["right.mp4"])
+    page.get_by_label("Stored calibration").select_option("people")
+    height = page.get_by_label("Height of people")
+    refusal = page.get_by_role("region", name="Send").get_by_role("alert")
+    height.fill("tall")
+    send(page).click()
+    expect(refusal).to_contain_text("Type heights such as 178 cm, 1.78 or 1,78")
+    height.fill("1,78; 165 cm")
+    expect(page.get_by_text("Read as 1.78 m, 1.65 m.")).to_be_visible()
+    with page.expect_response("**/v1/calibrations", timeout=180_000) as answer:
+        send(page).click()
+    made = served.client.get(f"/v1/calibrations/{answer.value.json()['id']}").raise_for_status().json()
+    assert (made["method"], made["source"]["stature_m"]) == ("people", [1.78, 1.65])
+    # A reload does not lose it. No person walks in these videos, so the job fails and says why.
+    page.reload()
+    expect(page.get_by_text("Calibrating the cameras").or_(refusal).first).to_be_visible(timeout=180_000)
+    expect(refusal).to_be_visible(timeout=240_000)
+    failed = served.client.get(f"/v1/calibrations/{made['id']}").json()
+    assert failed["state"] == "failed"
+    expect(refusal).to_contain_text(failed["error"]["detail"])
+
+
+@needs("rendered")
+@pytest.mark.slow
+def test_people_calibrate_and_take_is_reconstructed(page: Page, served: Served) -> None:
+    """One press of Send: the calibration is made from the people, then the take with it, and later takes have it."""
+    choose(page, *sorted((folder_of("rendered") / "videos").iterdir()))
+    page.get_by_label("Stored calibration").select_option("people")
+    page.get_by_label("Height of people").fill("1,75")
+    page.get_by_label("Name of the capture").fill("Without calibration")
+    page.get_by_role("radio", name="Fast").check()
+    send(page).click()
+    expect(page.get_by_text("Calibrating the cameras").first).to_be_visible(timeout=240_000)
+    expect(page).to_have_url(re.compile("#/jobs/"), timeout=600_000)
+    expect(page.get_by_role("heading", name="Without calibration", level=1)).to_be_visible()
+    job = served.wait_for_end(page.url.rpartition("/")[2])
+    assert job["state"] == "succeeded"
+    assert len(served.client.get(job["urls"]["people"]).json()["people"]) >= 2
+    page.get_by_role("link", name="New capture").click()
+    expect(page.get_by_label("Stored calibration")).not_to_have_value("")
 
 
 @pytest.mark.slow

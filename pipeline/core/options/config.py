@@ -492,7 +492,7 @@ PURPOSES = (
     Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
     Purpose(
         "research",
-        "Research",
+        "Biomechanics",
         "Joint positions as TRC, C3D and CSV; joint angles as CSV and MOT.",
         ("trc", "c3d", "csv", "angles", "mot"),
     ),
