@@ -59,7 +59,8 @@ def test_fast_edits_end_no_worker(service: Served, busy: None, tmp_path: Path) -
     for number, edits in enumerate(lists, start=1):
         assert edit(service, job_id, edits)["revision"] == number
         time.sleep(DURING_S / len(lists))
-    assert service.wait_for_end(job_id)["files_state"] == "current"
+    job = service.wait_for_end(job_id)
+    assert job["files_state"] == "current", job["error"]
     assert service.job(job_id)["results_revision"] == len(lists)
     listed = service.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
     assert "Anna" in {one["person_name"] for one in listed}
