@@ -261,6 +261,36 @@ class Client:
         """Delete a job's session."""
         self._call("DELETE", job["urls"]["session"])
 
+    def edit(self, job: Json, edits: Sequence[Mapping[str, Any]]) -> Json:
+        """Replace the edits of a job's session, and have the job's files made again; ``follow`` waits for them.
+
+        Parameters
+        ----------
+        edits
+            All edits in their order, such as ``{"action": "rename", "person": 1, "name": "Anna"}``. Numbers of people
+            are the job's.
+
+        Returns
+        -------
+            The edits with places for numbers, and the people of the job's run after them.
+        """
+        body = {"edits": list(edits), "job_id": job["id"]}
+        return self._call("PUT", f"{job['urls']['session']}/edits", json=body)
+
+    def add_files(self, job: Json, **files: Any) -> Job:
+        """Add files to a job that has succeeded, without reconstructing again.
+
+        Parameters
+        ----------
+        files
+            Files by the names of a job's choices, such as ``exports=["glb"], preset="unreal", report=True``.
+
+        Returns
+        -------
+            The job, whose files ``follow`` waits for.
+        """
+        return _job(self._call("POST", job["urls"]["files"], json=files))
+
     def follow(self, job: Json, on_job: Callable[[Job], None] = lambda _: None, timeout_s: float | None = None) -> Job:
         """Wait until a job succeeds, after an edit until its files are current.
 

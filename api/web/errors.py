@@ -361,7 +361,7 @@ def _from_conflict(error: JobStoreError) -> ApiError:
             reason = f"The job's error is {error.reason} " if error.reason else ""
             return ApiError(NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
         case EditedMeanwhile():
-            hint = "Read the people again, then send the edits with their present ETag."
+            hint = "Read the edits again, then send them with their present ETag."
             return ApiError(CHANGED_MEANWHILE, str(error), hint=hint)
         case VideosDeleted():
             return ApiError(VIDEOS_DELETED, str(error), hint=VIDEOS_DELETED_HINT)

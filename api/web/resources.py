@@ -1,11 +1,12 @@
 """Resources of the web API: the one place where each is registered."""
 
-from api.web import callers, links, motion, options, people, results
+from api.web import callers, edits, links, motion, options, results
 from api.web.calibrations import routes as calibrations
 from api.web.characters import routes as characters
 from api.web.contract.description import Resource
 from api.web.events import routes as events
 from api.web.health import routes as health
+from api.web.jobs import added_files
 from api.web.jobs import routes as jobs
 from api.web.live import routes as live
 from api.web.recordings import routes as recordings
@@ -35,7 +36,8 @@ RESOURCES: tuple[Resource, ...] = (
     sockets.RESOURCE,
     results.RESOURCE,
     motion.RESOURCE,
-    people.RESOURCE,
+    edits.RESOURCE,
+    added_files.RESOURCE,
     options.RESOURCE,
     uploads.DESCRIPTION,
     callers.RESOURCE,

@@ -186,6 +186,10 @@ class Live:
                 people=found,
             )
 
+    def remake(self, job_id: str, **files: object) -> Any:
+        """Add files to a job, or make its files again; its answer."""
+        return self.client.post(f"/v1/jobs/{job_id}/files", json=files)
+
     def _end_stages_between(self, claim: Claim, sha256: str, num_bytes: int) -> None:
         """End the stages between that of a claim and the last one, in one transaction: each chunk would take two."""
         values = {"job": claim.job_id, "chunk": claim.chunk_id, "session": claim.session_id}

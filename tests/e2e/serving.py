@@ -63,6 +63,16 @@ class Served:
     def job(self, job_id: str) -> dict[str, Any]:
         return dict(self.client.get(f"/v1/jobs/{job_id}").raise_for_status().json())
 
+    def edits(self, job_id: str) -> dict[str, Any]:
+        """Edits of a job's session, in the run of the job."""
+        return dict(self.client.get(self.job(job_id)["urls"]["edits"]).raise_for_status().json())
+
+    def edit(self, job_id: str, *edits: dict[str, Any]) -> dict[str, Any]:
+        """Replace the edits of a job's session, and make the job's files again."""
+        path = f"{self.job(job_id)['urls']['session']}/edits"
+        answer = self.client.put(path, json={"edits": edits, "job_id": job_id})
+        return dict(answer.raise_for_status().json())
+
     def downloads(self, job_id: str) -> dict[str, str]:
         """SHA-256 of each result file as downloaded."""
         listed = self.client.get(f"/v1/jobs/{job_id}/results").raise_for_status().json()["results"]

@@ -54,7 +54,7 @@ def test_stored_character_moves_as_everybody(served: Served, take: Path) -> None
             show_character(other)
         # New files of the job: the character is loaded from them.
         with page.expect_response(is_part_of_character, timeout=180_000):
-            served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits}).raise_for_status()
+            served.edit(job_id, *edits)
         expect(page.locator(".look-label-person", has_text="Anna")).to_be_visible(timeout=180_000)
         expect(page.get_by_label("Loading the character")).to_be_hidden()
         expect(page.get_by_label("Bodies as")).to_have_value("character")

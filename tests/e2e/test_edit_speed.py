@@ -36,8 +36,7 @@ def service(tmp_path: Path) -> Iterator[Served]:
 def edited(served: Served, job_id: str, *edits: dict[str, Any]) -> float:
     """Replace the edits of a job; seconds from the request to the list of the new files."""
     start_s = time.monotonic()
-    answer = served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits})
-    assert answer.status_code == 202, answer.text
+    served.edit(job_id, *edits)
     while not is_at_rest(job := served.job(job_id)):
         time.sleep(0.05)
     assert job["files_state"] == "current", job["error"]
@@ -47,7 +46,7 @@ def edited(served: Served, job_id: str, *edits: dict[str, Any]) -> float:
 
 def measured(served: Served, job_id: str) -> dict[str, float]:
     """Seconds of each kind of edit of a job with two people at least; the edits add up."""
-    people = served.client.get(f"/v1/jobs/{job_id}/people").json()
+    people = served.edits(job_id)["run"]
     one, other = sorted(people["found"], key=lambda person: -person["num_frames"])[:2]
     middle = max(one["start_frame"], other["start_frame"]) + min(one["num_frames"], other["num_frames"]) // 2
     pair = {"person": one["id"], "other": other["id"]}
@@ -102,7 +101,7 @@ def test_edits_of_ten_people_and_ten_thousand_frames(service: Served, tmp_path: 
     assert answer.status_code == 202, answer.text
     job_id = answer.json()["id"]
     finished(service, job_id, 3600)
-    people = service.client.get(f"/v1/jobs/{job_id}/people").json()
+    people = service.edits(job_id)["run"]
     assert people["num_frames"] >= NUM_FRAMES - 10
     assert sum(person["num_frames"] for person in people["found"]) >= 9.5 * NUM_FRAMES
     seconds = measured(service, job_id)

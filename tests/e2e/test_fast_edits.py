@@ -14,7 +14,7 @@ import pytest
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.e2e.serving import Served, serving
-from tests.e2e.test_stacked_edits import edit, reconstructed
+from tests.e2e.test_stacked_edits import reconstructed
 from tests.pipeline.simulations import write_simulation
 
 NUM_LOOPS, DURING_S = 2, 15.0
@@ -55,9 +55,9 @@ def events(served: Served, name: str) -> list[dict[str, Any]]:
 def test_fast_edits_end_no_worker(service: Served, busy: None, tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3), tmp_path / "capture")
     job_id = reconstructed(service, tmp_path / "capture")
-    lists = lists_of_edits(service.client.get(f"/v1/jobs/{job_id}/people").json()["found"])
+    lists = lists_of_edits(service.edits(job_id)["run"]["found"])
     for number, edits in enumerate(lists, start=1):
-        assert edit(service, job_id, edits)["revision"] == number
+        assert service.edit(job_id, *edits)["revision"] == number
         time.sleep(DURING_S / len(lists))
     job = service.wait_for_end(job_id)
     assert job["files_state"] == "current", job["error"]

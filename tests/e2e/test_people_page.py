@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import httpx2
 import pytest
-from playwright.sync_api import Locator, Page, Route, ViewportSize, expect
+from playwright.sync_api import Error, Locator, Page, Route, ViewportSize, expect
 
 from tests.e2e.browsing import axe_findings, opened, opened_by_a_stranger
 from tests.e2e.captures import keypoint_capture
@@ -41,13 +41,28 @@ class ServedPeople:
     def url(self) -> str:
         return str(self.client.base_url)
 
+    @property
+    def job(self) -> dict[str, Any]:
+        return dict(self.client.get(f"/v1/jobs/{self.job_id}").raise_for_status().json())
+
+    @property
+    def revision(self) -> int:
+        """Revision of the job's files."""
+        return int(self.job["revision"])
+
     def people(self) -> dict[str, Any]:
-        return dict(self.client.get(f"/v1/jobs/{self.job_id}/people").raise_for_status().json())
+        """Edits with the numbers of people, and the people of the run."""
+        answer = self.client.get(self.job["urls"]["edits"]).raise_for_status().json()
+        edits = [
+            {name: outcome.get(name, value) for name, value in edit.items()}
+            for edit, outcome in zip(answer["edits"], answer["run"]["outcomes"], strict=True)
+        ]
+        return {**answer["run"], "edits": edits}
 
     def edit(self, *edits: dict[str, Any]) -> None:
-        path = f"/v1/jobs/{self.job_id}/people"
         self.wait()
-        self.client.put(path, json={"edits": edits}).raise_for_status()
+        path = f"{self.job['urls']['session']}/edits"
+        self.client.put(path, json={"edits": edits, "job_id": self.job_id}).raise_for_status()
         self.wait()
 
     @contextlib.contextmanager
@@ -183,7 +198,7 @@ def frames_of_both(portal: ServedPeople, one: int, other: int) -> int:
 
 
 def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople) -> None:
-    revision = portal.people()["revision"]
+    revision = portal.revision
     frame = 40
     choose(page, "person-2", frame)
     page.get_by_role("button", name="Top").click()
@@ -229,7 +244,7 @@ def test_people_are_merged_and_merge_is_undone(page: Page, portal: ServedPeople)
 
 def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) -> None:
     before = portal.people()
-    revision, num_frames = before["revision"], before["num_frames"]
+    revision, num_frames = portal.revision, before["num_frames"]
     choose(page, "person-1", 30)
     press(page, "Split here")
     made(page, revision + 1)
@@ -262,17 +277,17 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) 
         "person-2": [(2, 0), (3, 50)],
         "Zoë": [(3, 0), (2, 50)],
     }
-    # Later edits count on the number of a person who was split off.
-    press(page, "Undo from here on: Split person-1 at frame 30")
+    # Later edits name people by places, and stay.
+    press(page, "Undo: Split person-1 at frame 30")
     made(page, revision + 6)
-    assert portal.people()["edits"] == []
+    assert [edit["action"] for edit in portal.people()["edits"]] == ["exchange", "rename", "remove", "cut"]
     press(page, "Redo")
     made(page, revision + 7)
     assert portal.people()["edits"] == after["edits"]
 
 
 def test_range_of_timeline_trims_the_take(page: Page, portal: ServedPeople) -> None:
-    revision, num_frames = portal.people()["revision"], portal.people()["num_frames"]
+    revision, num_frames = portal.revision, portal.people()["num_frames"]
     page.locator(".look-canvas").focus()
     for key in ("Home", "Shift+ArrowRight", "i"):
         page.keyboard.press(key)
@@ -284,7 +299,7 @@ def test_range_of_timeline_trims_the_take(page: Page, portal: ServedPeople) -> N
 
 
 def test_people_who_never_meet_are_merged_at_once(page: Page, portal: ServedPeople) -> None:
-    revision = portal.people()["revision"]
+    revision = portal.revision
     choose(page, "person-1", 50)
     press(page, "Split here")
     made(page, revision + 1)
@@ -305,13 +320,13 @@ def test_take_without_people_is_reported_empty(page: Page, portal: ServedPeople)
     expect(page.get_by_text("no person found")).to_have_count(0)
     press(page, "Undo, to restore the people")
     expect(panel(page).get_by_text("You deleted everyone.")).to_have_count(0)
-    made(page, portal.people()["revision"])
+    made(page, portal.revision)
     expect_in_view(page, "person-3")
 
 
 def test_edits_are_stacked_and_shown_before_their_files(page: Page, portal: ServedPeople) -> None:
     """While no worker runs, edits show at once, and the files of the last revision stay listed."""
-    revision = portal.people()["revision"]
+    revision = portal.revision
     files = page.get_by_role("region", name="Files")
     expect(files.get_by_role("link", name="person-1.bvh")).to_be_visible()
     video = page.locator(".look-canvas").element_handle()
@@ -371,7 +386,7 @@ def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> No
 
 
 def test_refused_edit_keeps_others(page: Page, portal: ServedPeople) -> None:
-    revision = portal.people()["revision"]
+    revision = portal.revision
     held: list[Route] = []
 
     def hold_the_first(route: Route) -> None:
@@ -380,7 +395,7 @@ def test_refused_edit_keeps_others(page: Page, portal: ServedPeople) -> None:
         else:
             route.continue_()
 
-    page.route("**/people", hold_the_first)
+    page.route("**/edits", hold_the_first)
     choose(page, "person-1", 0)
     press(page, "Split here")  # in its first frame
     rename(page, "person-2", "Anna")
@@ -395,14 +410,14 @@ def test_refused_edit_keeps_others(page: Page, portal: ServedPeople) -> None:
 
 
 def test_impossible_edits_say_what_to_do(page: Page, portal: ServedPeople) -> None:
-    revision = portal.people()["revision"]
+    revision = portal.revision
     choose(page, "person-1", 0)
     press(page, "Split here")
     problem = panel(page).get_by_role("alert")
     expect(problem).to_contain_text(
         "Split person-1 at frame 0: Person 1 can't be split at frame 0. Choose a frame from 1 to"
     )
-    assert portal.people()["revision"] == revision
+    assert portal.revision == revision
 
 
 def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
@@ -415,7 +430,7 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
     expect(problem).to_contain_text("Not done: Split person-1 at frame 30.")
     expect(panel(page).get_by_role("list", name="Edits")).to_contain_text("Rename person-3 to Theirs")
     assert portal.people()["edits"] == [theirs]
-    revision = portal.people()["revision"]
+    revision = portal.revision
     press(page, "Apply to their edits")
     made(page, revision + 1)
     assert portal.people()["edits"] == [theirs, {"action": "split", "person": 1, "frame": 30}]
@@ -425,6 +440,49 @@ def test_two_people_who_edit_at_once(page: Page, portal: ServedPeople) -> None:
         timeout=180_000
     )
     expect(panel(page).get_by_text("No edits yet.")).to_be_visible()
+
+
+def test_later_run_keeps_edits_and_earlier_one_follows(page: Page, portal: ServedPeople) -> None:
+    """A correction that was made on one run is in the next one, of another method and format."""
+    portal.edit({"action": "rename", "person": 2, "name": "Anna"}, {"action": "remove", "person": 3})
+    session = portal.job["urls"]["session"]
+    spec = {"method": "clustering", "exports": ["glb"]}
+    job = portal.client.post(f"{session}/jobs", json=spec).raise_for_status().json()
+    later = replace(portal, job_id=job["id"])
+    later.wait()
+    assert {person["name"] for person in later.people()["people"]} >= {"Anna"}
+    assert len(later.people()["people"]) == 2
+    names = {file["person_name"] for file in portal.client.get(job["urls"]["results"]).json()["results"]}
+    assert names >= {"Anna"}
+    look_at(page, later)
+    expect(panel(page).get_by_role("list", name="Edits").get_by_role("listitem")).to_have_count(2)
+    rename(page, "Anna", "Eve")
+    made(page, 1)
+    # The earlier run follows when it is told to.
+    look_at(page, portal)
+    expect(panel(page)).to_contain_text("The files show earlier edits of the capture.")
+    press(page, "Apply the edits")
+    made(page, portal.revision)
+    expect_in_view(page, "person-1", "Eve")
+    expect(panel(page).get_by_text("earlier edits")).to_have_count(0)
+
+
+def test_files_are_added_to_finished_job(page: Page, portal: ServedPeople) -> None:
+    revision = portal.revision
+    files = page.get_by_role("region", name="Files")
+    files.get_by_text("Add files").click()
+    files.get_by_role("checkbox", name=re.compile("^GLB")).check()
+    files.get_by_role("checkbox", name="Report").check()
+    files.get_by_label("Target application").select_option("blender")
+    assert axe_findings(page) == []
+    files.get_by_role("button", name="Add the files").click()
+    made(page, revision + 1)
+    expect(files.get_by_role("link", name="person-1.glb")).to_be_visible()
+    expect(files.get_by_role("link", name="BVH, animation for Blender").first).to_be_visible()
+    # The report follows by itself, or at once.
+    with contextlib.suppress(Error):
+        files.get_by_role("button", name="Make them now").click(timeout=3_000)
+    expect(files.get_by_role("link", name="report.html")).to_be_visible(timeout=MAKING_MS)
 
 
 def test_another_job_is_compared_on_same_clock(page: Page, portal: ServedPeople) -> None:
@@ -473,7 +531,7 @@ def test_public_link_shows_one_job_until_revoked(page: Page, portal: ServedPeopl
         assert axe_findings(guest) == []
         # The link opens nothing else.
         secret = address.partition("link=")[2]
-        for path in ("/v1/jobs", f"/v1/jobs/{portal.job_id}/people", f"/v1/jobs/{portal.job_id}/links"):
+        for path in ("/v1/jobs", f"{portal.job['urls']['session']}/edits", f"/v1/jobs/{portal.job_id}/links"):
             assert guest.request.get(f"{portal.url.rstrip('/')}{path}?link={secret}").status == 401
 
         sharing.get_by_role("button", name="Revoke").click()

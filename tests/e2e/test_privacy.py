@@ -105,9 +105,8 @@ def test_heads_are_gone_and_then_videos(served: Served, sample: Sample) -> None:
         assert served.client.get(f"{address}/videos/{name}", params=secret).status_code == 200
         assert served.client.get(f"{address}/thumbnails/{name}/0", params=secret).status_code == 404
 
-    people = served.client.get(f"/v1/jobs/{job_id}/people").raise_for_status().json()["found"]
-    edits = {"edits": [{"action": "rename", "person": people[0]["id"], "name": "Anna"}]}
-    served.client.put(f"/v1/jobs/{job_id}/people", json=edits).raise_for_status()
+    people = served.edits(job_id)["run"]["found"]
+    served.edit(job_id, {"action": "rename", "person": people[0]["id"], "name": "Anna"})
     edited = served.wait_for_end(job_id)
     assert (edited["state"], edited["results_revision"]) == ("succeeded", 1)
     again = served.client.post(f"{address}/jobs", json={"profile": "fast", "exports": ["csv"], "frame_range": FRAMES})

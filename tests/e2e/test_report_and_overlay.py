@@ -53,10 +53,10 @@ def test_report_and_overlays_follow_edit(served: Served, sample: Sample) -> None
     assert all(path.name in report for path in sample.videos.values())
     assert "Anna" not in report
 
-    people = served.client.get(f"/v1/jobs/{job_id}/people").raise_for_status().json()["found"]
+    people = served.edits(job_id)["run"]["found"]
     longest = max(people, key=lambda person: person["num_frames"])
     rename = {"action": "rename", "person": longest["id"], "name": "Anna"}
-    served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": [rename]}).raise_for_status()
+    served.edit(job_id, rename)
     job = served.wait_for_end(job_id)
     assert (job["state"], job["results_revision"]) == ("succeeded", 1)
     assert not {"draw_overlay", "write_report"} & {stage["name"] for stage in job["stages"]}

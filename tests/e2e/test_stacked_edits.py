@@ -52,15 +52,15 @@ def lists_of_edits(found: list[dict[str, int]], rng: np.random.Generator) -> lis
 def test_last_of_stacked_edits_wins_while_workers_are_killed(service: Served, tmp_path: Path) -> None:
     write_simulation(record(replace(find_scene("room"), duration_s=6.0), seed=4, num_views=3), tmp_path / "capture")
     job_id, quiet_id = (reconstructed(service, tmp_path / "capture") for _ in range(2))
-    lists = lists_of_edits(service.client.get(f"/v1/jobs/{job_id}/people").json()["found"], np.random.default_rng(SEED))
-    edit(service, quiet_id, lists[-1])
+    lists = lists_of_edits(service.edits(job_id)["run"]["found"], np.random.default_rng(SEED))
+    service.edit(quiet_id, *lists[-1])
     assert service.wait_for_end(quiet_id)["files_state"] == "current"
     expected = service.downloads(quiet_id)
 
     rng, names = np.random.default_rng(SEED), set(service.downloads(job_id))
     killed = 0
     for number, edits in enumerate(lists, start=1):
-        answer = edit(service, job_id, edits)
+        answer = service.edit(job_id, *edits)
         assert answer["revision"] == number
         if number % 3 == 0:
             killed += kill_a_worker(service)
@@ -70,15 +70,9 @@ def test_last_of_stacked_edits_wins_while_workers_are_killed(service: Served, tm
     assert killed >= 3
     assert service.job(job_id)["files_state"] == "current"
     assert service.downloads(job_id) == expected
-    edit(service, job_id, [])
+    service.edit(job_id)
     assert service.wait_for_end(job_id)["files_state"] == "current"
     assert set(service.downloads(job_id)) == names
-
-
-def edit(served: Served, job_id: str, edits: list[dict[str, Any]]) -> dict[str, Any]:
-    answer = served.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits})
-    assert answer.status_code == 202, answer.text
-    return dict(answer.json())
 
 
 def kill_a_worker(served: Served) -> int:

@@ -4,7 +4,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import pytest
 import structlog
 
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
-from pipeline.core.options.edits import PersonSpan, without_names
+from pipeline.core.options.edits import PeopleEdit, PersonSpan, without_names
 from pipeline.core.options.job_choices import BLURRED_KIND, OVERLAY_KIND, REPORT_KIND, RERUN_KIND, blurred_name
 from pipeline.run.engine.code import stage_codes
 from pipeline.run.engine.stage import (
@@ -38,12 +38,12 @@ from pipeline.run.engine.stage import (
     ResultFile,
 )
 from worker.run.chunk import Work
-from worker.run.planning import plan_job
+from worker.run.planning import plan_job, plan_remake, plan_visuals
 from worker.run.runner import Runner
 from worker.store.files.artifacts import LocalArtifacts
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import InputFile, Session
-from worker.store.model.work import Ability
+from worker.store.model.work import Ability, Remake
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
 
@@ -208,6 +208,21 @@ class RunnerBench:
     def create_job(self, retention_s: float | None = None, spec: JobSpec = JobSpec()) -> JobRecord:  # noqa: B008 - frozen
         stages = plan_job(self.session, spec)
         return self.store.jobs.add(self.session.id, spec, stages, retention_s)
+
+    def edit(self, job_id: str, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> JobRecord:
+        """Edit the session, and make the files of a job again."""
+
+        def plan(job: JobRecord) -> Remake:
+            remake = plan_remake(self.session, job)
+            if codes is None:
+                return remake
+            return replace(remake, stages=plan_job(self.session, job.spec, codes, edits=job.edits, revision=1))
+
+        return self.store.jobs.remake(job_id, plan, edits=edits)
+
+    def make_visuals(self, job_id: str) -> JobRecord:
+        job = self.store.jobs.get(job_id)
+        return self.store.visuals.add(job_id, *plan_visuals(self.session, job), job.revision)
 
     def result(self, job_id: str, name: str = "person-1.bvh") -> bytes:
         result = self.store.results.get(job_id, name)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 from pipeline.capture.preflight_record import Preflight
@@ -16,7 +16,7 @@ from pipeline.run.space import foreseen_memory
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobRecord, Making, job_config
 from worker.store.model.session_records import InputFile
-from worker.store.model.work import ChunkPlan, Claim, StagePlan
+from worker.store.model.work import ChunkPlan, Claim, Remake, StagePlan
 from worker.store.spec import JobSpec
 
 
@@ -76,17 +76,22 @@ def plan_config(
     )
 
 
-def plan_visuals(session: PlannableSession, job: JobRecord) -> tuple[StagePlan, ...]:
-    """Plan of the job that rebuilds overlay videos, the report and the recording of an edited job."""
-    return plan_job(
-        session,
-        job.spec,
-        making=VisualChoices(),
-        edits=job.edits,
-        revision=job.revision,
-        character=job.character,
-        provider=job.provider,
-    )
+def plan_visuals(session: PlannableSession, job: JobRecord) -> tuple[VisualChoices, tuple[StagePlan, ...]]:
+    """Choices and plan of the job that rebuilds overlay videos, the report and the recording of a reconstruction.
+
+    It also makes the blurred videos that are missing.
+    """
+    choices = VisualChoices(blurs_videos=job.num_blurred < len(session.preflight.cameras))
+    return choices, plan_again(session, replace(job, making=choices), job.provider)
+
+
+def plan_remake(session: PlannableSession, job: JobRecord) -> Remake:
+    """Plan of a job whose files are made again."""
+    visuals = [
+        STAGE_BY_NAME[plan.name] for plan in plan_visuals(session, job)[1] if STAGE_BY_NAME[plan.name].makes_files
+    ]
+    reads_videos = any(stage.reads_videos for stage in visuals)
+    return Remake(plan_again(session, job, job.provider), bool(visuals), reads_videos)
 
 
 def plan_again(session: PlannableSession, job: JobRecord, provider: str = "") -> tuple[StagePlan, ...]:

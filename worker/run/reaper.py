@@ -128,9 +128,9 @@ class Reaper:
             return
         for job_id in self._store.visuals.due(self._visuals_rest_s):
             job = self._store.jobs.get(job_id)
-            stages = plan_visuals(self._store.sessions.get(job.session_id), job)
+            making, stages = plan_visuals(self._store.sessions.get(job.session_id), job)
             with contextlib.suppress(Conflict, NotFound):  # it was edited or deleted since
-                self._store.visuals.add(job_id, stages, job.revision)
+                self._store.visuals.add(job_id, making, stages, job.revision)
                 log.info("visuals_queued", job=job_id)
                 self._publish()
 

@@ -56,10 +56,10 @@ class NoResults(Conflict):
 
 
 class EditedMeanwhile(Conflict):
-    """The edits of the job's people were changed after the caller read them."""
+    """The edits of the session's people were changed after the caller read them."""
 
     def __init__(self, revision: int, known: int) -> None:
-        super().__init__(f"The job has the revision {revision} now, not {known}.")
+        super().__init__(f"The edits have the revision {revision} now, not {known}.")
 
 
 class VideosDeleted(Conflict):

@@ -38,6 +38,12 @@ else:
     _Choices = create_model("_Choices", **{name: _field(choice) for name, choice in CHOICES.items()})
 
 
+_CHARACTER = (
+    "Stored character that moves as each person, in files of its own. The job keeps a copy of it, with the bones that "
+    "it has now."
+)
+
+
 class JobSpec(_Choices, frozen=True):
     """A reconstruction's choices. Unknown fields are refused."""
 
@@ -46,8 +52,12 @@ class JobSpec(_Choices, frozen=True):
     character: UUID | None = Field(
         default=None,
         examples=[None],
-        description="Stored character that moves as each person, in files of its own. The job keeps a copy of it, with "
-        "the bones that it has now.",
+        description=_CHARACTER,
+    )
+    apply_edits: bool = Field(
+        default=True,
+        strict=True,
+        description="Apply the edits of the capture's people. False: leave them out.",
     )
     priority: Priority = Field(
         default="normal",
@@ -73,3 +83,36 @@ class JobSpec(_Choices, frozen=True):
         """Configuration of the reconstruction."""
         choices = {name: getattr(self, name) for name in CHOICES}
         return ReconstructionConfig(**choices, blurs_videos=self.blur_faces)
+
+
+_FILE_CHOICES = ("preset", "timeline", "body", "output_rate_hz")
+_ADDED = ("report", "overlay", "blur_faces")
+
+if TYPE_CHECKING:
+
+    class _FileChoices(JobChoices, BaseModel, frozen=True):
+        """Fields as type checkers see them."""
+else:
+    _names = ("exports", *_FILE_CHOICES, *_ADDED)
+    _FileChoices = create_model("_FileChoices", **{name: _field(CHOICES[name]) for name in _names})
+
+
+class FilesAdded(_FileChoices, frozen=True):
+    """Files that a finished job gets, besides the files that it has: only the fields that are sent count.
+
+    `exports`, `report`, `overlay` and `blur_faces` add to the job's spec. The other fields replace the job's, for all
+    of its files.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    character: UUID | None = Field(default=None, examples=[None], description=_CHARACTER)
+    apply_edits: bool = Field(default=True, strict=True, description="As in the spec of a job.")
+
+    def added_to(self, spec: JobSpec) -> JobSpec:
+        """Spec of the job with these files."""
+        sent = self.model_fields_set
+        changed = {name: getattr(self, name) for name in (*_FILE_CHOICES, "apply_edits", "character") if name in sent}
+        changed |= {name: getattr(spec, name) or getattr(self, name) for name in _ADDED}
+        exports = (*spec.exports, *(self.exports if "exports" in sent else ()))
+        return spec.model_copy(update={**changed, "exports": tuple(dict.fromkeys(exports))})

@@ -9,6 +9,7 @@ from worker.store.database.quotas import NO_QUOTAS, read_usage, require_room
 from worker.store.model.rights import Usage
 from worker.store.repositories.calibrations import Calibrations
 from worker.store.repositories.characters import Characters
+from worker.store.repositories.edits import Edits
 from worker.store.repositories.idempotency_keys import IdempotencyKeys
 from worker.store.repositories.jobs import Jobs
 from worker.store.repositories.links import Links
@@ -27,6 +28,7 @@ class Records:
         self.sessions = Sessions(access)
         self.calibrations = Calibrations(access)
         self.characters = Characters(access)
+        self.edits = Edits(access)
         self.jobs = Jobs(access)
         self.visuals = Visuals(access)
         self.results = Results(access)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import Field, TypeAdapter
 
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, users_cache, warn
 from api.cli.options import ProviderOption, checked, take_provider, with_choices
@@ -16,9 +17,10 @@ from api.cli.space import document, require_space, session_space
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
+from pipeline.core.options.edits import MAX_EDITS, PeopleEdit
 from pipeline.core.options.rules import config_problems, require
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.finding_codes import NOTHING_BLURRED
+from pipeline.core.problems.finding_codes import EDITS_UNREADABLE, NOTHING_BLURRED
 from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.export.character.character_files import DESCRIPTION
 from pipeline.export.character.mapping import read_bone_table
@@ -91,6 +93,23 @@ def _character(path: Path | None, bones: Path | None) -> CharacterSource | None:
     return source
 
 
+def _edits(path: Path | None) -> tuple[PeopleEdit, ...]:
+    """Edits in a file: a list, or an object with ``edits`` as the service has it; ``InputError`` if malformed."""
+    if path is None:
+        return ()
+    kind = Annotated[PeopleEdit, Field(discriminator="action")]
+    edits: TypeAdapter[tuple[PeopleEdit, ...]] = TypeAdapter(Annotated[tuple[kind, ...], Field(max_length=MAX_EDITS)])
+    try:
+        document = json.loads(path.read_bytes())
+        return edits.validate_python(document.get("edits") if isinstance(document, dict) else document)
+    except (OSError, ValueError) as error:
+        hint = "Write the edits as in `multicap help people-and-edits`."
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            [Problem(EDITS_UNREADABLE, f"{path.name} can't be read: {reason}", field="edits", hint=hint)]
+        ) from error
+
+
 @with_choices()
 @with_source()
 def command(
@@ -112,6 +131,13 @@ def command(
         typer.Option(help="Table of the character's bones in JSON, as character.json has it, to correct them."),
     ] = None,
     chosen: Mapping[str, Any],
+    edits: Annotated[
+        Path | None,
+        typer.Option(
+            help="Edits of people in JSON, as the service has them, see `multicap help people-and-edits`.",
+            show_default=False,
+        ),
+    ] = None,
     tracking: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Parameter of tracking, see `multicap help tracking`; repeatable."),
@@ -141,6 +167,7 @@ def command(
             checked(chosen, source.check),
             tracking=parameters(tracking or [], "alpha_3d_m=0.2"),
             clustering=parameters(clustering or [], "tau2=0.25"),
+            edits=_edits(edits),
         )
         if source.keypoints is None:
             take_provider(provider)

@@ -34,9 +34,9 @@ function group(title, results, options) {
 
 /**
  * Files of the job's last revision that has some. `makeVisuals` makes report, overlay videos and recording of the present edits;
- * null for those who may not. `hasVideos`: the videos of the session were not deleted.
+ * null for those who may not. `hasVideos`: the videos of the session were not deleted. `adding` is a form for more files.
  */
-export function downloads(job, results, options, makeVisuals, { hasVideos = true } = {}) {
+export function downloads(job, results, options, makeVisuals, { hasVideos = true, adding = nothing } = {}) {
   const people = [...new Map(results.filter(({ person }) => person !== null).map(({ person, person_name: name }) => [person, name])).entries()]
     .sort(([one], [other]) => one - other);
   const ofAll = results.filter(({ person }) => person === null).sort((one, other) => ORDER.indexOf(one.kind) - ORDER.indexOf(other.kind));
@@ -50,6 +50,7 @@ export function downloads(job, results, options, makeVisuals, { hasVideos = true
     ${group(TAKE.toShow, ofAll.filter(isShown), options)}
     ${people.map(([person, name]) => group(name, results.filter((result) => result.person === person), options))}
     ${group(TAKE.ofEveryone, ofAll.filter((result) => !isShown(result)), options)}
+    ${adding}
   </section>`;
 }
 
@@ -65,7 +66,7 @@ function revisionNote(job) {
 // Report, overlay videos and recording follow edits by a job of their own: on request, or when edits rest.
 function visualsNote(job, visuals, makeVisuals, hasVideos) {
   const earlier = visuals.filter(({ revision }) => revision < job.revision);
-  if (earlier.length === 0) return nothing;
+  if (earlier.length === 0) return addedVisualsNote(job, makeVisuals);
   const kinds = VISUALS.filter((kind) => earlier.some((one) => one.kind === kind));
   const names = new Intl.ListFormat(TAKE.listLanguage).format(kinds.map((kind) => TAKE.visuals[kind]));
   const shown = TAKE.visualsShow(names, kinds.length > 1 || kinds[0] === "overlay", named(Math.min(...earlier.map(({ revision }) => revision))));
@@ -74,6 +75,13 @@ function visualsNote(job, visuals, makeVisuals, hasVideos) {
   if (state !== null && !hasEnded({ state })) return visualsBox(job, `${shown} ${TAKE.visualsInWork(job.revision)}`);
   if (!hasVideos && (job.spec.overlay || job.spec.exports.includes("rerun"))) return visualsBox(job, `${shown} ${TAKE.visualsImpossible}`);
   return visualsBox(job, `${shown} ${TAKE.visualsLater}`, TAKE.makeNow, makeVisuals);
+}
+
+// Visuals that were added, and of which there are none yet.
+function addedVisualsNote(job, makeVisuals) {
+  const { state } = job.visuals_job ?? { state: null };
+  if (job.urls.visuals !== null) return visualsBox(job, state === "failed" ? TAKE.addedFailed : TAKE.addedLater, TAKE.makeNow, makeVisuals);
+  return state !== null && !hasEnded({ state }) ? visualsBox(job, TAKE.addedInWork) : nothing;
 }
 
 function visualsBox(job, words, action = null, makeVisuals = null) {

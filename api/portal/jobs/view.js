@@ -10,6 +10,7 @@ import { COMMON } from "../shared/strings/common.js";
 import { FRAME } from "../shared/strings/frame.js";
 import { TAKE } from "../shared/strings/take.js";
 import { choiceList, errorBox, stageList, waitingBox } from "../watch/job_row.js";
+import { AddedFiles } from "./added_files.js";
 import { downloads } from "./downloads.js";
 import { FirstPeople } from "./first_people.js";
 import { JobMotion } from "./job_motion.js";
@@ -34,6 +35,7 @@ class JobView {
   #panel = null; // to edit the people
   #sharing = null; // public links
   #firstPeople = null; // while the job runs
+  #added = new AddedFiles(() => this.draw());
   #isClosed = false;
 
   constructor(place, id, caller) {
@@ -101,7 +103,7 @@ class JobView {
     if (isFirst) this.#firstPeople ??= new FirstPeople(this.first, job.urls.self);
     else this.#firstPeople?.close();
     if (!isFirst) this.#firstPeople = null;
-    const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.urls.people !== null;
+    const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.urls.edits !== null;
     if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
     await this.#panel?.follow(job);
     // The files of an earlier revision can be read until the files of the present one are there.
@@ -136,7 +138,7 @@ class JobView {
     const people = this.#panel?.editing.people ?? null;
     if (people === null || this.#shown === null) return;
     const before = this.#panel.editing.peopleAt(this.#shown) ?? null;
-    const isNewer = before !== null && people.revision > this.#shown;
+    const isNewer = before !== null && people.revision > before.revision;
     this.motion.preview(isNewer ? { before, after: colored(people) } : null);
   }
 
@@ -176,7 +178,9 @@ class JobView {
   #files() {
     if (this.job === null || !this.results) return nothing;
     const makeVisuals = this.caller.scopes.includes("write") ? () => this.#makeVisuals() : null;
-    return downloads(this.job, this.results, this.options, makeVisuals, { hasVideos: !this.session?.videos_deleted_at });
+    const { job, options } = this;
+    const adding = this.caller.scopes.includes("write") && options && job.urls.files ? this.#added.form(job, options) : nothing;
+    return html`${downloads(job, this.results, options, makeVisuals, { hasVideos: !this.session?.videos_deleted_at, adding })}`;
   }
 }
 

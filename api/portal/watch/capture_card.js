@@ -219,6 +219,7 @@ function runAgainForm(view, session) {
   };
   return html`<form class="again" id="again-${session.id}" aria-label=${CAPTURES.again.label(session.name)} @submit=${submit}>
     ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, valueNote })}
+    <label class="tile"><input type="checkbox" .checked=${spec.apply_edits !== false} @change=${(event) => change("apply_edits", event.target.checked ? undefined : false)}><span class="tile-label">${CAPTURES.again.applyEdits}</span></label>
     <div class="actions"><button class="button primary">${CAPTURES.again.submit}</button>
       <button type="button" class="button" @click=${close}>${COMMON.close}</button></div>
   </form>`;

@@ -30,7 +30,8 @@ from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.file_keys import job_character_key, job_prefix
 from worker.store.model.character_records import JobCharacter
-from worker.store.model.job_records import JobRecord
+from worker.store.model.job_records import JobRecord, job_config
+from worker.store.model.session_records import SessionEdits
 from worker.store.outages import is_perhaps_recorded
 from worker.store.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.store.spec import JobSpec
@@ -148,9 +149,11 @@ def queued_job(
     ApiError
         If its file is missing or damaged, or the disk has too little space.
     """
-    with _copied_character(services, records, spec.character) as moved:
+    has_edits = record_session is None and spec.apply_edits
+    edits = records.edits.get(session.id) if has_edits else SessionEdits()
+    with copied_character(services, records, spec.character) as moved:
         character = None if moved is None else moved[1]
-        config = replace(spec.config, character=None if character is None else character.digest)
+        config = job_config(spec, edits=edits.edits, character=character)
         stages = plan_config(session, config, provider=services.store.workers.provider())
         character_bytes = 0 if character is None else character.file.num_bytes
         needed_bytes = foreseen_space(session.preflight, config, character_bytes).store_bytes
@@ -168,7 +171,7 @@ def queued_job(
             if record_session is not None:
                 record_session(work)
             retention_s = services.settings.retention_s
-            job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved)
+            job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved, edits=edits)
             _queue_proxies(work, session)
             yield work, job
     _log.info("job_created", job=job.id, session=job.session_id)
@@ -177,13 +180,14 @@ def queued_job(
 
 
 @contextlib.contextmanager
-def _copied_character(
-    services: Services, records: TenantRecords, character_id: UUID | None
+def copied_character(
+    services: Services, records: TenantRecords, character_id: UUID | None, job_id: str | None = None
 ) -> Iterator[tuple[str, JobCharacter] | None]:
-    """Copy the character of a new job: its files stay what they are when the character is changed or deleted.
+    """Copy the character of a job: its file stays what it is when the character is changed or deleted.
 
-    The block records the job under the id. If it fails, the copy is removed; the reaper removes the copy of a process
-    that is killed in between.
+    ``job_id`` is a job that is there; ``None``: a new one. The block gets the new job's id, or the prefix of the copy,
+    and records the copy. If it fails, the copy is removed; the reaper removes the copy of a process that is killed in
+    between.
     """
     if character_id is None:
         yield None
@@ -193,10 +197,15 @@ def _copied_character(
     except NotFound:
         raise Conflict("The character was deleted meanwhile.") from None
     services.disk.require_room(character.file.num_bytes)
-    job_id = services.store.jobs.reserve_id()
-    file = replace(character.file, key=job_character_key(job_id))
+    if job_id is None:
+        place = services.store.jobs.reserve_id()
+        prefix, key = job_prefix(place), job_character_key(place)
+    else:
+        place = prefix = records.jobs.reserve_copy(job_id)
+        key = f"{prefix}file"
+    file = replace(character.file, key=key)
     with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, job_prefix(job_id))
+        undo.callback(services.artifacts.delete_prefix, prefix)
         services.settings.spool_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=services.settings.spool_dir) as folder:
             path = Path(folder) / "file"
@@ -204,7 +213,7 @@ def _copied_character(
                 shutil.copyfileobj(source, copy)
             services.artifacts.put_file(file.key, path)
         try:
-            yield job_id, JobCharacter(character.id, file, character.corrections)
+            yield place, JobCharacter(character.id, file, character.corrections)
         except Exception as error:
             if is_perhaps_recorded(error):
                 undo.pop_all()

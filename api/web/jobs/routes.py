@@ -63,7 +63,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 
 State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
-_ACCEPTED: Responses = {
+ACCEPTED: Responses = {
     202: {"headers": {"Location": location("job"), **RETRY_AFTER}},
 }
 
@@ -74,7 +74,7 @@ _ACCEPTED: Responses = {
     summary="Reconstruct a session",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 410, 413, 415, 422, 507)},
+    responses={**ACCEPTED, **problems(400, 404, 409, 410, 413, 415, 422, 507)},
     callbacks=job_ended_callbacks("jobEndedOfJob", "/callback_url"),
 )
 def create_job(
@@ -97,14 +97,14 @@ def create_job(
             raise unprocessable([error_item(problem) for problem in found])
         services.disk.require_room()
         with queueing.queued_job(services, idempotent.records, session, spec) as (work, job):
-            answer = idempotent.store(work, _accepted(job))
+            answer = idempotent.store(work, accepted(job))
     return answer.response()
 
 
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     with session_and_job(services, idempotent.records, checked) as (work, job):
-        return idempotent.store(work, _accepted(job))
+        return idempotent.store(work, accepted(job))
 
 
 _CREATE = """\
@@ -138,7 +138,7 @@ add_creation(
     ),
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 408, 409, 410, 413, 415, 422, 507)},
+    responses={**ACCEPTED, **problems(400, 408, 409, 410, 413, 415, 422, 507)},
 )
 
 
@@ -201,7 +201,7 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     summary="Cancel a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 422)},
+    responses={**ACCEPTED, **problems(400, 404, 409, 422)},
 )
 def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Cancel a job. What runs of it stops within seconds."""
@@ -218,7 +218,7 @@ def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> R
 
 def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
     with idempotent.records.transaction() as work:
-        return idempotent.store(work, _accepted(work.jobs.cancel(job_id)))
+        return idempotent.store(work, accepted(work.jobs.cancel(job_id)))
 
 
 @small.post(
@@ -227,7 +227,7 @@ def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
     summary="Retry a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+    responses={**ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Try a failed or canceled job again. What it had finished is not done again."""
@@ -244,7 +244,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         provider = services.store.workers.provider(job.provider)
         stages = plan_again(session, job, provider)
         with idempotent.records.transaction() as work:
-            answer = idempotent.store(work, _accepted(work.jobs.retry(job_id, stages, tracing.current())))
+            answer = idempotent.store(work, accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
     return answer.response()
 
@@ -255,7 +255,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
     summary="Make the visuals of a job again",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={**_ACCEPTED, **problems(400, 404, 409, 422, 507)},
+    responses={**ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
     """Make overlay videos, report and recording of an edited job again. The answer is the job that makes them.
@@ -268,10 +268,10 @@ def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: Idempoten
         job = idempotent.records.jobs.get(job_id)
         services.disk.require_room()
         session = idempotent.records.sessions.get(job.session_id)
-        stages = plan_visuals(session, job)
+        making, stages = plan_visuals(session, job)
         with idempotent.records.transaction() as work:
-            made = work.visuals.add(job_id, stages, job.revision, tracing.current())
-            answer = idempotent.store(work, _accepted(made))
+            made = work.visuals.add(job_id, making, stages, job.revision, tracing.current())
+            answer = idempotent.store(work, accepted(made))
     services.queue.publish()
     return answer.response()
 
@@ -304,7 +304,8 @@ def _page(
     return JobPage(jobs=tuple(JobOut.from_job(job) for job in jobs), next_cursor=next_cursor)
 
 
-def _accepted(job: JobRecord) -> Answer:
+def accepted(job: JobRecord) -> Answer:
+    """Answer that a job is queued."""
     headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
     return Answer(202, headers, JobOut.from_job(job).model_dump_json())
 

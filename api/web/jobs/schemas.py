@@ -117,9 +117,13 @@ class JobUrls(ResponseModel):
     results_zip: str = Field(
         description="Path of the archive of all result files.", examples=[f"/v1/jobs/{ID}/results.zip"]
     )
-    people: str | None = Field(
-        description="Path of the job's people, to edit them; null until they are found.",
-        examples=[f"/v1/jobs/{ID}/people"],
+    edits: str | None = Field(
+        description="Path of the capture's edits in this run; null until people are found.",
+        examples=[f"/v1/sessions/{ID}/edits?job_id={ID}"],
+    )
+    files: str | None = Field(
+        description="Path that adds files, and applies the capture's present edits; null until people are found.",
+        examples=[f"/v1/jobs/{ID}/files"],
     )
     cancel: str | None = Field(
         description="Path that cancels the job, or the update of its files; null once nothing is at work."
@@ -135,7 +139,7 @@ class JobUrls(ResponseModel):
 
 
 class VisualsJobOut(ResponseModel):
-    """Job that makes overlay videos, the report and the recording of an edited job again."""
+    """Job that makes overlay videos, the report, the recording and blurred videos for files that were made again."""
 
     id: Id
     state: JobState = Field(description="State of that job.")
@@ -160,13 +164,22 @@ class JobOut(ResponseModel):
     )
     state: JobState = Field(description="State of the job.", examples=["succeeded"])
     files_state: FilesState | None = Field(
-        description="State of the files: `current`; `updating`, they are made again after an edit; `failed`, they "
-        "could not be made again. Meanwhile the earlier files can be read. Null unless `state` is `succeeded`.",
+        description="State of the files: `current`; `updating`, they are made again after an edit or with more "
+        "formats; `failed`, they could not be made again. Meanwhile the earlier files can be read. Null unless `state` "
+        "is `succeeded`.",
         examples=["current"],
     )
     spec: JobSpec = Field(description="Choices of the job.", examples=[JobSpec().model_dump(mode="json")])
     attempt: int = Field(description="Number of the current attempt, from 1.")
-    revision: int = Field(description="Number of times that the edits of the job's people were changed.", examples=[0])
+    revision: int = Field(description="Number of times that the job's files were made again.", examples=[0])
+    edits_revision: int | None = Field(
+        description="Revision of the capture's edits that the files of `revision` apply; null if they are left out.",
+        examples=[0],
+    )
+    newest_edits_revision: int = Field(
+        description="Present revision of the capture's edits; a later one than `edits_revision` has more edits.",
+        examples=[0],
+    )
     results_revision: int | None = Field(
         description="Revision whose result files can be read, also while the files of `revision` are made; null before "
         "the first files are.",
@@ -231,7 +244,8 @@ class JobOut(ResponseModel):
                 events=f"{address}/events",
                 results=f"{address}/results",
                 results_zip=f"{address}/results.zip",
-                people=None if job.people is None else f"{address}/people",
+                edits=f"/v1/sessions/{job.session_id}/edits?job_id={job.id}" if job.has_people else None,
+                files=f"{address}/files" if job.has_people else None,
                 cancel=f"{address}/cancel" if job.attempt_state in CANCELABLE else None,
                 visuals=f"{address}/visuals" if _may_make_visuals(job) else None,
                 retry=f"{address}/retry" if job_records.is_worth_a_retry(job.attempt_state, job.problem) else None,
@@ -240,7 +254,9 @@ class JobOut(ResponseModel):
 
     def for_link(self) -> Self:
         """Job as a link shows it: without the receiver of its webhooks, and without what may be done with it."""
-        urls = self.urls.model_copy(update={"people": None, "cancel": None, "visuals": None, "retry": None})
+        urls = self.urls.model_copy(
+            update={"edits": None, "files": None, "cancel": None, "visuals": None, "retry": None}
+        )
         return self.model_copy(update={"spec": self.spec.model_copy(update={"callback_url": None}), "urls": urls})
 
 

@@ -325,6 +325,7 @@ class ReconstructionConfig(JobChoices):
     making: CalibrationChoices | ProxyChoices | VisualChoices | None = None
     edits: tuple[PeopleEdit, ...] = ()
     blurs_videos: bool = False  # Copies of the videos with blurred heads are made, for players
+    is_remade: bool = False  # Files of people who were reconstructed before are made again
     character: str | None = None
     chunk_frames: Annotated[
         int,

@@ -104,27 +104,37 @@ def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frame
 
 
 def place_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frames: range) -> tuple[PeopleEdit, ...]:
-    """Replace numbers of people by places, so that other runs find the people too.
+    """Replace numbers of people by places, so that other runs find the people too, and normalize names.
 
     Parameters as in ``apply_edits``.
 
     Raises
     ------
     InputError
-        With the problems of the first edit that names people by numbers and can't be applied; the field is
-        ``edits/NUMBER/NAME``, numbers from 0.
+        With the problems of the first edit that is malformed, or that names people by numbers and can't be applied;
+        the field is ``edits/NUMBER/NAME``, numbers from 0.
     """
     take = _Take.of(people, frames)
     placed: list[PeopleEdit] = []
     for number, edit in enumerate(edits):
         take.number = number
-        placed.append(take.placed(edit))
+        well_formed = take.well_formed(edit)
+        placed.append(take.placed(well_formed))
         try:
             take.apply(edit)
         except InputError:
-            if placed[-1] is not edit or isinstance(edit, Cut):
+            if placed[-1] is not well_formed:
                 raise
     return tuple(placed)
+
+
+def require_places(edits: Sequence[PeopleEdit]) -> None:
+    """Raise ``InputError`` for the first edit that names a person by a number, because no run is at hand."""
+    for number, edit in enumerate(edits):
+        for name in ("person", "other"):
+            if isinstance(getattr(edit, name, None), int):
+                message, hint = "The edit names a person by number.", "Name its run too, or the person by a place."
+                raise InputError([Problem(EDIT_IMPOSSIBLE, message, field=f"edits/{number}/{name}", hint=hint)])
 
 
 @dataclass(slots=True)
@@ -181,12 +191,21 @@ class _Take:
         }
         return replace(edit, **numbered) if numbered else edit
 
+    def well_formed(self, edit: PeopleEdit) -> PeopleEdit:
+        """Edit with a normalized name; ``InputError`` if no run could apply it."""
+        start, stop = getattr(edit, "start_frame", 0), getattr(edit, "stop_frame", None)
+        if start < 0 or (stop is not None and stop <= start):
+            message = f"The frames {start} to {stop} are no frames."
+            self._refuse("stop_frame", message, "The first frame is 0, and stop_frame is excluded.")
+        return replace(edit, name=self._normalized(edit.name)) if isinstance(edit, Rename) else edit
+
     def apply(self, edit: PeopleEdit) -> None:
         """Make an edit; ``InputError`` if it can't be made."""
-        match edit:
+        match self.well_formed(edit):
             case Rename(person=person, name=name):
                 renamed = self._person(person)
-                self.people[renamed.id] = replace(renamed, name=self._name(renamed, name))
+                self._require_free(renamed, name)
+                self.people[renamed.id] = replace(renamed, name=name)
             case Remove(person=person):
                 del self.people[self._person(person).id]
             case Merge(person=person, other=other):
@@ -281,7 +300,7 @@ class _Take:
             self._refuse("other", f"Person {person} is named twice.", "Name two people.")
         return self._person(person), self._person(other, "other")
 
-    def _name(self, renamed: EditedPerson, name: str) -> str:
+    def _normalized(self, name: str) -> str:
         # To normalize long runs of combining characters takes quadratic time.
         is_short = len(name) <= _MAX_SENT_NAME_LENGTH
         stripped = unicodedata.normalize("NFC", name).strip() if is_short else name
@@ -291,10 +310,12 @@ class _Take:
             self._refuse("name", "Control characters are not allowed in a name.", "Choose another name.")
         if _DEFAULT_NAME.fullmatch(stripped):
             self._refuse("name", f"{stripped} is a name of people without a name.", "Choose another name.")
-        for person in self.people.values():
-            if person is not renamed and person.name and person.name.casefold() == stripped.casefold():
-                self._refuse("name", f"Another person is named {person.name} already.", "Choose another name.")
         return stripped
+
+    def _require_free(self, renamed: EditedPerson, name: str) -> None:
+        for person in self.people.values():
+            if person is not renamed and person.name and person.name.casefold() == name.casefold():
+                self._refuse("name", f"Another person is named {person.name} already.", "Choose another name.")
 
     def _merge(self, kept: EditedPerson, added: EditedPerson) -> None:
         if kept is added:
@@ -340,7 +361,7 @@ class _Take:
     def _range(self, start: int, stop: int) -> range:
         """Part of frames of the session that is in the run, numbered from the run's first frame."""
         within = range(max(start, self.frames.start), min(stop, self.frames.stop))
-        if not 0 <= start < stop or not within:
+        if not within:
             message = f"The frames {start} to {stop} are not a part of the take."
             hint = f"The take has the frames {self.frames.start} to {self.frames.stop}; the last is excluded."
             self._refuse("stop_frame", message, hint)

@@ -35,11 +35,6 @@ class PersonSpan:
     # about evenly. Empty: the person is named by number alone.
     places: tuple[tuple[int, float, float, float], ...] = ()
 
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> "PersonSpan":
-        """Read what ``dataclasses.asdict`` made."""
-        return cls(**{**document, "places": tuple(map(tuple, document["places"]))})
-
     def place_m(self, frame: int) -> tuple[float, float, float]:
         """Place at a frame; before the first known place and after the last one, that place. Infinite without any."""
         if not self.places:

@@ -72,4 +72,9 @@ def blurred_name(number: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class VisualChoices:
-    """Overlay videos and the report are made of a reconstruction that is done, as far as its choices ask for them."""
+    """Overlay videos and the report are made of a reconstruction that is done, as far as its choices ask for them.
+
+    ``blurs_videos``: copies of its videos with blurred heads are made too.
+    """
+
+    blurs_videos: bool = False

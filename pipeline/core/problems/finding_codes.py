@@ -390,6 +390,9 @@ PARAMETER_UNREADABLE = COMMANDS.code("parameter_unreadable", "command")
 NOTHING_BLURRED = COMMANDS.code("nothing_blurred", "command")
 """Blurred faces were asked for, without files that show faces. | Add `--overlay`, `--report` or `--exports rerun`, or
 omit `--blur-faces`."""
+EDITS_UNREADABLE = COMMANDS.code("edits_unreadable", "command")
+"""The file of `--edits` is missing, or has no edits. | Write the edits as
+[the service](../guide/people-and-edits.md#correct-people-by-the-api) has them."""
 NO_REFINEMENT = COMMANDS.code("no_refinement", "command")
 """The evaluation refines calibrations from whole bodies only. | Use `--evidence bodies`, or omit `--turn`, `--shift`
 and `--refine-calibration`."""

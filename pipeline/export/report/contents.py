@@ -164,7 +164,14 @@ def _words(choice: Choice, value: Any) -> str:
 
 
 def _edit_words(edit: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in edit.items())
+    return ", ".join(f"{name.replace('_', ' ')} {_named(value)}" for name, value in edit.items())
+
+
+def _named(value: Any) -> str:
+    """Value of an edit: a person by a place, or a number, a frame, a name."""
+    if not isinstance(value, Mapping):
+        return str(value)
+    return f"at ({', '.join(f'{axis:.2f}' for axis in value['place_m'])}) in frame {value['frame']}"
 
 
 def list_versions(distributions: Sequence[str], networks: Sequence[str]) -> Rows:

@@ -64,7 +64,7 @@ _FRAMES_A_UNIT = 10
 # Choices that edits make; pieces do not depend on them.
 _OF_EDITS = {"edits", "names"}
 # Fields of the configuration on which no output depends.
-_WITHOUT_EFFECT = {"chunk_frames", "processes"}
+_WITHOUT_EFFECT = {"chunk_frames", "processes", "is_remade"}
 
 
 def interim_readers(stage: str) -> tuple[str, ...]:

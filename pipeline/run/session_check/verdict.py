@@ -76,8 +76,8 @@ def _is_mendable(error: Finding, config: ReconstructionConfig) -> bool:
 
 
 def _has_results(config: ReconstructionConfig) -> bool:
-    """Whether a job works on results that are there: edits of people, or rebuilt visuals."""
-    return bool(config.edits) or config.making is not None
+    """Whether a job works on results that are there: files that are made again, or rebuilt visuals."""
+    return config.is_remade or config.making is not None
 
 
 def _problem(error: Finding) -> Problem:

@@ -82,7 +82,7 @@ class Guarded:
             options.setdefault("json", {"calibration_id": self.ids["calibration_id"]})
         if path.endswith("/takes/{take}/calibration"):
             options.setdefault("json", {"stature_m": [1.8]})
-        if (method, path) == ("PUT", "/v1/jobs/{job_id}/people"):
+        if (method, path) == ("PUT", "/v1/sessions/{session_id}/edits"):
             options.setdefault("json", {"edits": []})
         if (method, path) == ("POST", "/v1/jobs/{job_id}/links"):
             options.setdefault("json", {"scope": "job"})

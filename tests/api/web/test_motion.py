@@ -152,8 +152,7 @@ def test_motion_of_revision_stays_until_next_one_is_made(live: Live) -> None:
 
     first = described()
     assert first[0] == 0
-    edits = {"edits": [{"action": "rename", "person": 1, "name": "Anna"}]}
-    assert live.client.put(f"/v1/jobs/{job_id}/people", json=edits).status_code == 202
+    assert live.remake(job_id).status_code == 202
     assert described() == first
     assert live.client.get(path, params={"revision": 0}).content == WHOLE
     live.finish(job_id, motion=FILES, people=found)

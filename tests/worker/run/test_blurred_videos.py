@@ -3,7 +3,6 @@
 from pipeline.core.options.edits import Remove
 from pipeline.run.engine.stage import BLUR, DETECT, HEADS
 from tests.worker.conftest import RESULT, RunnerBench
-from worker.run.planning import plan_job, plan_visuals
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
@@ -45,14 +44,13 @@ def test_blurring_detects_nothing_again(bench: RunnerBench) -> None:
 
 def test_edits_and_visuals_leave_blurred_videos(bench: RunnerBench) -> None:
     job = done(bench)
-    edits = (Remove(person=1),)
-    bench.store.jobs.edit(job.id, edits, plan_job(bench.session, job.spec, edits=edits, revision=1))
+    bench.edit(job.id, Remove(person=1))
     bench.runner().work(60.0)
     edited = bench.store.jobs.get(job.id)
     assert (edited.state, BLUR in stage_names(edited)) == (JobState.SUCCEEDED, False)
     before = listed(bench, job.id)
     assert (before["person-1.bvh"], before["blurred-0.mp4"], before["overlay-left.mp4"]) == (1, 0, 0)
-    visuals = bench.store.visuals.add(job.id, plan_visuals(bench.session, edited), 1)
+    visuals = bench.make_visuals(job.id)
     assert (HEADS in stage_names(visuals), BLUR in stage_names(visuals)) == (True, False)
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)

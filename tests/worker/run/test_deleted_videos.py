@@ -13,7 +13,7 @@ from pipeline.run.engine.stage import BLUR, DETECT, LOOK, OVERLAY, PROXY, RECORD
 from tests.worker.conftest import RESULT, RunnerBench, fail_with
 from worker.run.chunk import Work
 from worker.run.execution import KeptSession
-from worker.run.planning import plan_again, plan_job, plan_visuals
+from worker.run.planning import plan_again
 from worker.run.reaper import Reaper
 from worker.store.backup.contents import named_files
 from worker.store.errors import Conflict, NotFound, VideosDeleted
@@ -56,12 +56,6 @@ def done(bench: RunnerBench, spec: JobSpec = ONCE) -> JobRecord:
     job = bench.store.jobs.get(job.id)
     assert job.state is JobState.SUCCEEDED
     return job
-
-
-def edit(bench: RunnerBench, job: JobRecord) -> None:
-    revision = bench.store.jobs.get(job.id).revision + 1
-    stages = plan_job(bench.session, job.spec, edits=FIRST, revision=revision)
-    bench.store.jobs.edit(job.id, FIRST, stages)
 
 
 def test_videos_go_once_their_job_has_succeeded(filled: RunnerBench) -> None:
@@ -139,7 +133,7 @@ def test_edits_and_further_files_need_no_videos(filled: RunnerBench) -> None:
         return run_noted
 
     filled.stages |= {name: noted(function) for name, function in filled.stages.items()}
-    edit(filled, job)
+    filled.edit(job.id, *FIRST)
     filled.runner().work(60.0)
     edited = filled.store.jobs.get(job.id)
     assert (edited.state, edited.results_revision) == (JobState.SUCCEEDED, 1)
@@ -153,7 +147,7 @@ def test_edit_that_failed_is_retried_without_videos(filled: RunnerBench) -> None
     reaper(filled).reap()
     export = filled.stages["export"]
     filled.stages["export"] = fail_with(ValueError())
-    edit(filled, job)
+    filled.edit(job.id, *FIRST)
     filled.runner().work(60.0)
     failed = filled.store.jobs.get(job.id)
     assert failed.files_state is FilesState.FAILED
@@ -193,9 +187,8 @@ def test_people_of_other_code_are_not_edited(filled: RunnerBench) -> None:
     job = done(filled)
     reaper(filled).reap()
     newer = {stage.name: "f" * 64 for stage in STAGES}
-    stages = plan_job(filled.session, job.spec, newer, edits=FIRST, revision=1)
     with pytest.raises(VideosDeleted):
-        filled.store.jobs.edit(job.id, FIRST, stages)
+        filled.edit(job.id, *FIRST, codes=newer)
     assert filled.store.jobs.get(job.id).state is JobState.SUCCEEDED
     assert filled.result(job.id) == RESULT
 
@@ -203,13 +196,13 @@ def test_people_of_other_code_are_not_edited(filled: RunnerBench) -> None:
 def test_overlays_of_edits_are_not_drawn_nor_tried_for_ever(filled: RunnerBench) -> None:
     job = done(filled, JobSpec(overlay=True, keep_videos=False))
     reaper(filled).reap()
-    edit(filled, job)
+    filled.edit(job.id, *FIRST)
     filled.runner().work(60.0)
     record = filled.store.jobs.get(job.id)
     assert (record.has_old_visuals, record.has_videos) == (True, False)
     assert filled.store.visuals.due(0.0) == []
     with pytest.raises(VideosDeleted):
-        filled.store.visuals.add(job.id, plan_visuals(filled.session, record), 1)
+        filled.make_visuals(job.id)
     # The earlier video stays.
     assert filled.result(job.id, "overlay-left.mp4") == b"video of " + RESULT
 
@@ -217,11 +210,10 @@ def test_overlays_of_edits_are_not_drawn_nor_tried_for_ever(filled: RunnerBench)
 def test_report_of_edits_is_written_on_request_without_pictures(filled: RunnerBench) -> None:
     job = done(filled, JobSpec(report=True, keep_videos=False))
     reaper(filled).reap()
-    edit(filled, job)
+    filled.edit(job.id, *FIRST)
     filled.runner().work(60.0)
-    record = filled.store.jobs.get(job.id)
     assert filled.store.visuals.due(0.0) == []
-    filled.store.visuals.add(job.id, plan_visuals(filled.session, record), 1)
+    filled.make_visuals(job.id)
     filled.runner().work(60.0)
     assert filled.result(job.id, "report.html").startswith(b"report of ")
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -14,12 +15,14 @@ from pipeline.run.engine.stage import DETECT, EDIT, EXPORT, FIT, IDENTIFY, REFIT
 from tests.cases import slow_but
 from tests.worker.conftest import FOUND, RESULT, RunnerBench
 from worker.run.chunk import StoppedError, Work
-from worker.run.planning import plan_job
+from worker.run.planning import plan_again, plan_job, plan_remake
 from worker.store.errors import Conflict, EditedMeanwhile
 from worker.store.files.file_keys import results_prefix
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
+from worker.store.model.session_records import SessionEdits
 from worker.store.model.states import FilesState, JobState
+from worker.store.spec import JobSpec
 
 FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")
 
@@ -31,18 +34,13 @@ def done(bench: RunnerBench) -> JobRecord:
     return bench.store.jobs.get(job.id)
 
 
-def edit(bench: RunnerBench, job: JobRecord, *edits: PeopleEdit, codes: dict[str, str] | None = None) -> JobRecord:
-    stages = plan_job(bench.session, job.spec, codes, edits=edits)
-    return bench.store.jobs.edit(job.id, edits, stages, job.revision)
-
-
 def expected(*edits: PeopleEdit) -> bytes:
     return RESULT + repr(edits).encode() if edits else RESULT
 
 
 def test_edits_run_their_own_stages_alone(bench: RunnerBench, done: JobRecord) -> None:
-    assert done.people == FOUND
-    queued = edit(bench, done, FIRST)
+    assert bench.store.edits.people(done.id) == FOUND
+    queued = bench.edit(done.id, FIRST)
     assert (queued.state, queued.files_state) == (JobState.SUCCEEDED, FilesState.UPDATING)
     assert (queued.attempt_state, queued.attempt, queued.revision, queued.edits) == (JobState.QUEUED, 2, 1, (FIRST,))
     run: list[str] = []
@@ -80,7 +78,7 @@ def test_rename_stores_files_that_hold_name_alone(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.runner().work(60.0)
     before = stored()
-    renamed = edit(bench, bench.store.jobs.get(job.id), ANNA)
+    renamed = bench.edit(job.id, ANNA)
     assert [stage.name for stage in renamed.stages if stage.state != "done"] == [EXPORT]
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
@@ -93,7 +91,7 @@ def test_rename_stores_files_that_hold_name_alone(bench: RunnerBench) -> None:
 
     # A file that is damaged is stored again; one that no revision lists is removed.
     bench.artifacts.put_bytes(after["person-1.bvh"][0], b"damaged")
-    edit(bench, bench.store.jobs.get(job.id), ANNA, replace(ANNA, person=2))
+    bench.edit(job.id, ANNA, replace(ANNA, person=2))
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
     assert bench.result(job.id) == RESULT
@@ -104,16 +102,17 @@ def test_rename_stores_files_that_hold_name_alone(bench: RunnerBench) -> None:
 def test_edit_is_undone(bench: RunnerBench, done: JobRecord) -> None:
     job = done
     for edits in ((FIRST,), (FIRST, NOBODY), (FIRST,), ()):
-        edit(bench, job, *edits)
+        bench.edit(job.id, *edits)
         bench.runner().work(60.0)
         job = bench.store.jobs.get(job.id)
         assert bench.result(job.id) == expected(*edits)
-    assert (job.revision, job.attempt, job.edits, job.people) == (4, 5, (), FOUND)
+    assert (job.revision, job.edits_revision, job.attempt, job.edits) == (4, 4, 5, ())
+    assert bench.store.edits.people(job.id) == FOUND
     assert EDIT not in {stage.name for stage in job.stages}
 
 
 def test_files_of_earlier_revisions_are_removed(bench: RunnerBench, done: JobRecord) -> None:
-    edit(bench, done, FIRST)
+    bench.edit(done.id, FIRST)
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
     folders = [bench.data_dir / "artifacts" / results_prefix(done.id, revision) for revision in (0, 1)]
@@ -122,14 +121,49 @@ def test_files_of_earlier_revisions_are_removed(bench: RunnerBench, done: JobRec
 
 
 def test_edits_of_another_revision_are_refused(bench: RunnerBench, done: JobRecord) -> None:
-    edit(bench, done, FIRST)
+    bench.edit(done.id, FIRST)
     with pytest.raises(EditedMeanwhile, match="revision 1 now"):
-        edit(bench, done, NOBODY)
+        bench.store.edits.replace(bench.session.id, (NOBODY,), 0)
+    assert bench.store.edits.get(bench.session.id) == SessionEdits(1, (FIRST,))
+
+
+def test_later_jobs_apply_edits_of_session(bench: RunnerBench, done: JobRecord) -> None:
+    bench.edit(done.id, FIRST)
+    bench.runner().work(60.0)
+    edits = bench.store.edits.get(bench.session.id)
+    spec = JobSpec(method="clustering")
+    stages = plan_job(bench.session, spec, edits=edits.edits)
+    later = bench.store.jobs.add(bench.session.id, spec, stages, edits=edits)
+    bench.runner().work(60.0)
+    later = bench.store.jobs.get(later.id)
+    assert (later.revision, later.edits_revision, later.newest_edits_revision) == (0, 1, 1)
+    assert bench.result(later.id) == expected(FIRST)
+    without = bench.create_job(spec=JobSpec(apply_edits=False))
+    bench.runner().work(60.0)
+    assert bench.result(without.id) == RESULT
+    without = bench.store.jobs.get(without.id)
+    assert (without.edits_revision, without.newest_edits_revision) == (None, 1)
+    with pytest.raises(Conflict, match="leaves the edits"):
+        bench.edit(without.id, NOBODY)
+    assert bench.store.edits.get(bench.session.id).revision == 1
+
+
+def test_files_follow_edits_that_another_job_got(bench: RunnerBench, done: JobRecord) -> None:
+    other = bench.create_job()
+    bench.runner().work(60.0)
+    bench.edit(other.id, FIRST)
+    bench.runner().work(60.0)
+    behind = bench.store.jobs.get(done.id)
+    assert (behind.edits_revision, behind.newest_edits_revision, bench.result(done.id)) == (0, 1, RESULT)
+    bench.store.jobs.remake(done.id, partial(plan_remake, bench.session))
+    bench.runner().work(60.0)
+    assert bench.store.jobs.get(done.id).edits_revision == 1
+    assert bench.result(done.id) == expected(FIRST)
 
 
 def test_newest_of_stacked_edits_wins(bench: RunnerBench, done: JobRecord) -> None:
-    queued = edit(bench, done, FIRST)
-    newest = edit(bench, queued, FIRST, NOBODY)
+    queued = bench.edit(done.id, FIRST)
+    newest = bench.edit(queued.id, FIRST, NOBODY)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     assert (job.files_state, job.revision, job.results_revision) == (FilesState.CURRENT, newest.revision, 2)
@@ -145,7 +179,7 @@ def test_work_for_older_list_is_given_up(bench: RunnerBench, done: JobRecord, st
 
     def edited_meanwhile(work: Work) -> Output:
         bench.stages[stage] = function
-        edit(bench, bench.store.jobs.get(done.id), NOBODY)
+        bench.edit(done.id, NOBODY)
         output = function(work)
         if stage == EDIT:
             wait_until_stopped(work)
@@ -161,7 +195,7 @@ def test_work_for_older_list_is_given_up(bench: RunnerBench, done: JobRecord, st
             raise
 
     bench.stages[stage] = edited_meanwhile
-    edit(bench, done, FIRST)
+    bench.edit(done.id, FIRST)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     assert (job.files_state, job.results_revision, job.edits) == (FilesState.CURRENT, 2, (NOBODY,))
@@ -178,7 +212,7 @@ def test_files_stay_if_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord
 
     whole = bench.stages[EXPORT]
     bench.stages[EXPORT] = broken
-    queued = edit(bench, done, FIRST)
+    queued = bench.edit(done.id, FIRST)
     assert (queued.results_revision, bench.result(done.id)) == (0, RESULT)
     if end == "canceled":
         bench.store.jobs.cancel(done.id)
@@ -191,7 +225,7 @@ def test_files_stay_if_edit_comes_to_nothing(bench: RunnerBench, done: JobRecord
     assert bench.result(done.id) == RESULT
 
     bench.stages[EXPORT] = whole
-    bench.store.jobs.retry(done.id, plan_job(bench.session, job.spec, edits=job.edits))
+    bench.store.jobs.retry(done.id, plan_again(bench.session, job))
     assert bench.result(done.id) == RESULT
     bench.runner().work(60.0)
     assert bench.result(done.id) == expected(FIRST)
@@ -203,7 +237,7 @@ def test_edits_go_before_other_work_of_tenant(bench: RunnerBench, done: JobRecor
     claim = bench.store.leases.claim("worker", 30.0)
     assert claim is not None
     assert claim.job_id == running.id
-    edited = edit(bench, done, FIRST)
+    edited = bench.edit(done.id, FIRST)
     assert edited.queue_position == 1
     assert bench.store.jobs.get(queued.id).queue_position == 2
     claim = bench.store.leases.claim("worker", 30.0)
@@ -219,7 +253,7 @@ def test_edits_take_no_share_of_other_tenants(bench: RunnerBench, done: JobRecor
         "theirs", bench.session.files, bench.session.preflight, store.sessions.reserve_id()
     )
     theirs = store.tenant("other").jobs.add(session.id, done.spec, plan_job(session, done.spec))
-    edit(bench, done, FIRST)
+    bench.edit(done.id, FIRST)
     again = bench.create_job()
     taken = []
     for _ in range(2):
@@ -235,7 +269,7 @@ def test_warnings_of_last_revision_stay_until_next_succeeds(bench: RunnerBench) 
     bench.stages[EXPORT] = lambda work: replace(export(work), warnings=() if work.claim.edits else (doubt,))
     job = bench.create_job()
     bench.runner().work(60.0)
-    assert edit(bench, bench.store.jobs.get(job.id), FIRST).warnings == (doubt,)
+    assert bench.edit(job.id, FIRST).warnings == (doubt,)
     bench.runner().work(60.0)
     assert bench.store.jobs.get(job.id).warnings == ()
 
@@ -243,16 +277,16 @@ def test_warnings_of_last_revision_stay_until_next_succeeds(bench: RunnerBench) 
 def test_people_must_have_been_found(bench: RunnerBench) -> None:
     job = bench.create_job()
     bench.store.jobs.cancel(job.id)
-    with pytest.raises(Conflict, match="no results yet"):
-        edit(bench, bench.store.jobs.get(job.id), FIRST)
+    with pytest.raises(Conflict, match="no people yet"):
+        bench.edit(job.id, FIRST)
 
 
 @pytest.mark.slow
 def test_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) -> None:
-    edit(bench, done, FIRST)
+    bench.edit(done.id, FIRST)
     canceled = bench.store.jobs.cancel(done.id)
     assert canceled.files_state is FilesState.FAILED
-    edit(bench, canceled)
+    bench.edit(canceled.id)
     bench.runner().work(60.0)
     assert bench.result(done.id) == RESULT
 
@@ -260,6 +294,6 @@ def test_canceled_edit_can_be_made_again(bench: RunnerBench, done: JobRecord) ->
 def test_another_version_computes_differing_stages(bench: RunnerBench, done: JobRecord) -> None:
     """After an upgrade that changed the code of `identify`, everything from there on is run again."""
     old = {stage.name: stage.code_sha256 for stage in plan_job(bench.session, done.spec, edits=(FIRST,))}
-    queued = edit(bench, done, FIRST, codes=old | {IDENTIFY: "new"})
+    queued = bench.edit(done.id, FIRST, codes=old | {IDENTIFY: "new"})
     states = {stage.name: stage.state for stage in queued.stages}
     assert (states[DETECT], states[IDENTIFY], states[FIT]) == ("done", "ready", "waiting")

@@ -8,7 +8,7 @@ from pipeline.core.options.edits import PeopleEdit, Remove
 from pipeline.run.engine.stage import DETECT, EXPORT, OVERLAY, RECORD, REPORT, WRITE, Output
 from tests.worker.conftest import RESULT, RunnerBench
 from worker.run.chunk import Work
-from worker.run.planning import plan_job, plan_visuals
+from worker.run.planning import plan_again, plan_visuals
 from worker.run.reaper import Reaper
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.disk import DiskSpace
@@ -45,24 +45,13 @@ def run(bench: RunnerBench) -> list[str]:
     return stages
 
 
-def edit(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
-    job = bench.store.jobs.get(job_id)
-    stages = plan_job(bench.session, job.spec, edits=edits, revision=job.revision + 1)
-    return bench.store.jobs.edit(job_id, edits, stages)
-
-
 def edited(bench: RunnerBench, job_id: str, *edits: PeopleEdit) -> JobRecord:
     """Edit a job, and make its files."""
-    edit(bench, job_id, *edits)
+    bench.edit(job_id, *edits)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(job_id)
     assert job.state is JobState.SUCCEEDED
     return job
-
-
-def make_visuals(bench: RunnerBench, job_id: str) -> JobRecord:
-    job = bench.store.jobs.get(job_id)
-    return bench.store.visuals.add(job_id, plan_visuals(bench.session, job), job.revision)
 
 
 def listed(bench: RunnerBench, job_id: str) -> dict[str, int]:
@@ -84,8 +73,8 @@ def test_edits_do_not_wait_for_visuals(bench: RunnerBench, done: JobRecord, run:
     remove_files(bench.store.removals, bench.artifacts)
     assert bench.result(done.id, VIDEO) == b"video of " + RESULT
 
-    visuals = make_visuals(bench, done.id)
-    assert make_visuals(bench, done.id).id == visuals.id
+    visuals = bench.make_visuals(done.id)
+    assert bench.make_visuals(done.id).id == visuals.id
     assert bench.store.jobs.get(done.id).visuals_job is not None
     run.clear()
     bench.runner().work(60.0)
@@ -99,7 +88,7 @@ def test_edits_do_not_wait_for_visuals(bench: RunnerBench, done: JobRecord, run:
     stored = bench.data_dir / "artifacts" / "jobs" / done.id / "visuals"
     assert {path.relative_to(stored).parts[0] for path in stored.rglob("*") if path.is_file()} == {"1"}
     with pytest.raises(Conflict, match="already"):
-        make_visuals(bench, done.id)
+        bench.make_visuals(done.id)
 
 
 def test_visuals_of_undone_edits_equal_unedited_ones(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
@@ -107,7 +96,7 @@ def test_visuals_of_undone_edits_equal_unedited_ones(bench: RunnerBench, done: J
     run.clear()
     edited(bench, done.id)
     assert run == [EXPORT]
-    make_visuals(bench, done.id)
+    bench.make_visuals(done.id)
     bench.runner().work(60.0)
     assert listed(bench, done.id) == {"person-1.bvh": 2, VIDEO: 2, PAGE: 2}
     assert bench.result(done.id, PAGE) == b"report of " + RESULT
@@ -117,11 +106,11 @@ def test_visuals_of_undone_edits_equal_unedited_ones(bench: RunnerBench, done: J
 def test_newer_edit_deletes_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
     """What it is about to write is not listed, and its files are removed."""
     edited(bench, done.id, FIRST)
-    visuals, function = make_visuals(bench, done.id), bench.stages[stage]
+    visuals, function = bench.make_visuals(done.id), bench.stages[stage]
 
     def edited_meanwhile(work: Work) -> Output:
         output = function(work)
-        edit(bench, done.id, SECOND)
+        bench.edit(done.id, SECOND)
         return output
 
     bench.stages[stage] = edited_meanwhile
@@ -136,7 +125,7 @@ def test_newer_edit_deletes_job(bench: RunnerBench, done: JobRecord, stage: str)
     assert bench.result(done.id, VIDEO) == b"video of " + (shown(FIRST) if stage == REPORT else RESULT)
 
     bench.stages[stage] = function
-    make_visuals(bench, done.id)
+    bench.make_visuals(done.id)
     bench.runner().work(60.0)
     assert listed(bench, done.id) == {"person-1.bvh": 2, VIDEO: 2, PAGE: 2}
     assert bench.result(done.id, VIDEO) == b"video of " + shown(SECOND)
@@ -150,7 +139,7 @@ def test_recording_follows_edits_as_report_does(bench: RunnerBench, run: list[st
     edited(bench, job.id, FIRST)
     assert RECORD not in run
     assert listed(bench, job.id) == {"person-1.bvh": 1, "take.rrd": 0}
-    make_visuals(bench, job.id)
+    bench.make_visuals(job.id)
     run.clear()
     bench.runner().work(60.0)
     assert run == [RECORD]
@@ -162,15 +151,15 @@ def test_edits_go_before_visuals(bench: RunnerBench, done: JobRecord) -> None:
     other = bench.create_job(spec=SPEC)
     bench.runner().work(60.0)
     edited(bench, done.id, FIRST)
-    visuals = make_visuals(bench, done.id)
-    edit(bench, other.id, SECOND)
+    visuals = bench.make_visuals(done.id)
+    bench.edit(other.id, SECOND)
     claims = [bench.store.leases.claim("worker", 30.0) for _ in range(2)]
     assert [claim and claim.job_id for claim in claims] == [other.id, visuals.id]
 
 
 def test_damaged_outputs_are_computed_again(bench: RunnerBench, done: JobRecord, run: list[str]) -> None:
     edited(bench, done.id, FIRST)
-    make_visuals(bench, done.id)
+    bench.make_visuals(done.id)
     stages = bench.data_dir / "artifacts" / "sessions" / bench.session.id / "stages"
     for path in stages.iterdir():
         path.write_bytes(b"damaged")
@@ -187,17 +176,17 @@ def test_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done: 
 
     edited(bench, done.id, FIRST)
     function, bench.stages[REPORT] = bench.stages[REPORT], broken
-    visuals = make_visuals(bench, done.id)
+    visuals = bench.make_visuals(done.id)
     bench.runner().work(60.0)
     assert bench.store.jobs.get(visuals.id).state is JobState.FAILED
     assert bench.store.jobs.get(done.id).state is JobState.SUCCEEDED
-    again = make_visuals(bench, done.id)
+    again = bench.make_visuals(done.id)
     assert again.id != visuals.id
     bench.runner().work(60.0)
     assert listed(bench, done.id)[PAGE] == 0
     bench.stages[REPORT] = function
     failed = bench.store.jobs.get(again.id)
-    bench.store.jobs.retry(again.id, plan_visuals(bench.session, failed))
+    bench.store.jobs.retry(again.id, plan_again(bench.session, failed))
     bench.runner().work(60.0)
     remove_files(bench.store.removals, bench.artifacts)
     assert listed(bench, done.id) == {"person-1.bvh": 1, VIDEO: 1, PAGE: 1}
@@ -206,19 +195,19 @@ def test_failed_job_can_be_retried_or_asked_for_again(bench: RunnerBench, done: 
 
 def test_unneeded_visuals_are_refused(bench: RunnerBench, done: JobRecord) -> None:
     with pytest.raises(Conflict, match="nothing to show"):
-        make_visuals(bench, done.id)
-    edit(bench, done.id, FIRST)
+        bench.make_visuals(done.id)
+    bench.edit(done.id, FIRST)
     with pytest.raises(Conflict, match="files have to be made first"):
-        make_visuals(bench, done.id)
+        bench.make_visuals(done.id)
     bench.runner().work(60.0)
     job = bench.store.jobs.get(done.id)
     with pytest.raises(Conflict, match="revision 1 now, not 0"):
-        bench.store.visuals.add(done.id, plan_visuals(bench.session, job), 0)
+        bench.store.visuals.add(done.id, *plan_visuals(bench.session, job), 0)
     plain = bench.create_job()
     bench.runner().work(60.0)
     edited(bench, plain.id, FIRST)
     with pytest.raises(Conflict, match="nothing to show"):
-        make_visuals(bench, plain.id)
+        bench.make_visuals(plain.id)
 
 
 def test_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord) -> None:
@@ -228,7 +217,7 @@ def test_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord)
         return bench.store.jobs.page(kind="visuals")
 
     assert reaped(1e-9) == []  # nothing was edited
-    edit(bench, done.id, FIRST)
+    bench.edit(done.id, FIRST)
     assert reaped(1e-9) == []  # the files of the edit come first
     bench.runner().work(60.0)
     assert reaped(0) == []
@@ -243,7 +232,7 @@ def test_reaper_queues_them_when_edits_rest(bench: RunnerBench, done: JobRecord)
 
 def test_visuals_are_removed_with_their_job_and_count(bench: RunnerBench, done: JobRecord) -> None:
     edited(bench, done.id, FIRST)
-    make_visuals(bench, done.id)
+    bench.make_visuals(done.id)
     usage = bench.store.tenant("default").usage()
     assert usage.unfinished_jobs == 0
     bench.store.jobs.delete(done.id)

@@ -14,12 +14,12 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig, method_warnings
-from pipeline.core.options.edits import PeopleEdit, PersonSpan, read_edit
-from pipeline.core.options.job_choices import CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
+from pipeline.core.options.edits import PeopleEdit, read_edit
+from pipeline.core.options.job_choices import BLURRED_KIND, CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
-from worker.store.database.tables import chunks, jobs, sessions
+from worker.store.database.tables import chunks, edits, jobs, results, sessions
 from worker.store.database.time_left import time_left_s
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
@@ -68,16 +68,20 @@ def select_jobs() -> Select[Any]:
         sessions.c.name.label("session_name"),
         sessions.c.preflight,
         sessions.c.videos_deleted_at,
+        edits.c.revision.label("session_edits_revision"),
         elapsed_s.label("elapsed_s"),
-    ).join(sessions)
+    ).select_from(jobs.join(sessions).outerjoin(edits, edits.c.session_id == sessions.c.id))
 
 
 def read_jobs(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecord]:
     """Jobs with their stages and their places in the queue, from rows of ``select_jobs``."""
     stages = _stages(connection, [row.id for row in rows])
     visuals = _visuals_jobs(connection, [row.id for row in rows if row.revision > 0])
+    blurred = _num_blurred(connection, [row.id for row in rows if row.spec["blur_faces"]])
     positions = _queue_positions(connection, [row for row in rows if row.state == JobState.QUEUED])
-    return [_job(row, stages[row.id], visuals.get(row.id), positions.get(row.id)) for row in rows]
+    return [
+        _job(row, stages[row.id], visuals.get(row.id), blurred.get(row.id, 0), positions.get(row.id)) for row in rows
+    ]
 
 
 def _queue_positions(connection: Connection, queued: Sequence[Row[Any]]) -> Mapping[str, int]:
@@ -110,6 +114,14 @@ def _visuals_jobs(connection: Connection, job_ids: Sequence[str]) -> Mapping[str
     return {row.reconstruction_id: NewestJob(row.id, JobState(row.state)) for row in connection.execute(query)}
 
 
+def _num_blurred(connection: Connection, job_ids: Sequence[str]) -> Mapping[str, int]:
+    """Numbers of blurred videos of jobs, by their ids."""
+    if not job_ids:
+        return {}
+    query = select(results.c.job_id, func.count()).where(results.c.job_id.in_(job_ids), results.c.kind == BLURRED_KIND)
+    return {row[0]: row[1] for row in connection.execute(query.group_by(results.c.job_id))}
+
+
 def is_in_state(state: JobState) -> ColumnElement[bool]:
     """Condition that a job is in a state, as ``states.job_state`` tells it."""
     has_files = jobs.c.results_revision.is_not(None)
@@ -119,7 +131,11 @@ def is_in_state(state: JobState) -> ColumnElement[bool]:
 
 
 def _job(
-    row: Row[Any], stages: tuple[StageProgress, ...], visuals_job: NewestJob | None, queue_position: int | None
+    row: Row[Any],
+    stages: tuple[StageProgress, ...],
+    visuals_job: NewestJob | None,
+    num_blurred: int,
+    queue_position: int | None,
 ) -> JobRecord:
     spec = read_spec(row.spec)
     config = job_config(spec)
@@ -142,9 +158,10 @@ def _job(
         warnings=(*preflight.findings, *method_warnings(config, has_videos), *map(Finding.from_json, row.warnings)),
         making=making,
         edits=read_edits(row.edits),
-        people=None if row.people is None else tuple(map(PersonSpan.from_json, row.people)),
+        newest_edits_revision=row.session_edits_revision or 0,
         has_old_visuals=row.visuals_old_at is not None,
         visuals_job=visuals_job,
+        num_blurred=num_blurred,
         character=character,
         has_videos=row.videos_deleted_at is None,
         space=None
@@ -180,7 +197,7 @@ def read_making(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     if kind == "proxies":
         return ProxyChoices(tuple(choices["cameras"]))
     if kind == "visuals":
-        return VisualChoices()
+        return VisualChoices(**choices)
     points = tuple(
         KnownPoint(point["name"], tuple(point["xyz_m"]), tuple(tuple(view) for view in point["seen_px"]))
         for point in choices.get("known_points", ())

@@ -112,9 +112,9 @@ jobs = Table(
         "kind", String(16), nullable=False, server_default="reconstruction"
     ),  # or "calibration", "proxies", "visuals"
     Column("making", JSON(none_as_null=True)),  # choices of a calibration, proxies or visuals; null: it reconstructs
-    Column("edits", JSON, nullable=False, server_default="[]"),  # of its people
-    Column("revision", Integer, nullable=False, server_default="0"),  # number of changes of the edits
-    Column("people", JSON(none_as_null=True)),  # who was found, before any edit; null until there are results
+    Column("edits", JSON, nullable=False, server_default="[]"),  # of the capture, as its files apply them
+    Column("edits_revision", Integer),  # of these edits; null: the job leaves the edits of the capture out
+    Column("revision", Integer, nullable=False, server_default="0"),  # number of times that its files were made again
     Column("results_revision", Integer),  # revision whose files can be read; null before the first success
     Column("reconstruction_id", String(36), index=True),  # whose visuals it makes; deleted with it
     Column("visuals_old_at", UtcTimestamp, index=True),  # last edit; null: no visuals, or they are new or being made
@@ -133,6 +133,26 @@ jobs = Table(
 # without trust in their schema, which then may have no functions of JSON.
 BLURS_FACES = jobs.c.spec["blur_faces"].as_boolean().is_(true())
 Index("ix_jobs_session_id_blurs", jobs.c.session_id, postgresql_where=BLURS_FACES, info={"dialect": "postgresql"})
+
+# Edits of the people of a session, for all of its jobs. Without a row there are none, and their revision is 0.
+edits = Table(
+    "edits",
+    metadata,
+    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True),
+    Column("revision", Integer, nullable=False),  # number of times that the list was changed
+    Column("list", JSON, nullable=False),
+)
+
+# People that jobs found, before any edit. Their places are read for edits alone.
+found_people = Table(
+    "found_people",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("start_frame", Integer, nullable=False),
+    Column("num_frames", Integer, nullable=False),
+    Column("places", JSON, nullable=False),  # frame, x, y, z
+)
 
 # A calibration that is made has the id of the job that makes it. It stays when its job or its session is deleted.
 calibrations = Table(

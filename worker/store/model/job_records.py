@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edits import PeopleEdit, PersonSpan
+from pipeline.core.options.edits import PeopleEdit
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.problems.code_group import Code
@@ -43,14 +43,21 @@ def job_config(
     revision: int = 0,
     character: JobCharacter | None = None,
 ) -> ReconstructionConfig:
-    """Configuration of a job by its spec, what else it makes, the edits of its people, and their number of changes.
+    """Configuration of a job by its spec, what else it makes, the edits that it applies, and its revision.
 
-    Visuals of people who were edited are made by a job of their own: edits don't wait for them. Blurred videos are made
-    once, because edits leave them as they are. ``character`` is the one that the job moves.
+    Visuals of files that are made again are made by a job of their own: edits don't wait for them. Blurred videos are
+    made once, because edits leave them as they are. ``character`` is the one that the job moves.
     """
     digest = None if character is None else character.digest
-    blurs_videos = spec.blur_faces and making is None and not revision
-    config = replace(spec.config, making=making, edits=edits, character=digest, blurs_videos=blurs_videos)
+    makes_blurred = making.blurs_videos if isinstance(making, VisualChoices) else making is None and not revision
+    config = replace(
+        spec.config,
+        making=making,
+        edits=edits,
+        character=digest,
+        blurs_videos=spec.blur_faces and makes_blurred,
+        is_remade=revision > 0,
+    )
     if making is not None or not revision:
         return config
     exports = tuple(export for export in config.exports if FILE_FORMATS[export].holds != "recording")
@@ -124,14 +131,15 @@ class JobRecord:
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, see
     ``worker.store.database.time_left``; ``None`` before any unit is finished. ``waiting_for`` is the outage that keeps
     its work waiting. ``warnings`` are about the files, the choices and the results. ``making`` has the choices of a
-    calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its people,
-    ``revision`` the number of their changes, and ``people`` the reconstructed people before any edit; ``None`` until
-    the first results are written. ``results_revision`` is the revision whose files can be read, while newer files are
-    made; ``None`` before the first success. ``attempt_state`` is the state of the current attempt.
-    ``has_old_visuals``: overlay videos, report or recording are of an earlier revision, and no job makes them;
-    ``visuals_job`` is the job that does. ``character`` is the character that it moves. ``has_videos``: the videos of
-    its session, if it has any, were not deleted. ``provider`` is the identity of the execution provider of its
-    networks, empty for the CPU. ``space`` is what a reconstruction was foreseen to need; ``None`` of other jobs.
+    calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its session
+    that its files apply, and ``edits_revision`` is their revision; ``None`` if it leaves them out. ``revision`` is the
+    number of times that its files were made again. ``results_revision`` is the revision whose files can be read, while
+    newer files are made; ``None`` before the first success. ``newest_edits_revision`` is the revision of the session's
+    edits. ``attempt_state`` is the state of the current attempt. ``has_old_visuals``: overlay videos, report or
+    recording are missing or of an earlier revision, and no job makes them; ``visuals_job`` is the job that does.
+    ``num_blurred`` is the number of its blurred videos. ``character`` is the character that it moves. ``has_videos``:
+    the videos of its session, if it has any, were not deleted. ``provider`` is the identity of the execution provider
+    of its networks, empty for the CPU. ``space`` is what a reconstruction was foreseen to need; ``None`` of other jobs.
     """
 
     id: str
@@ -155,11 +163,13 @@ class JobRecord:
     warnings: tuple[Finding, ...]
     making: Making | None = None
     edits: tuple[PeopleEdit, ...] = ()
+    edits_revision: int | None = 0
+    newest_edits_revision: int = 0
     revision: int = 0
-    people: tuple[PersonSpan, ...] | None = None
     results_revision: int | None = None
     has_old_visuals: bool = False
     visuals_job: NewestJob | None = None
+    num_blurred: int = 0
     character: JobCharacter | None = None
     has_videos: bool = True
     provider: str = ""
@@ -169,6 +179,11 @@ class JobRecord:
     def state(self) -> JobState:
         """State of the job."""
         return job_state(self.attempt_state, self.results_revision is not None)
+
+    @property
+    def has_people(self) -> bool:
+        """Whether it has reconstructed people."""
+        return self.making is None and self.results_revision is not None
 
     @property
     def files_state(self) -> FilesState | None:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
+from pipeline.core.options.edits import PeopleEdit
 from worker.store.model.job_records import JobProblem, NewestJob
 from worker.store.model.states import JobState
 
@@ -52,6 +53,14 @@ class Fetch:
 
 
 Purpose = Literal["capture", "calibration"]
+
+
+@dataclass(frozen=True, slots=True)
+class SessionEdits:
+    """Edits of the people of a session; ``revision`` is the number of times that the list was changed."""
+
+    revision: int = 0
+    edits: tuple[PeopleEdit, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,12 @@
     attempt queued -> running -> succeeded | failed
             queued | running -> canceling -> canceled
             failed | canceled -> queued          (retry: attempt + 1)
-            all but expired -> queued            (edits of people: attempt + 1, revision + 1)
+            all but expired -> queued            (files made again: attempt + 1, revision + 1)
             succeeded | failed | canceled -> expired
 
     job     state of its attempt until one has succeeded; then succeeded -> expired
-    files   current -> updating -> current | failed    (edits)
-            failed -> updating                         (retry, edits)
+    files   current -> updating -> current | failed    (edits, more files)
+            failed -> updating                         (retry, edits, more files)
 
     chunk   waiting -> ready -> running -> done
             running -> ready                     (lease lost, or a failure worth another try)
@@ -65,8 +65,8 @@ JOB_TRANSITIONS: Mapping[JobState, frozenset[JobState]] = {
 }
 
 RETRYABLE = frozenset({JobState.FAILED, JobState.CANCELED})
-EDITABLE = frozenset(JobState) - {JobState.EXPIRED}
-"""States of jobs whose people can be edited, if they have been found."""
+REMAKABLE = frozenset(JobState) - {JobState.EXPIRED}
+"""States of jobs whose files can be made again, if people have been found."""
 CANCELABLE = frozenset({JobState.QUEUED, JobState.RUNNING})
 AT_WORK = (JobState.QUEUED, JobState.RUNNING)
 """States of jobs that have chunks to claim."""

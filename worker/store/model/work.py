@@ -64,6 +64,16 @@ class StagePlan:
 
 
 @dataclass(frozen=True, slots=True)
+class Remake:
+    """Plan of the files of a job that are made again."""
+
+    stages: Sequence[StagePlan]
+    # Whether the job that makes its visuals will have something to make, and whether it reads videos
+    has_visuals: bool
+    needs_videos: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Claim:
     """Chunk that a worker holds by a lease; reports need its ``lease_token``."""
 

@@ -1,7 +1,7 @@
 """Jobs: added, read, canceled, retried, deleted."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select
@@ -12,21 +12,25 @@ from pipeline.core.options.edits import PeopleEdit, edit_document
 from worker.store.database import stored_files
 from worker.store.database.access import Access
 from worker.store.database.connection import now
-from worker.store.database.rows import is_in_state, read_edits, read_job_character, read_jobs, read_making, select_jobs
+from worker.store.database.rows import is_in_state, read_jobs, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
-from worker.store.errors import Conflict, EditedMeanwhile, NotFound
+from worker.store.errors import Conflict, NotFound, VideosDeleted
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
-from worker.store.model.states import EDITABLE, FINISHED, RETRYABLE, ChunkState, JobState
-from worker.store.model.work import Change, Precedence, StagePlan
+from worker.store.model.session_records import SessionEdits
+from worker.store.model.states import FINISHED, REMAKABLE, RETRYABLE, ChunkState, JobState
+from worker.store.model.work import Change, Precedence, Remake, StagePlan
 from worker.store.repositories.attempts import keep_attempt, read_attempts
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
+from worker.store.repositories.edits import read_session_edits, replace_edits
 from worker.store.repositories.sessions import delete_proxies, lock_session
 from worker.store.repositories.work.plans import insert_chunks, plan_changes, require_videos
-from worker.store.spec import JobSpec
+from worker.store.spec import FilesAdded, JobSpec
+
+_NO_EDITS = SessionEdits()
 
 
 class Jobs:
@@ -54,6 +58,7 @@ class Jobs:
         trace: str | None = None,
         making: Making | None = None,
         moved: tuple[str, JobCharacter] | None = None,
+        edits: SessionEdits = _NO_EDITS,
     ) -> JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
@@ -69,6 +74,8 @@ class Jobs:
             See ``worker.store.model.job_records.JobRecord``.
         moved
             Id of the job, made by ``reserve_id``, and the character that it moves, whose copy is stored.
+        edits
+            Edits of the session that the stages apply.
 
         Raises
         ------
@@ -94,7 +101,8 @@ class Jobs:
             if spec.blur_faces:
                 delete_proxies(connection, access, session_id)
             tenant = lock_session(connection, access, session_id)
-            require_videos(connection, session_id, stages, job_config(spec, making, character=character))
+            config = job_config(spec, making, edits.edits, character=character)
+            require_videos(connection, session_id, stages, config)
             connection.execute(
                 insert(jobs).values(
                     id=job_id,
@@ -111,6 +119,8 @@ class Jobs:
                     kind=job_kind(making),
                     making=None if making is None else asdict(making),
                     character=None if character is None else asdict(character),
+                    edits=[edit_document(edit) for edit in edits.edits],
+                    edits_revision=edits.revision if spec.apply_edits else None,
                 )
             )
             insert_chunks(connection, job_id, stages)
@@ -186,7 +196,7 @@ class Jobs:
             self._access.require_room(connection, unfinished_jobs=1)
             job = job_row(connection, self._access, job_id, lock=True)
             if job.state in RETRYABLE:
-                require_videos(connection, job.session_id, stages, _row_config(job))
+                require_videos(connection, job.session_id, stages, _config(self._read(connection, job_id)))
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
             if job.state not in RETRYABLE or not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
@@ -199,52 +209,117 @@ class Jobs:
             insert_chunks(connection, job_id, stages)
             return self._read(connection, job_id)
 
-    def edit(
+    def reserve_copy(self, job_id: str) -> str:
+        """Prefix for a job's copy of another character, which is removed after a day unless ``remake`` gets it."""
+        prefix = f"{job_prefix(job_id)}character/{uuid7()}/"
+        with self._access.writing() as connection:
+            stored_files.remove_unless_kept(connection, prefix)
+        return prefix
+
+    def remake(
         self,
         job_id: str,
-        edits: Sequence[PeopleEdit],
-        stages: Sequence[StagePlan],
-        revision: int | None = None,
+        plan: Callable[[JobRecord], Remake],
+        added: FilesAdded | None = None,
+        edits: Sequence[PeopleEdit] | None = None,
+        edits_revision: int | None = None,
+        moved: tuple[str, JobCharacter] | None = None,
         trace: str | None = None,
     ) -> JobRecord:
-        """Replace the edits of a job's people and queue it again, as its next revision and attempt.
+        """Make the files of a job again, with the present edits of its session, as its next revision and attempt.
 
         Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
-        caller publishes that there is work. ``stages`` are the plan with these edits, ``revision`` is the one that they
-        were made for; ``None``: any. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``, ``VideosDeleted``
-        if people would have to be detected again, ``EditedMeanwhile`` if it has another revision, or ``Conflict`` if
-        the job is expired or has no people yet.
+        caller publishes that there is work.
+
+        Parameters
+        ----------
+        plan
+            Plans the changed job, inside the transaction.
+        added
+            Files that it gets besides the files that it has.
+        edits, edits_revision
+            New edits of the session, and the revision that they were made for; see ``replace_edits``. ``None``: the
+            edits stay.
+        moved
+            Prefix of ``reserve_copy``, and the character that the job moves from now on.
+        trace
+            As in ``add``.
+
+        Raises
+        ------
+        NotFound
+        QuotaExceeded
+        EditedMeanwhile
+        VideosDeleted
+            People would have to be detected again, or pictures of the videos are asked for.
+        Conflict
+            The job is no reconstruction, is expired, has no people yet, or leaves new edits out.
         """
-        with self._access.writing() as connection:
-            state = job_row(connection, self._access, job_id).state
-            self._access.require_room(connection, unfinished_jobs=int(state in FINISHED))
-            job = job_row(connection, self._access, job_id, lock=True)
-            if revision is not None and revision != job.revision:
-                raise EditedMeanwhile(job.revision, revision)
-            if job.people is None:
-                raise Conflict("The job has no results yet, so its people can't be edited.")
-            require_videos(connection, job.session_id, stages, _row_config(job, tuple(edits), job.revision + 1))
+        access = self._access
+        with access.writing() as connection:
+            before = self._read(connection, job_id)
+            access.require_room(
+                connection,
+                unfinished_jobs=int(before.attempt_state in FINISHED),
+                **({} if moved is None else {"stored_bytes": moved[1].file.num_bytes}),
+            )
+            if added is not None and added.blur_faces:
+                delete_proxies(connection, access, before.session_id)
+            tenant = lock_session(connection, access, before.session_id)
+            if edits is None:
+                newest = read_session_edits(connection, access, before.session_id)
+            else:
+                newest = replace_edits(connection, access, before.session_id, edits, edits_revision)
+            row = job_row(connection, access, job_id, lock=True)
+            before = self._read(connection, job_id)
+            spec = before.spec if added is None else added.added_to(before.spec)
+            if not before.has_people:
+                raise Conflict("The job has no people yet.")
+            if edits is not None and not spec.apply_edits:
+                raise Conflict("The job leaves the edits of the capture out.")
+            if moved is not None:
+                if not stored_files.keep(connection, moved[0]):
+                    raise Conflict("The copy of the character took too long; send the request again.")
+                if before.character is not None:
+                    stored_files.remove_later(connection, before.character.file.key)
+            job = replace(
+                before,
+                spec=spec,
+                edits=newest.edits if spec.apply_edits else (),
+                edits_revision=newest.revision if spec.apply_edits else None,
+                revision=before.revision + 1,
+                character=before.character if moved is None else moved[1],
+            )
+            remake = plan(job)
+            has_new_visuals = _visuals(spec) != _visuals(before.spec)
+            if has_new_visuals and remake.needs_videos and not before.has_videos:
+                raise VideosDeleted
+            require_videos(connection, job.session_id, remake.stages, _config(job))
             changed = {
-                "edits": [edit_document(edit) for edit in edits],
-                "revision": job.revision + 1,
+                "spec": spec.model_dump(mode="json"),
+                "edits": [edit_document(edit) for edit in job.edits],
+                "edits_revision": job.edits_revision,
+                "revision": job.revision,
+                "character": None if job.character is None else asdict(job.character),
                 "precedence": Precedence.EDITS,
-                "visuals_old_at": now() if stored_files.has_visuals(connection, job_id) else None,
+                # New ones are made as soon as the other files are there, the others when nobody edits any more.
+                "visuals_old_at": (0.0 if has_new_visuals else now()) if remake.has_visuals else None,
             }
-            again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
+            again = {"attempt": row.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
-            if job.state not in EDITABLE or not move_job(
+            if row.state not in REMAKABLE or not move_job(
                 connection, job_id, JobState.QUEUED, **unended, **again, **changed
             ):
-                raise Conflict(f"The people of a job can be edited until it has expired; this one is {job.state}.")
-            record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_EDITED, job_id)
-            keep_attempt(connection, job)
+                raise Conflict(f"The files of a job are made again until it has expired; this one is {row.state}.")
+            record_event(connection, access.actor, tenant, AuditAction.FILES_REMADE, job_id)
+            keep_attempt(connection, row)
             # Files of the last attempt, unless they are listed.
-            stored_files.remove_later(connection, interim_prefix(job_id, job.attempt))
-            stored_files.remove_unlisted(connection, job_id, results_prefix(job_id, job.revision))
+            stored_files.remove_later(connection, interim_prefix(job_id, row.attempt))
+            stored_files.remove_unlisted(connection, job_id, results_prefix(job_id, row.revision))
             delete_visuals_job(connection, job_id)
-            stored_files.remove_unlisted(connection, job_id, visuals_prefix(job_id, job.revision))
-            plan_changes(connection, job_id, stages)
+            stored_files.remove_unlisted(connection, job_id, visuals_prefix(job_id, row.revision))
+            plan_changes(connection, job_id, remake.stages)
             return self._read(connection, job_id)
 
     def delete(self, job_id: str) -> None:
@@ -271,17 +346,13 @@ class Jobs:
         return found[0]
 
 
-def _row_config(
-    job: Row[Any], edits: tuple[PeopleEdit, ...] | None = None, revision: int | None = None
-) -> ReconstructionConfig:
-    """Configuration of a job from its row, with its own edits or with others."""
-    return job_config(
-        JobSpec.model_validate(job.spec),
-        read_making(job.kind, job.making),
-        read_edits(job.edits) if edits is None else edits,
-        job.revision if revision is None else revision,
-        read_job_character(job.character),
-    )
+def _config(job: JobRecord) -> ReconstructionConfig:
+    return job_config(job.spec, job.making, job.edits, job.revision, job.character)
+
+
+def _visuals(spec: JobSpec) -> tuple[bool, ...]:
+    """Visuals that a spec asks for, and whether heads are blurred in them."""
+    return spec.overlay, spec.report, "rerun" in spec.exports, spec.blur_faces
 
 
 def job_row(connection: Connection, access: Access, job_id: str, lock: bool = False) -> Row[Any]:

@@ -28,15 +28,22 @@ class Visuals:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, job_id: str, stages: Sequence[StagePlan], revision: int, trace: str | None = None) -> JobRecord:
+    def add(
+        self,
+        job_id: str,
+        making: VisualChoices,
+        stages: Sequence[StagePlan],
+        revision: int,
+        trace: str | None = None,
+    ) -> JobRecord:
         """Queue the job that makes visuals of a reconstruction; chunks that the reconstruction has done are done.
 
         The caller publishes that there is work.
 
         Parameters
         ----------
-        stages, revision
-            Plan of ``worker.run.planning.plan_visuals``, and the revision that it was made for.
+        making, stages, revision
+            Choices and plan of ``worker.run.planning.plan_visuals``, and the revision that they were made for.
         trace
             As in ``Jobs.add``.
 
@@ -71,7 +78,7 @@ class Visuals:
                 )
             else:
                 spec = JobSpec.model_validate(reconstruction.spec)
-                config = job_config(spec, VisualChoices(), read_edits(reconstruction.edits), revision)
+                config = job_config(spec, making, read_edits(reconstruction.edits), revision)
                 require_videos(connection, reconstruction.session_id, stages, config)
                 delete_visuals_job(connection, job_id)
                 connection.execute(
@@ -87,8 +94,9 @@ class Visuals:
                         queued_at=now(),
                         trace=trace,
                         kind="visuals",
-                        making=asdict(VisualChoices()),
+                        making=asdict(making),
                         edits=reconstruction.edits,
+                        edits_revision=reconstruction.edits_revision,
                         revision=reconstruction.revision,
                         reconstruction_id=job_id,
                         character=reconstruction.character,

@@ -66,7 +66,7 @@ function split(panel) {
 }
 
 function exchange(panel) {
-  return panel.add({ action: "exchange", person: panel.selected, other: panel.other, start_frame: panel.frame });
+  return panel.add({ action: "exchange", person: panel.selected, other: panel.other, start_frame: panel.frame, stop_frame: null });
 }
 
 // One person is in one place: in frames of both, the frames of the one who is merged are lost.

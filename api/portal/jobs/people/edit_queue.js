@@ -1,4 +1,4 @@
-// Edits of a job's people: shown at once, sent one after the other, undone, redone, and told when somebody else has changed them.
+// Edits of a capture in the run of a job: shown at once, sent one after the other, undone, redone, and told when somebody else has changed them.
 
 import { call, persistently, readTagged } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
@@ -7,17 +7,31 @@ import { announce } from "../../shared/page.js";
 import { PEOPLE } from "../../shared/strings/take.js";
 import { describe } from "./person_names.js";
 
+const FRAMES = ["frame", "start_frame", "stop_frame"];
+
+// Whether two lists of edits are the same but for how people are named: the service puts places for numbers.
+const areAlike = (one, other) => JSON.stringify(one.map(unnamed)) === JSON.stringify(other.map(unnamed));
+const unnamed = ({ person, other, ...rest }) => rest;
+
+// Edits and the people of the run, whose frames count from its first one.
+function ofRun({ revision, edits, run }) {
+  const moved = (record) => ({ ...record, start_frame: record.start_frame - run.first_frame, ...("stop_frame" in record && { stop_frame: record.stop_frame - run.first_frame }) });
+  const people = run.people.map((person) => ({ ...person, pieces: person.pieces.map(moved) }));
+  return { ...moved(run), revision, edits, people };
+}
+
 // Event `change`: something that is shown has changed.
 export class EditQueue extends EventTarget {
-  people = null; // from GET /v1/jobs/{id}/people
+  people = null; // edits of GET /v1/sessions/{id}/edits, with the people of the run, whose frames count from its first one
   problem = null;
   conflict = null; // changes that were refused because of somebody else's: { words, changes }
   notice = null; // of somebody else's change
   #etag = null;
   #waiting = []; // changes that the service does not have yet: { words, change }; the first one is being sent
   #undone = []; // lists before each undo, the last one at the end
-  #own = new Set(); // revisions that were made here
-  #earlier = new Map(); // people by revision, as far as they were read here
+  #own = new Set(); // revisions of the edits that were made here
+  #earlier = new Map(); // people by revision of the edits, as far as they were read here
+  #applied = new Map(); // revisions of the edits by revision of the job's files
   #isClosed = false;
 
   constructor(job) {
@@ -47,17 +61,24 @@ export class EditQueue extends EventTarget {
     return this.#undone.length > 0;
   }
 
-  // People of an earlier revision; undefined if it was not read here.
+  // People of the job's files of a revision; undefined if they were not read here.
   peopleAt(revision) {
-    return this.#earlier.get(revision);
+    return this.#earlier.get(this.#applied.get(revision));
+  }
+
+  // Whether the files show earlier edits of the capture, or none of them, and nothing is being done about it.
+  get isBehind() {
+    return !this.isSending && hasEnded(this.job) && this.job.edits_revision !== this.job.newest_edits_revision;
   }
 
   // Take notice of the job as it is now; somebody else may have changed its people.
   async follow(job) {
     const before = this.job;
     this.job = job;
-    for (const revision of this.#earlier.keys()) if (revision < job.results_revision) this.#earlier.delete(revision);
-    if (this.people === null || (job.revision > this.people.revision && !this.isSending)) await this.#read();
+    this.#applied.set(job.revision, job.edits_revision);
+    const shown = this.#applied.get(job.results_revision);
+    for (const revision of this.#earlier.keys()) if (revision < shown) this.#earlier.delete(revision);
+    if (this.people === null || (job.newest_edits_revision > this.people.revision && !this.isSending)) await this.#read();
     if (!hasEnded(before) && hasEnded(job) && job.revision > 0) this.#tellEnd(job);
     this.#changed();
   }
@@ -65,7 +86,11 @@ export class EditQueue extends EventTarget {
   // Make another edit.
   add(edit) {
     this.#undone = [];
-    return this.#make(describe(edit, this.people), (edits) => [...edits, edit]);
+    const words = describe(edit, this.people);
+    const { first_frame: first } = this.people;
+    const inSession = { ...edit };
+    for (const name of FRAMES) if (typeof edit[name] === "number") inSession[name] += first;
+    return this.#make(words, (edits) => [...edits, inSession]);
   }
 
   // Undo the last edit.
@@ -73,13 +98,23 @@ export class EditQueue extends EventTarget {
     return this.remove(this.edits.length - 1);
   }
 
-  // Undo an edit, or it and all that follow.
-  remove(index, { withLater = false } = {}) {
+  // Undo an edit.
+  remove(index) {
     const before = this.edits;
-    const isSame = (edits) => JSON.stringify(edits) === JSON.stringify(before);
-    const change = (edits) => (isSame(edits) ? edits.filter((_, number) => number < index || (number > index && !withLater)) : null);
+    const change = (edits) => (areAlike(edits, before) ? edits.filter((_, number) => number !== index) : null);
     this.#undone.push(before);
-    return this.#make(PEOPLE.actions.undo(describe(before[index], this.people)), change);
+    return this.#make(PEOPLE.actions.undo(this.wordsOf(index)), change);
+  }
+
+  // An edit of the list in words.
+  wordsOf(index) {
+    const { outcomes, first_frame: first } = this.people;
+    return describe(this.edits[index], this.people, { outcome: outcomes[index], first });
+  }
+
+  // Make the files again with the edits of the capture.
+  async apply() {
+    feed.put(await call(this.job.urls.files, { method: "POST", body: { apply_edits: true } }));
   }
 
   // Make again what was undone last.
@@ -97,6 +132,12 @@ export class EditQueue extends EventTarget {
 
   dismiss() {
     this.conflict = this.notice = this.problem = null;
+    this.#changed();
+  }
+
+  // Show why something could not be done.
+  fail(problem) {
+    this.problem = problem;
     this.#changed();
   }
 
@@ -126,12 +167,13 @@ export class EditQueue extends EventTarget {
 
   // Send a list as soon as the service can be reached.
   async #send(edits, words) {
-    const request = { method: "PUT", body: { edits }, headers: { "If-Match": this.#etag } };
+    const request = { method: "PUT", body: { edits, job_id: this.job.id }, headers: { "If-Match": this.#etag } };
     const isOver = () => this.#isClosed;
-    const job = await persistently(() => call(this.job.urls.people, request), { isOver });
-    this.#own.add(job.revision);
-    await persistently(() => this.#read(), { isOver });
+    const { revision } = await persistently(() => call(`${this.job.urls.session}/edits`, request), { isOver });
+    this.#own.add(revision);
+    const [job] = await persistently(() => Promise.all([call(this.job.urls.self), this.#read()]), { isOver });
     this.#waiting.shift();
+    this.#applied.set(job.revision, job.edits_revision);
     this.job = job;
     announce(PEOPLE.said.sent(words));
     feed.put(job);
@@ -145,7 +187,7 @@ export class EditQueue extends EventTarget {
       await feed.refresh();
     }
     // The answer to the same request was lost.
-    if (JSON.stringify(this.people.edits) === JSON.stringify(edits) && this.people.revision > known) {
+    if (areAlike(this.people.edits, edits) && this.people.revision > known) {
       this.#waiting.shift();
       this.notice = null;
       return;
@@ -168,14 +210,16 @@ export class EditQueue extends EventTarget {
   #explained(problem, edits) {
     for (const item of problem.items ?? []) {
       const edit = edits[Number(/^\/edits\/(\d+)/.exec(item.pointer ?? "")?.[1])];
-      if (edit) item.field = describe(edit, this.people);
+      const { outcomes, first_frame: first } = this.people;
+      if (edit) item.field = describe(edit, this.people, { outcome: outcomes[edits.indexOf(edit)], first });
     }
     return problem;
   }
 
   async #read() {
     const known = this.people;
-    ({ record: this.people, etag: this.#etag } = await readTagged(this.job.urls.people));
+    const { record, etag } = await readTagged(this.job.urls.edits);
+    [this.people, this.#etag] = [ofRun(record), etag];
     this.#earlier.set(this.people.revision, this.people);
     if (known === null || this.people.revision === known.revision || this.#own.has(this.people.revision)) return;
     this.#undone = [];

@@ -9,7 +9,7 @@ import { announce } from "../../shared/page.js";
 import { PEOPLE } from "../../shared/strings/take.js";
 import { actions } from "./actions.js";
 import { EditQueue } from "./edit_queue.js";
-import { personColor, describe, isNumbering, personName } from "./person_names.js";
+import { personColor, personName } from "./person_names.js";
 
 export class PeoplePanel {
   selected = null; // id of the person that actions are for
@@ -84,8 +84,7 @@ export class PeoplePanel {
       <div class="head"><div class="with-help"><h2 id="people-title">${PEOPLE.title}</h2>${helpLink("people-and-edits", PEOPLE.title)}</div>${this.#state()}</div>
       ${this.#notices()}
       ${lanes(this)}
-      ${actions(this)}
-      ${this.#list()}
+      ${editing.job.edits_revision === null ? nothing : [actions(this), this.#list()]}
     </section>`;
   }
 
@@ -108,6 +107,8 @@ export class PeoplePanel {
         <div class="actions">${conflict.changes.length ? this.button(PEOPLE.repeat, () => editing.repeat()) : nothing}
           <button type="button" class="button small" @click=${() => editing.dismiss()}>${PEOPLE.drop}</button></div></div>` : nothing}
       ${notice ? html`<p class="notice">${notice}</p>` : nothing}
+      ${editing.isBehind ? html`<div class="notice emptied"><p>${job.edits_revision === null ? PEOPLE.leftOut : PEOPLE.behind}</p>
+        ${this.button(PEOPLE.apply, () => editing.apply().catch((problem) => editing.fail(problem)))}</div>` : nothing}
       ${this.people.people.length === 0 && this.people.found.length > 0 ? html`<div class="notice emptied"><p>${PEOPLE.emptied}</p>
         ${this.button(PEOPLE.undo, () => editing.undo(), { name: PEOPLE.emptiedUndo })}</div>` : nothing}
       ${isBroken ? html`<div class="problem" role="alert"><p>${PEOPLE.broken}</p>
@@ -122,16 +123,16 @@ export class PeoplePanel {
         ${this.button(PEOPLE.undo, () => editing.undo(), { isOff: edits.length === 0, why: PEOPLE.nothingToUndo })}
         ${this.button(PEOPLE.redo, () => editing.redo(), { isOff: !editing.canRedo, why: PEOPLE.nothingToRedo })}</div></div>
       ${edits.length === 0 ? html`<p class="quiet">${PEOPLE.noEdits}</p>`
-        : html`<ol aria-label=${PEOPLE.edits}>${edits.map((edit, index) => this.#item(edit, index))}</ol>`}
+        : html`<ol aria-label=${PEOPLE.edits}>${edits.map((_, index) => this.#item(index))}</ol>`}
     </div>`;
   }
 
-  #item(edit, index) {
-    const words = describe(edit, this.people);
-    const withLater = isNumbering(this.editing.edits, index);
-    const label = withLater ? PEOPLE.undoFrom : PEOPLE.undo;
+  #item(index) {
+    const words = this.editing.wordsOf(index);
+    const problem = this.people.outcomes[index]?.problem;
     return html`<li><span>${words}</span>
-      ${this.button(label, () => this.editing.remove(index, { withLater }), { name: PEOPLE.undoOf(label, words), style: "ghost" })}</li>`;
+      ${this.button(PEOPLE.undo, () => this.editing.remove(index), { name: PEOPLE.undoOf(PEOPLE.undo, words), style: "ghost" })}
+      ${problem ? html`<p class="notice">${PEOPLE.notApplied} ${problem.message} ${problem.hint}</p>` : nothing}</li>`;
   }
 
   // Button that keeps the focus while it can't be used, and says why.

@@ -14,24 +14,27 @@ export function personColor(id) {
   return `#${[5, 3, 1].map((shift) => part(shift).toString(16).padStart(2, "0")).join("")}`;
 }
 
-// Name of a person; people taken away by a later edit have the name that an edit gave them last.
-export function personName(id, { people, edits }) {
-  const given = edits.findLast(({ action, person }) => action === "rename" && person === id)?.name;
+// Name of a person; people taken away by a later edit have the name that an edit gave them last. Null: a new person who is gone.
+export function personName(id, { people, edits, outcomes }) {
+  if (id === null) return PEOPLE.gone;
+  const given = edits.findLast(({ action }, index) => action === "rename" && outcomes[index]?.person === id)?.name;
   return people.find((person) => person.id === id)?.name ?? given ?? `person-${id}`;
 }
 
-// An edit in words, with the present names of people.
-export function describe(edit, document) {
-  const person = personName(edit.person, document);
-  const other = personName(edit.other, document);
+// An edit in words, with the present names of people. `outcome` has the numbers of an edit that names people by places, and `first`
+// is the frame of the session with which the edit's frames are counted.
+export function describe(edit, document, { outcome = edit, first = 0 } = {}) {
+  const person = personName(outcome.person ?? null, document);
+  const other = personName(outcome.other ?? null, document);
+  const inRun = (frame) => (frame === null ? null : frame - first);
   const { start_frame: start, stop_frame: stop = null } = edit;
   const words = {
-    rename: () => PEOPLE.actions.rename(edit.person, edit.name),
+    rename: () => PEOPLE.actions.rename(outcome.person ?? null, edit.name),
     remove: () => PEOPLE.actions.remove(person),
     merge: () => PEOPLE.actions.merge(other, person),
-    split: () => PEOPLE.actions.split(person, edit.frame),
-    exchange: () => PEOPLE.actions.exchange(person, other, start, stop),
-    cut: () => PEOPLE.actions.cut(start, stop),
+    split: () => PEOPLE.actions.split(person, inRun(edit.frame)),
+    exchange: () => PEOPLE.actions.exchange(person, other, inRun(start), inRun(stop)),
+    cut: () => PEOPLE.actions.cut(inRun(start), inRun(stop)),
   };
   return words[edit.action]();
 }
@@ -53,9 +56,4 @@ export function sharedFrames(person, other) {
     }
   }
   return { num, first, last };
-}
-
-// Whether the edits after this one would be of other people without it: a split gives the next free number.
-export function isNumbering(edits, index) {
-  return edits[index].action === "split" && edits.slice(index + 1).some(({ action }) => action !== "cut");
 }

@@ -41,6 +41,7 @@ export const CAPTURES = {
   },
   again: {
     label: (name) => `Run ${name} again`,
+    applyEdits: "Apply edits of the people",
     submit: "Reconstruct without uploading",
     said: (name) => `A new job of ${name} waits.`,
   },

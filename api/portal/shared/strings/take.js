@@ -38,9 +38,23 @@ export const TAKE = {
   visualsInWork: (number) => `They are being made for revision ${number}.`,
   visualsImpossible: "They can't be rebuilt, because the videos were deleted.",
   visualsLater: "They are rebuilt on request, or some minutes after the last edit.",
+  addedLater: "Report and videos that you added are made next.",
+  addedInWork: "Report and videos that you added are being made.",
+  addedFailed: "Report and videos that you added could not be made.",
   tryAgain: "Try again",
   makeNow: "Make them now",
   visualsStarted: "Report and videos are being made.",
+};
+
+export const ADDED = {
+  title: "Add files",
+  formats: "Further formats",
+  character: "Character",
+  sameCharacter: "as now",
+  toShow: "To show",
+  hint: "Nothing is reconstructed again. The target application, the body and the frames hold for all files.",
+  submit: "Add the files",
+  said: "The files are being made.",
 };
 
 export const SHARING = {
@@ -89,7 +103,11 @@ export const PEOPLE = {
   noEdits: "No edits yet. Your changes appear here, and you can undo them.",
   undo: "Undo",
   redo: "Redo",
-  undoFrom: "Undo from here on",
+  notApplied: "Not applied in this run.",
+  behind: "The files show earlier edits of the capture.",
+  leftOut: "This run leaves the edits of the capture out.",
+  apply: "Apply the edits",
+  gone: "a person who is gone",
   undoOf: (label, edit) => `${label}: ${edit}`,
   nothingToUndo: "There is no edit to undo.",
   nothingToRedo: "There is nothing to redo.",
@@ -118,7 +136,7 @@ export const PEOPLE = {
     refusal: "Keep both",
   },
   actions: {
-    rename: (id, name) => `Rename person-${id} to ${name}`,
+    rename: (id, name) => `Rename ${id === null ? PEOPLE.gone : `person-${id}`} to ${name}`,
     remove: (person) => `Delete ${person}`,
     merge: (other, person) => `Merge ${other} into ${person}`,
     split: (person, frame) => `Split ${person} at frame ${frame}`,

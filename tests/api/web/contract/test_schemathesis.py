@@ -106,8 +106,8 @@ def inapplicable_checks(case: schemathesis.Case[Any]) -> list[Any]:
         return [positive_data_acceptance, negative_data_rejection]
     # A schema can't express which uploads exist, earlier uses of an idempotency key, or versions of a record.
     names_others = case.method == "POST" and case.path.removesuffix("/from-uploads") in INTAKES
-    # Nor which people a job has, which files a link may name, and what a take is calibrated from.
-    named = ("/links", "/people", "/session", "/calibration")
+    # Nor which people and files a job has, which files a link may name, and what a take is calibrated from.
+    named = ("/links", "/edits", "/files", "/session", "/calibration")
     names_others = names_others or (case.method in {"POST", "PUT"} and case.path.endswith(named))
     # Nor the service's limit of a recording's lifetime.
     names_others = names_others or (case.method == "POST" and case.path == "/v1/recordings")

@@ -92,8 +92,7 @@ def test_job_is_followed_to_its_end(live: Live) -> None:
 def test_stream_of_edited_job_ends_with_its_files(live: Live) -> None:
     job_id, people = live.job_id(), (PersonSpan(1, 0, 60),)
     live.finish(job_id, people=people)
-    edits = [{"action": "rename", "person": 1, "name": "Anna"}]
-    live.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits}).raise_for_status()
+    live.remake(job_id).raise_for_status()
     listener = Listener(live, job_id)
     listener.wait_for(1)
     live.finish(job_id, people=people)

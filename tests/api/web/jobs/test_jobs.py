@@ -46,7 +46,7 @@ def test_job_from_its_creation_to_its_end(live: Live) -> None:
 def test_job_without_body_is_as_by_default(live: Live) -> None:
     answer = live.client.post(f"/v1/sessions/{live.session_id()}/jobs")
     defaults = json.loads(json.dumps({name: choice.default for name, choice in CHOICES.items()}))
-    others = {"character": None, "priority": "normal", "keep_videos": True, "callback_url": None}
+    others = {"character": None, "apply_edits": True, "priority": "normal", "keep_videos": True, "callback_url": None}
     assert answer.json()["spec"] == defaults | others
 
 

@@ -54,8 +54,8 @@ def test_edits_go_on_and_detection_does_not(live: Live) -> None:
     address = send(live)
     job_id = finished(live, address)
     live.client.delete(f"{address}/videos").raise_for_status()
-    edits = {"edits": [{"action": "rename", "person": 1, "name": "Anna"}]}
-    answer = live.client.put(f"/v1/jobs/{job_id}/people", json=edits)
+    problem_of(live.remake(job_id, overlay=True), 409, "videos_deleted")
+    answer = live.remake(job_id, exports=["glb"])
     assert answer.status_code == 202, answer.text
     live.finish(job_id, people=[PersonSpan(1, 0, 20)])
     assert live.client.get(f"/v1/jobs/{job_id}").json()["results_revision"] == 1

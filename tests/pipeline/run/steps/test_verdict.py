@@ -14,7 +14,6 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import SessionRefused
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edits import Rename
 from pipeline.core.options.job_choices import VisualChoices
 from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, STATURE_OUT_OF_RANGE
 from pipeline.core.progress import Progress
@@ -133,7 +132,7 @@ CHECKED = SessionCheck((ERROR,), {"a": 12}, 12, 20)
 
 
 def test_work_on_results_that_are_there_is_not_refused(session: KeypointSession) -> None:
-    edited = replace(CONFIG, edits=(Rename(person=1, name="Ada"),))
+    edited = replace(CONFIG, is_remade=True)
     assert judge(CHECKED, session.cameras, edited) == CHECKED
     assert judge(CHECKED, session.cameras, replace(CONFIG, making=VisualChoices())) == CHECKED
     with pytest.raises(SessionRefused):

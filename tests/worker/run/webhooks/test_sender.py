@@ -68,11 +68,9 @@ def test_every_end_sends_message(bench: RunnerBench, receiver: Receiver, end: st
 def test_files_of_edits_send_messages_of_their_own(bench: RunnerBench, receiver: Receiver) -> None:
     bench.store.webhook_secrets.rotate("default", HOUR_S)
     job = end_job(bench, receiver.url)
-    edits = (Rename(person=1, name="Anna"),)
-    stages = plan_job(bench.session, job.spec, edits=edits)
-    bench.store.jobs.edit(job.id, edits, stages)
+    bench.edit(job.id, Rename(person=1, name="Anna"))
     bench.runner().work(60.0)
-    bench.store.jobs.edit(job.id, (), plan_job(bench.session, job.spec))
+    bench.edit(job.id)
     bench.store.jobs.cancel(job.id)
     deliver(bench)
     said = [json.loads(body) for _, body in receiver.received]

@@ -4,12 +4,15 @@ from collections.abc import Callable
 
 import pytest
 
+from pipeline.core.options.job_choices import VisualChoices
 from pipeline.core.problems.code_group import Code
 from tests.worker.store.conftest import PREFLIGHT, StoreBench, stages
 from worker.store.database.quotas import Quotas
 from worker.store.errors import NotFound
 from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, LinkScope
+from worker.store.model.work import Remake
+from worker.store.repositories.edits import Edits
 from worker.store.repositories.jobs import Jobs
 from worker.store.repositories.links import Links
 from worker.store.repositories.results import Results
@@ -59,8 +62,12 @@ ACTS: dict[str, Act] = {
     "links.list_valid": lambda records, session_id, job_id: records.links.list_valid(job_id),
     "jobs.cancel": lambda records, session_id, job_id: records.jobs.cancel(job_id),
     "jobs.retry": lambda records, session_id, job_id: records.jobs.retry(job_id, stages(1)),
-    "jobs.edit": lambda records, session_id, job_id: records.jobs.edit(job_id, (), stages(1)),
-    "visuals.add": lambda records, session_id, job_id: records.visuals.add(job_id, stages(1), 0),
+    "jobs.remake": lambda records, session_id, job_id: records.jobs.remake(
+        job_id, lambda job: Remake(stages(1), has_visuals=False, needs_videos=False)
+    ),
+    "edits.get": lambda records, session_id, job_id: records.edits.get(session_id),
+    "edits.replace": lambda records, session_id, job_id: records.edits.replace(session_id, ()),
+    "visuals.add": lambda records, session_id, job_id: records.visuals.add(job_id, VisualChoices(), stages(1), 0),
     "jobs.delete": lambda records, session_id, job_id: records.jobs.delete(job_id),
 }
 
@@ -77,13 +84,14 @@ def test_records_of_other_tenant_are_unknown(jobs: StoreBench, act: str) -> None
 def test_records_every_method_is_tried() -> None:
     public = {
         f"{resource.__name__.lower()}.{name}"
-        for resource in (Sessions, Jobs, Visuals, Results, Links)
+        for resource in (Sessions, Edits, Jobs, Visuals, Results, Links)
         for name in vars(resource)
         if not name.startswith("_")
     }
     assert public - set(ACTS) == {
         *("sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"),
-        "jobs.reserve_id",
+        *("jobs.reserve_id", "jobs.reserve_copy"),
+        "edits.people",  # None of another's: tests/api/web/test_edits.py
         *("visuals.due", "sessions.with_superfluous_videos"),  # the reaper asks for those of all tenants
         "results.proxy",  # None of another's: tests/worker/store/repositories/test_captures.py
         "results.blurred",  # None of another's: tests/worker/store/test_deleting_videos.py

@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, and_, case, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, case, delete, func, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.core.findings import Finding
@@ -16,7 +16,7 @@ from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read, read_edits, read_job_character, read_making, read_spec
 from worker.store.database.stored_files import list_results
-from worker.store.database.tables import artifacts, chunks, jobs
+from worker.store.database.tables import artifacts, chunks, found_people, jobs
 from worker.store.database.totals import Total, count
 from worker.store.model.job_records import JobProblem, Result
 from worker.store.model.session_records import MadeCalibration
@@ -351,11 +351,11 @@ def _output_damaged(chunk: Row[Any]) -> JobProblem:
 def _record_findings(
     connection: Connection, job_id: str, warnings: Sequence[Finding], people: Sequence[PersonSpan] | None
 ) -> None:
-    values: dict[str, Any] = {}
     if people is not None:
-        values["people"] = [asdict(person) for person in people]
+        connection.execute(delete(found_people).where(found_people.c.job_id == job_id))
+    if people:
+        connection.execute(insert(found_people), [{"job_id": job_id, **asdict(person)} for person in people])
     # Results of a new revision replace the warnings of the last one, also by none.
     if warnings or people is not None:
-        values["warnings"] = [asdict(warning) for warning in warnings]
-    if values:
-        connection.execute(update(jobs).where(jobs.c.id == job_id).values(values))
+        documents = [asdict(warning) for warning in warnings]
+        connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=documents))

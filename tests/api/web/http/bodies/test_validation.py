@@ -222,7 +222,7 @@ def test_only_listed_errors_are_translated(
 
 def test_wrong_items_of_list_that_is_too_long_are_not_looked_at(make_settings: Callable[..., Settings]) -> None:
     with running(make_settings(max_json_bytes=64 * KIB)) as live:
-        address = f"/v1/jobs/{live.job_id()}/people"
+        address = f"/v1/sessions/{live.session_id()}/edits"
         too_long = problem_of(live.client.put(address, json={"edits": [[]] * 15_000}), 422, "invalid_request")
         longest = problem_of(live.client.put(address, json={"edits": [[]] * 1_000}), 422, "invalid_request")
     assert [item["pointer"] for item in too_long["errors"]] == ["/edits"]
@@ -260,10 +260,8 @@ def test_misplaced_field_is_told_its_place(live: Live, body: dict[str, Any], poi
 
 def test_field_of_another_edit_is_not_sent_to_where_it_is(live: Live) -> None:
     """Actions have different fields: the place would be right if the action were."""
-    job_id = live.job_id()
-    live.finish(job_id)
     sent = {"edits": [{"action": "rename", "person": 1, "name": "Anna", "other": 2}]}
-    answer = live.client.put(f"/v1/jobs/{job_id}/people", json=sent)
+    answer = live.client.put(f"/v1/sessions/{live.session_id()}/edits", json=sent)
     (found,) = problem_of(answer, 422, "invalid_request")["errors"]
     assert (found["pointer"], found["code"], found["hint"]) == ("/edits/0/other", "unknown_field", None)
 

@@ -69,8 +69,8 @@ def upgrade() -> None:
         sa.Column("kind", sa.String(16), nullable=False, server_default="reconstruction"),
         sa.Column("making", sa.JSON),
         sa.Column("edits", sa.JSON, nullable=False, server_default="[]"),
+        sa.Column("edits_revision", sa.Integer),
         sa.Column("revision", sa.Integer, nullable=False, server_default="0"),
-        sa.Column("people", sa.JSON),
         sa.Column("results_revision", sa.Integer),
         sa.Column("reconstruction_id", sa.String(36), index=True),
         sa.Column("visuals_old_at", sa.Double, index=True),
@@ -87,6 +87,20 @@ def upgrade() -> None:
     if op.get_context().dialect.name == "postgresql":
         blurs = sa.text("CAST((spec ->> 'blur_faces') AS BOOLEAN) IS true")
         op.create_index("ix_jobs_session_id_blurs", "jobs", ["session_id"], postgresql_where=blurs)
+    op.create_table(
+        "edits",
+        sa.Column("session_id", sa.String(36), sa.ForeignKey("sessions.id", ondelete="CASCADE"), primary_key=True),
+        sa.Column("revision", sa.Integer, nullable=False),
+        sa.Column("list", sa.JSON, nullable=False),
+    )
+    op.create_table(
+        "found_people",
+        sa.Column("job_id", sa.String(36), sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+        sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),
+        sa.Column("start_frame", sa.Integer, nullable=False),
+        sa.Column("num_frames", sa.Integer, nullable=False),
+        sa.Column("places", sa.JSON, nullable=False),
+    )
     op.create_table(
         "calibrations",
         sa.Column("id", sa.String(36), primary_key=True),

@@ -1,4 +1,4 @@
-"""People of a job by the API: read, edited, undone, refused with the edit's place."""
+"""Files that a finished job gets: made again, added, with the visuals of a job of their own."""
 
 import io
 import zipfile
@@ -13,12 +13,7 @@ from tests.api.conftest import RESULT, Live, problem_of
 from worker.store.model.job_records import JobProblem
 from worker.store.store import MAX_ATTEMPTS
 
-FOUND = (
-    PersonSpan(1, 0, 60, ((0, 0.0, 0.0, 1.0), (59, 2.0, 0.0, 1.0))),
-    PersonSpan(2, 10, 40, ((10, 0.0, 2.0, 1.0),)),
-)
-ANNA = {"action": "rename", "person": 1, "name": "Anna"}
-CUT = {"action": "cut", "start_frame": 5, "stop_frame": 50}
+FOUND = (PersonSpan(1, 0, 60), PersonSpan(2, 10, 40))
 
 
 @pytest.fixture
@@ -28,122 +23,55 @@ def job_id(live: Live) -> str:
     return job_id
 
 
-def people(live: Live, job_id: str) -> dict[str, Any]:
-    answer = live.client.get(f"/v1/jobs/{job_id}/people")
-    assert answer.status_code == 200, answer.text
-    document: dict[str, Any] = answer.json()
-    return document
+def ahead(job: dict[str, Any]) -> list[str]:
+    return [stage["name"] for stage in job["stages"] if stage["state"] != "done"]
 
 
-def edit(live: Live, job_id: str, *edits: object, **headers: str) -> Any:
-    return live.client.put(f"/v1/jobs/{job_id}/people", json={"edits": edits}, headers=headers)
-
-
-def test_people_are_edited_and_edits_undone(live: Live, job_id: str) -> None:
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["people"] == f"/v1/jobs/{job_id}/people"
-    before = people(live, job_id)
-    assert (before["revision"], before["edits"], before["num_frames"]) == (0, [], 60)
-    assert [person["name"] for person in before["people"]] == ["person-1", "person-2"]
-
-    answer = edit(live, job_id, ANNA, CUT, {"action": "exchange", "person": 1, "other": 2, "start_frame": 20})
+def test_added_formats_are_written_and_nothing_else_is_done(live: Live, job_id: str) -> None:
+    answer = live.remake(job_id, exports=["glb", "bvh"], preset="blender", timeline="person")
     assert (answer.status_code, answer.headers["location"]) == (202, f"/v1/jobs/{job_id}")
     job = answer.json()
     assert (job["state"], job["files_state"], job["revision"], job["attempt"]) == ("succeeded", "updating", 1, 2)
-    ahead = [stage["name"] for stage in job["stages"] if stage["state"] != "done"]
-    assert ahead == ["edit", "refit", "write_people", "export"]
+    assert (job["spec"]["exports"], job["spec"]["preset"], job["spec"]["timeline"]) == (
+        ["bvh", "glb"],
+        "blender",
+        "person",
+    )
+    assert ahead(job) == ["export"]
     live.finish(job_id, people=FOUND)
-    assert live.client.get(f"/v1/jobs/{job_id}").json()["files_state"] == "current"
-    after = people(live, job_id)
-    assert (after["start_frame"], after["stop_frame"]) == (5, 50)
-    assert after["edits"][2] == {
-        "action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": None,
-    }  # fmt: skip
-    assert after["people"][0] == {
-        "id": 1,
-        "name": "Anna",
-        "pieces": [
-            {"person": 1, "start_frame": 0, "stop_frame": 20},
-            {"person": 2, "start_frame": 20, "stop_frame": 50},
-        ],
-    }
-
-    assert edit(live, job_id).status_code == 202
+    # The next ones are added to those.
+    assert live.remake(job_id, exports=["csv"]).json()["spec"]["exports"] == ["bvh", "glb", "csv"]
     live.finish(job_id, people=FOUND)
-    assert people(live, job_id) == before | {"revision": 2}
 
 
-def test_old_entity_tag_is_refused(live: Live, job_id: str) -> None:
-    etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
-    assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
-    assert edit(live, job_id, ANNA, **{"If-Match": etag}).status_code == 202
+def test_added_visuals_are_due_at_once(live: Live, job_id: str) -> None:
+    job = live.remake(job_id, report=True).json()
+    assert (ahead(job), job["spec"]["report"], job["urls"]["visuals"]) == (["export"], True, None)
+    assert live.services.store.visuals.due(3600.0) == []
     live.finish(job_id, people=FOUND)
-    problem_of(edit(live, job_id, **{"If-Match": etag}), 412, "changed_meanwhile")
-    assert people(live, job_id)["edits"] == [ANNA]
+    assert live.services.store.visuals.due(3600.0) == [job_id]
+    address = live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["visuals"]
+    visuals = live.client.post(address).json()
+    assert ahead(visuals) == ["write_report"]
+    live.client.post(visuals["urls"]["cancel"]).raise_for_status()
 
 
-def test_edits_are_not_applied_for_unchanged_answer(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert edit(live, job_id, ANNA).status_code == 202
+def test_wrong_files_are_refused(live: Live, job_id: str) -> None:
+    answer = live.remake(job_id, exports=["gltf"], character="01a2285e-7ecc-72e2-9021-b1d43c75f818", method="tracking")
+    errors = problem_of(answer, 422, "invalid_request")["errors"]
+    assert {error["pointer"].partition("/exports")[0] for error in errors} >= {""}
+    (error,) = problem_of(live.remake(job_id, method="tracking"), 422, "invalid_request")["errors"]
+    assert (error["pointer"], error["code"]) == ("/method", "unknown_field")
+    (error,) = problem_of(live.remake(job_id, character=job_id), 422, "invalid_request")["errors"]
+    assert error["pointer"] == "/character"
+    assert live.client.get(f"/v1/jobs/{job_id}").json()["revision"] == 0
+
+
+def test_repeated_request_adds_files_once(live: Live, job_id: str) -> None:
+    key = {"Idempotency-Key": "once"}
+    answers = [live.client.post(f"/v1/jobs/{job_id}/files", json={"exports": ["csv"]}, headers=key) for _ in range(2)]
+    assert [answer.json()["revision"] for answer in answers] == [1, 1]
     live.finish(job_id, people=FOUND)
-    etag = live.client.get(f"/v1/jobs/{job_id}/people").headers["etag"]
-    applied: list[object] = []
-    monkeypatch.setattr("api.web.people.apply_edits", lambda *arguments: applied.append(arguments))
-    assert live.client.get(f"/v1/jobs/{job_id}/people", headers={"If-None-Match": etag}).status_code == 304
-    problem_of(edit(live, job_id, **{"If-Match": '"old"'}), 412, "changed_meanwhile")
-    assert applied == []
-
-
-def test_fragmented_edits_are_refused(live: Live, job_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.core.options.edited_take.MAX_PIECES", 5)
-    exchange = {"action": "exchange", "person": 1, "other": 2, "start_frame": 20, "stop_frame": 30}
-    (error,) = problem_of(edit(live, job_id, ANNA, exchange), 422, "invalid_request")["errors"]
-    assert (error["code"], error["pointer"]) == ("edits_fragmented", "/edits/1")
-
-
-def test_impossible_edits_are_named(live: Live, job_id: str) -> None:
-    answer = edit(live, job_id, ANNA, {"action": "split", "person": 2, "frame": 55})
-    (error,) = problem_of(answer, 422, "invalid_request")["errors"]
-    assert (error["code"], error["pointer"]) == ("edit_impossible", "/edits/1/frame")
-    assert "11 to 49" in error["hint"]
-    assert people(live, job_id)["revision"] == 0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"action": "teleport", "person": 1},
-        {"person": 1},
-        {"action": "remove", "person": "first"},
-        {"action": "remove", "person": 1, "really": True},
-        {"action": "cut", "start_frame": 0},
-        "remove",
-    ],
-)
-def test_malformed_edits_are_refused(live: Live, job_id: str, wrong: object) -> None:
-    (error, *_) = problem_of(edit(live, job_id, wrong), 422, "invalid_request")["errors"]
-    assert error["pointer"].startswith("/edits/0")
-
-
-def test_unfinished_job_has_no_people(live: Live) -> None:
-    job_id = live.job_id()
-    problem_of(live.client.get(f"/v1/jobs/{job_id}/people"), 409, "conflict")
-    problem_of(edit(live, job_id, ANNA), 409, "conflict")
-    live.client.post(f"/v1/jobs/{job_id}/cancel")
-
-
-def test_edits_are_stacked(live: Live, job_id: str) -> None:
-    assert edit(live, job_id, ANNA).status_code == 202
-    claim = live.services.store.leases.claim("test", 30.0)
-    assert claim is not None
-    answer = edit(live, job_id, ANNA, CUT)
-    assert (answer.status_code, answer.json()["files_state"], answer.json()["revision"]) == (202, "updating", 2)
-    assert not live.services.store.leases.heartbeat(claim.chunk_id, claim.lease_token, 1, 30.0)
-    assert [one["action"] for one in people(live, job_id)["edits"]] == ["rename", "cut"]
-    live.finish(job_id, people=FOUND)
-    job = live.client.get(f"/v1/jobs/{job_id}").json()
-    assert (job["files_state"], job["revision"], job["results_revision"]) == ("current", 2, 2)
-    attempts = live.client.get(f"/v1/jobs/{job_id}/attempts").json()["attempts"]
-    assert [attempt["state"] for attempt in attempts] == ["succeeded", "canceled", "succeeded"]
-    assert all(attempt["finished_at"] for attempt in attempts)
 
 
 def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: str) -> None:
@@ -156,7 +84,7 @@ def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: st
 
     before = read()
     assert before == (0, [0], RESULT, 200)
-    assert edit(live, job_id, ANNA).status_code == 202
+    assert live.remake(job_id).status_code == 202
     assert read() == before
     claim = live.services.store.leases.claim("test", 30.0)
     assert claim is not None
@@ -180,14 +108,14 @@ def test_files_stay_until_those_of_next_revision_are_made(live: Live, job_id: st
     assert read() == (1, [1], b"edited", 200)
 
 
-def test_edited_job_is_listed_as_succeeded(live: Live, job_id: str) -> None:
+def test_remade_job_is_listed_as_succeeded(live: Live, job_id: str) -> None:
     def listed(state: str) -> list[str]:
         (session,) = live.client.get("/v1/sessions").json()["sessions"]
         assert session["newest_job"] == {"id": job_id, "state": "succeeded"}
         assert len(live.client.get(f"/v1/sessions?state={state}").json()["sessions"]) == (state == "succeeded")
         return [job["id"] for job in live.client.get(f"/v1/jobs?state={state}").json()["jobs"]]
 
-    assert edit(live, job_id, ANNA).status_code == 202
+    assert live.remake(job_id).status_code == 202
     assert (listed("succeeded"), listed("queued"), listed("expired")) == ([job_id], [], [])
     canceled = live.client.post(f"/v1/jobs/{job_id}/cancel").json()
     assert (canceled["state"], canceled["files_state"], canceled["urls"]["cancel"]) == ("succeeded", "failed", None)
@@ -198,7 +126,7 @@ def test_edited_job_is_listed_as_succeeded(live: Live, job_id: str) -> None:
 
 def test_job_is_followed_until_its_files_are_current(live: Live, job_id: str) -> None:
     client = Client(live.client)
-    edited = edit(live, job_id, ANNA).json()
+    edited = live.remake(job_id).json()
     with pytest.raises(ServiceError, match="it is updating its files and continues"):
         client.follow(edited, timeout_s=0.0)
     live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
@@ -219,7 +147,7 @@ def test_downloads_name_revision_of_edits(live: Live, job_id: str) -> None:
     take = names()[0].removesuffix("_person-1.bvh")
     assert names() == [f"{take}_person-1.bvh", f"{take}_person-1.bvh", f"{take}.zip"]
     for revision in (1, 2):
-        assert edit(live, job_id, ANNA).status_code == 202
+        assert live.remake(job_id).status_code == 202
         live.finish(job_id, people=FOUND)
         edited = f"{take}_revision-{revision}"
         assert names() == [f"{edited}_person-1.bvh", f"{edited}_person-1.bvh", f"{edited}.zip"]
@@ -233,7 +161,7 @@ def test_visuals_are_made_on_request(live: Live) -> None:
     assert live.client.get(f"/v1/jobs/{job_id}").json()["urls"]["visuals"] is None
     problem_of(live.client.post(address), 409, "conflict")
 
-    assert edit(live, job_id, ANNA).status_code == 202
+    assert live.remake(job_id).status_code == 202
     problem_of(live.client.post(address), 409, "conflict")
     live.finish(job_id, people=FOUND)
     listed = live.client.get(f"/v1/jobs/{job_id}/results").json()["results"]
@@ -261,6 +189,6 @@ def test_visuals_are_made_on_request(live: Live) -> None:
     ]
     assert visuals["id"] not in [one["id"] for one in live.client.get("/v1/jobs").json()["jobs"]]
 
-    assert edit(live, job_id).status_code == 202
+    assert live.remake(job_id).status_code == 202
     problem_of(live.client.get(f"/v1/jobs/{visuals['id']}"), 404, "not_found")
     live.finish(job_id, people=FOUND)
