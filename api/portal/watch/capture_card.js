@@ -1,7 +1,8 @@
 // Card of a capture: its facts, its cameras, its jobs, and what can be done with it.
 
-import { pickCharacter, choicesForm } from "../send/choices.js";
+import { pickCharacter, choicesForm, shownSpec } from "../send/choices.js";
 import { findingList, cameraPicture } from "../send/rows.js";
+import { sending } from "../send/sending.js";
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { length, moment, size } from "../shared/format.js";
@@ -138,7 +139,8 @@ export function captureCard(view, session) {
   const toggleForm = () => {
     if (view.opened.has(session.id)) view.opened.delete(session.id);
     else {
-      const spec = jobSpec(jobs[0], view.options, session);
+      const last = jobs.length ? {} : shownSpec(sending.draft.spec, view.options); // choices of the capture before
+      const spec = { ...last, ...jobSpec(jobs[0], view.options, session) };
       view.opened.set(session.id, spec);
       characters.load(spec);
     }

@@ -122,6 +122,36 @@ def test_while_jobs_are_watched_only_they_are_asked_for(live: Live) -> None:
         assert set(asked) == {"/v1/jobs"}
 
 
+# Notifications of the page as lists of their texts, and a page that is in the background.
+BACKGROUND = """() => {
+  globalThis.notices = [];
+  globalThis.Notification = class extends Notification {
+    constructor(title, options) { super(title, options); notices.push([title, options.body]); }
+  };
+  Object.defineProperty(document, "hidden", { get: () => true });
+}"""
+
+
+@pytest.mark.slow
+def test_title_tells_share_and_end_is_notified(live: Live) -> None:
+    job_id = live.job_id()
+    with opened(f"{live.client.base_url}#/jobs/{job_id}") as page:
+        page.context.grant_permissions(["notifications"])
+        expect(page).to_have_title("untitled · Multicap")
+        claim = live.services.store.leases.claim("test", 60.0)
+        assert claim is not None
+        leases = live.services.store.leases
+        assert leases.heartbeat(claim.chunk_id, claim.lease_token, max(1, claim.unit_count // 2), 60.0)
+        expect(page).to_have_title(re.compile(r"^\d+ % · untitled · Multicap$"))
+        page.get_by_label("Notify me of ends").check()
+        expect(page.get_by_label("Notify me of ends")).to_be_checked()
+        page.evaluate(BACKGROUND)
+        live.client.post(f"/v1/jobs/{job_id}/cancel").raise_for_status()
+        leases.release(claim.chunk_id, claim.lease_token)
+        expect(page).to_have_title("untitled · Multicap")
+        assert page.evaluate("notices") == [["untitled", "Canceled"]]
+
+
 @pytest.mark.slow
 def test_service_without_streams_is_polled(live: Live) -> None:
     job_id = live.job_id()
