@@ -21,7 +21,7 @@ import { Sharing } from "./sharing.js";
 export function open(place, route, caller) {
   const view = new JobView(place, route.id, caller);
   view.start();
-  return { title: TAKE.title, close: () => view.close() };
+  return { title: view.job?.session_name ?? TAKE.title, close: () => view.close() };
 }
 
 class JobView {
