@@ -55,6 +55,6 @@ export class FirstPeople {
     const seconds = this.#instants.length / RATE_HZ;
     render(html`<section class="panel first-people" aria-labelledby="first-title"><h2 id="first-title">${TAKE.firstPeople}</h2>
       <p class="quiet">${TAKE.firstPeopleHint(length(seconds))}</p>
-      <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? this.#stage; })}></div></section>`, this.#place);
+      <div class="look-viewer"><div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? this.#stage; })}></div></div></section>`, this.#place);
   }
 }

@@ -55,7 +55,8 @@ def unchanged_from(person: EditedPerson, spans: Sequence[PersonSpan]) -> int | N
     if len(person.pieces) == 1:
         (piece,) = person.pieces
         for span in spans:
-            if span == PersonSpan(piece.person, piece.start_frame, piece.stop_frame - piece.start_frame):
+            frames = range(span.start_frame, span.start_frame + span.num_frames)
+            if (span.id, frames) == (piece.person, range(piece.start_frame, piece.stop_frame)):
                 return span.id
     return None
 

@@ -12,7 +12,7 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People, PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edited_take import place_edits
+from pipeline.core.options.edited_take import apply_edits, place_edits
 from pipeline.core.options.edits import Cut, Exchange, Merge, PeopleEdit, PersonSpan, Remove, Rename, Split
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import forward_kinematics
@@ -51,6 +51,16 @@ def same_motion(one: Reconstruction, number: int, other: Reconstruction, other_n
     return all(
         np.array_equal(*(getattr(motion, name) for motion in motions)) for name in ("root_m", "parent_from_joint")
     )
+
+
+def test_person_with_known_places_is_unchanged_by_name() -> None:
+    span = PersonSpan(1, 5, 10, places=((5, 0.0, 1.0, 1.0), (14, 2.0, 1.0, 1.0)))
+    named, cut = (
+        apply_edits([span], edits, range(20)).people[0]
+        for edits in ([Rename(person=1, name="Anna")], [Split(person=1, frame=9)])
+    )
+    assert edited_people.unchanged_from(named, [span]) == 1
+    assert edited_people.unchanged_from(cut, [span]) is None
 
 
 def test_exchange_changes_two_people_and_nobody_else(
