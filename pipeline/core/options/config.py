@@ -20,7 +20,7 @@ from pipeline.core.options.choices import (
     named_values,
     plainly_annotated,
 )
-from pipeline.core.options.edits import PeopleEdit, without_names
+from pipeline.core.options.edits import PeopleEdit, of_motion
 from pipeline.core.options.file_formats import Export as Export  # noqa: PLC0414 - it is one of the choices
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.problems.finding_codes import BODIES_CLUSTERED, OVERLAY_WITHOUT_VIDEOS
@@ -347,8 +347,8 @@ class ReconstructionConfig(JobChoices):
 
     @property
     def people_edits(self) -> tuple[PeopleEdit, ...]:
-        """Edits that say who is where, without the names of people."""
-        return without_names(self.edits)
+        """Edits that change people's frames: who is who, and corrections of joints."""
+        return of_motion(self.edits)
 
     @property
     def num_people(self) -> int | None:

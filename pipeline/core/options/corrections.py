@@ -1,21 +1,10 @@
-"""Corrections of a person's joints, put right by hand. Standard library only: the web API imports this module.
-
-Corrections are data. Frames are numbered as in the reconstruction; ``stop_frame`` is the frame after the last one.
-"""
+"""Corrections of a person's joints: parts of the body that they name. Standard library only."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 from pipeline.core.joints import FINGER_JOINTS
-
-Sides = Literal["arms", "legs", "all"]
-"""Joints of both sides that are exchanged."""
-Limb = Literal["left_hand", "right_hand", "left_foot", "right_foot"]
-"""Hand or foot that touches the floor."""
-
-MAX_KEY_M = 2.0
-"""Largest distance in metres by which a key moves a joint."""
+from pipeline.core.options.edits import Limb, Sides
 
 _ARM, _LEG = ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "heel", "big_toe", "small_toe")
 _PARTS = {
@@ -25,65 +14,6 @@ _PARTS = {
 }
 PARTS = ("all", *_PARTS)
 """Parts of a body that stand for their joints."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """Put a joint of a person at a place in the world in one frame."""
-
-    joint: str
-    frame: int
-    place_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IgnoreDetections:
-    """Ignore what a camera sees of a person: of a joint, of a part of the body, or of ``all``."""
-
-    camera: str
-    part: str
-    start_frame: int
-    stop_frame: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlaceDetection:
-    """Put the detection of a joint to a place in a camera's picture in one frame: distorted pixels, as seen."""
-
-    camera: str
-    joint: str
-    frame: int
-    place_px: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExchangeSides:
-    """Exchange the left and the right side of a person in all cameras."""
-
-    part: Sides
-    start_frame: int
-    stop_frame: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
-    """Let a foot or a hand stand on the floor, or not."""
-
-    limb: Limb
-    start_frame: int
-    stop_frame: int
-    stands: bool
-
-
-Correction = Key | IgnoreDetections | PlaceDetection | ExchangeSides | Contact
-"""A correction of a person."""
-
-
-def first_and_last(correction: Correction) -> tuple[int, int]:
-    """First and last frame of a correction."""
-    if isinstance(correction, Key | PlaceDetection):
-        return correction.frame, correction.frame
-    return correction.start_frame, correction.stop_frame - 1
 
 
 def joints_of_part(part: str, names: Sequence[str]) -> list[str]:

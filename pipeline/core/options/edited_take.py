@@ -3,30 +3,41 @@
 import math
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.edit_pieces import Piece, chained, joined, piece_at, united, within
 from pipeline.core.options.edits import (
     MAX_DISTANCE_M,
+    MAX_KEY_M,
     MAX_NAME_LENGTH,
     MAX_PIECES,
+    Accept,
+    Correction,
     Cut,
     Exchange,
+    Key,
     Merge,
     Named,
     PeopleEdit,
     PersonAt,
     PersonSpan,
+    PlaceDetection,
     Remove,
     Rename,
     Split,
+    frames_of,
 )
 from pipeline.core.problems.request_codes import EDIT_IMPOSSIBLE, EDITS_FRAGMENTED
 
+Known = Mapping[str, Collection[str]]
+"""Names that a correction may have, by its field: ``camera``, ``joint``, ``part``."""
+
+_FRAMES = ("frame", "start_frame", "stop_frame")
 # Characters of a name before it is normalized: a character may come in some parts.
 _MAX_SENT_NAME_LENGTH = 5 * MAX_NAME_LENGTH
 # Names of people without a name.
@@ -43,6 +54,9 @@ class EditedPerson:
     id: int
     pieces: tuple[Piece, ...]  # Frames of people of the run, ascending, without overlaps, at least one
     name: str | None = None  # Name that was given; ``None``: none was
+    # Corrections of the person, and places that are right; frames are numbered from the run's first frame
+    corrections: tuple[Correction, ...] = ()
+    accepted: tuple[Accept, ...] = ()
 
     @property
     def start_frame(self) -> int:
@@ -81,7 +95,9 @@ class EditedTake:
     outcomes: tuple[Outcome, ...] = ()
 
 
-def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frames: range) -> EditedTake:
+def apply_edits(
+    people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frames: range, known: Known = MappingProxyType({})
+) -> EditedTake:
     """Find out what is whose after all edits.
 
     Parameters
@@ -92,8 +108,11 @@ def apply_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frame
         In the order in which they were made.
     frames
         Frames of the run, in the session's numbering.
+    known
+        Cameras and joints of the run; fields that are missing are not checked.
     """
     take = _Take.of(people, frames)
+    take.known = known
     for number, edit in enumerate(edits):
         take.number = number
         try:
@@ -149,6 +168,9 @@ class _Take:
     named: dict[tuple[int, str], int] = field(default_factory=dict)  # Keys of people by number and field of the edit
     problems: dict[int, Problem] = field(default_factory=dict)  # By the number of the edit
     last_key: int = 0
+    known: Known = field(default_factory=dict)
+    # Number of a person of the run and frame by which a body is named, with its correction, in the order of the edits
+    corrections: list[tuple[int, int, Correction | Accept]] = field(default_factory=list)
 
     @classmethod
     def of(cls, people: Sequence[PersonSpan], frames: range) -> "_Take":
@@ -169,7 +191,16 @@ class _Take:
             key = self.named.get((edit, name))
             return numbers.get(key, key if key in self.found else None) if key is not None else None
 
-        people = (replace(person, id=numbers[key]) for key, person in self.people.items())
+        corrections = self._by_person(numbers)
+        people = (
+            replace(
+                person,
+                id=numbers[key],
+                corrections=tuple(edit for edit in corrections[key] if not isinstance(edit, Accept)),
+                accepted=tuple(edit for edit in corrections[key] if isinstance(edit, Accept)),
+            )
+            for key, person in self.people.items()
+        )
         return EditedTake(
             tuple(sorted(people, key=attrgetter("id"))),
             self.kept,
@@ -182,8 +213,8 @@ class _Take:
     def placed(self, edit: PeopleEdit) -> PeopleEdit:
         """Edit that names people by places; the same one if it does already."""
         near = None
-        if isinstance(edit, Split | Exchange):
-            near = (edit.frame if isinstance(edit, Split) else edit.start_frame) - self.frames.start
+        if isinstance(edit, Split | Exchange | Correction | Accept):
+            near = (edit.start_frame if hasattr(edit, "start_frame") else edit.frame) - self.frames.start
         numbered: dict[str, Any] = {
             name: self._place(self._person(named, name), near)
             for name in ("person", "other")
@@ -193,7 +224,7 @@ class _Take:
 
     def well_formed(self, edit: PeopleEdit) -> PeopleEdit:
         """Edit with a normalized name; ``InputError`` if no run could apply it."""
-        start, stop = getattr(edit, "start_frame", 0), getattr(edit, "stop_frame", None)
+        start, stop = getattr(edit, "start_frame", getattr(edit, "frame", 0)), getattr(edit, "stop_frame", None)
         if start < 0 or (stop is not None and stop <= start):
             message = f"The frames {start} to {stop} are no frames."
             self._refuse("stop_frame", message, "The first frame is 0, and stop_frame is excluded.")
@@ -219,6 +250,22 @@ class _Take:
                 self._exchange(first, second, self._range(start, self.frames.stop if stop is None else stop))
             case Cut(start_frame=start, stop_frame=stop):
                 self.kept = self._range(start, stop)
+            case correction:
+                self._correct(correction)
+
+    def _by_person(self, numbers: Mapping[int, int]) -> Mapping[int, Sequence[Correction | Accept]]:
+        """Corrections by the key of the person who has the body in the end, with this person's number."""
+        holders: dict[int, set[int]] = {}
+        for key, person in self.people.items():
+            for piece in person.pieces:
+                holders.setdefault(piece.person, set()).add(key)
+        corrections: dict[int, list[Correction | Accept]] = {key: [] for key in self.people}
+        for number, frame, edit in self.corrections:
+            for key in holders.get(number, ()):
+                piece_there = piece_at(self.people[key].pieces, frame)
+                if piece_there is not None and piece_there.person == number:
+                    corrections[key].append(replace(edit, person=numbers[key]))
+        return corrections
 
     def _numbers(self) -> dict[int, int]:
         """Numbers of people by key."""
@@ -357,6 +404,34 @@ class _Take:
                 self.people[person.id] = replace(person, pieces=exchanged[person.id])
             else:
                 del self.people[person.id]
+
+    def _correct(self, edit: Correction | Accept) -> None:
+        """Keep a correction with the body that is there in the frame by which the person is named."""
+        person = self._person(edit.person)
+        field_name = "frame" if isinstance(edit, Key | PlaceDetection) else "start_frame"
+        start, stop = frames_of(edit)
+        here = self._range(start, stop)
+        if here.stop <= person.start_frame or here.start >= person.stop_frame:
+            hint = f"The person is there from frame {self.frames.start + person.start_frame} on."
+            self._refuse(field_name, f"The person is not there at frame {start}.", hint)
+        for name, known in self.known.items():
+            value = getattr(edit, name, None)
+            if value is not None and value not in known:
+                hint = f"Known are {', '.join(sorted(known))}."
+                self._refuse(name, f"This run has no {name} {value}.", hint)
+        anchor = here.start
+        if isinstance(edit.person, PersonAt):
+            anchor = edit.person.frame - self.frames.start
+        piece = min(person.pieces, key=lambda piece: max(piece.start_frame - anchor, anchor + 1 - piece.stop_frame, 0))
+        anchor = min(max(anchor, piece.start_frame), piece.stop_frame - 1)
+        if isinstance(edit, Key):
+            distance_m = math.dist(edit.place_m, self.found[piece.person].place_m(here.start))
+            if MAX_KEY_M < distance_m < math.inf:
+                message = f"The place is {distance_m:.1f} m from the person at frame {start}."
+                self._refuse("place_m", message, f"Choose a place within {MAX_KEY_M} m.")
+        first = self.frames.start
+        moved = {name: getattr(edit, name) - first for name in _FRAMES if hasattr(edit, name)}
+        self.corrections.append((piece.person, anchor, replace(edit, **moved)))
 
     def _range(self, start: int, stop: int) -> range:
         """Part of frames of the session that is in the run, numbered from the run's first frame."""

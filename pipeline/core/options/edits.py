@@ -4,13 +4,16 @@ Edits are data, and belong to a capture session: every run of it applies them. A
 world at a frame of the session, because another run numbers people otherwise. Each edit is applied to the people that
 the earlier edits leave. An edit that can't be applied to a run changes nothing there, and its outcome says why. Edits
 that do not concern the same frames of the same people give equal takes in any order. ``edited_take`` applies them.
+
+Corrections are edits of a person's joints. They belong to the body that is there in the frame by which the person is
+named, whoever it is after other edits.
 """
 
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar, Literal, get_args
 
 MAX_EDITS = 1000
 """Largest number of edits of a take."""
@@ -20,6 +23,9 @@ MAX_PIECES = 2000
 """Largest number of pieces of which all people of a take may consist."""
 MAX_DISTANCE_M = 0.5
 """Largest distance between the place in an edit and the person who is meant."""
+
+MAX_KEY_M = 2.0
+"""Largest distance of a key from the middle of the person."""
 
 _NOWHERE = math.inf, math.inf, math.inf
 
@@ -131,21 +137,118 @@ class Cut(_Edit):
     stop_frame: int
 
 
-PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut
+class _Correction(_Edit):
+    """Base of the corrections."""
+
+    __slots__ = ()
+    __pydantic_config__: ClassVar[Mapping[str, Any]] = {
+        **_Edit.__pydantic_config__,
+        "allow_inf_nan": False,
+        "str_max_length": 200,
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key(_Correction):
+    """Put a joint of a person at a place in the world (metres) in one frame."""
+
+    action: Literal["key"] = "key"
+    person: Named
+    joint: str
+    frame: int
+    place_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IgnoreDetections(_Correction):
+    """Ignore what a camera sees of a person. ``part`` is a joint, an arm, a leg, the ``head``, or ``all``."""
+
+    action: Literal["ignore_detections"] = "ignore_detections"
+    person: Named
+    camera: str
+    part: str
+    start_frame: int
+    stop_frame: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaceDetection(_Correction):
+    """Put a joint's detection to a place in a camera's picture in one frame: pixels of the picture as filmed."""
+
+    action: Literal["place_detection"] = "place_detection"
+    person: Named
+    camera: str
+    joint: str
+    frame: int
+    place_px: tuple[float, float]
+
+
+Sides = Literal["arms", "legs", "all"]
+"""Joints of both sides that are exchanged."""
+Limb = Literal["left_hand", "right_hand", "left_foot", "right_foot"]
+"""Hand or foot that touches the floor."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExchangeSides(_Correction):
+    """Exchange the left and the right side of a person in all cameras."""
+
+    action: Literal["exchange_sides"] = "exchange_sides"
+    person: Named
+    part: Sides
+    start_frame: int
+    stop_frame: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact(_Correction):
+    """Let a foot or a hand of a person stand, or not."""
+
+    action: Literal["contact"] = "contact"
+    person: Named
+    limb: Limb
+    start_frame: int
+    stop_frame: int
+    stands: bool
+
+
+Suspicion = Literal["error", "identity", "sides", "few_views", "acceleration"]
+"""Reason for which somebody should look at a person."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accept(_Correction):
+    """Say that a person is right where the take suggests to look."""
+
+    action: Literal["accept"] = "accept"
+    person: Named
+    kind: Suspicion
+    start_frame: int
+    stop_frame: int
+
+
+Correction = Key | IgnoreDetections | PlaceDetection | ExchangeSides | Contact
+"""A correction of a person's joints."""
+PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut | Correction | Accept
 """An edit of people. All frames are frames of the session."""
 
-_BY_ACTION: Mapping[str, type[PeopleEdit]] = {
-    "rename": Rename,
-    "remove": Remove,
-    "merge": Merge,
-    "split": Split,
-    "exchange": Exchange,
-    "cut": Cut,
-}
+_BY_ACTION: Mapping[str, type[PeopleEdit]] = {str(fields(kind)[0].default): kind for kind in get_args(PeopleEdit)}
+
+
+def frames_of(correction: Correction | Accept) -> tuple[int, int]:
+    """First frame of a correction, and the frame after the last one."""
+    if isinstance(correction, Key | PlaceDetection):
+        return correction.frame, correction.frame + 1
+    return correction.start_frame, correction.stop_frame
+
+
+def of_motion(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
+    """Edits that say who is where, and corrections of joints; not people's names, and not what was looked at."""
+    return tuple(edit for edit in edits if not isinstance(edit, Rename | Accept))
 
 
 def without_names(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
-    """Edits that say who is where; people's names are left out."""
+    """Edits but for people's names."""
     return tuple(edit for edit in edits if not isinstance(edit, Rename))
 
 
@@ -156,7 +259,8 @@ def read_edit(document: Mapping[str, Any]) -> PeopleEdit:
         for name in ("person", "other")
         if isinstance(named := document.get(name), Mapping)
     }
-    return _BY_ACTION[document["action"]](**{**document, **people})
+    places = {name: tuple(document[name]) for name in ("place_m", "place_px") if name in document}
+    return _BY_ACTION[document["action"]](**{**document, **people, **places})
 
 
 def edit_document(edit: PeopleEdit) -> dict[str, Any]:

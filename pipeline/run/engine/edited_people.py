@@ -2,41 +2,60 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.arrays import no_detections, read_only
-from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Doubt, Observations, People, Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.edited_take import EditedPerson, EditedTake, apply_edits
+from pipeline.core.options.corrections import PARTS
+from pipeline.core.options.edited_take import EditedPerson, EditedTake, Known, apply_edits
 from pipeline.core.options.edits import PersonSpan
+from pipeline.motion.skeleton.corrections.evidence import corrected_evidence
+from pipeline.run.engine.detection_source import detection_source
+from pipeline.run.engine.stage import Context
 from pipeline.run.engine.stored_people import StoredSequence
+from pipeline.run.engine.wanted_frames import wanted_on_clocks
 from pipeline.video.timeline import cut_timebase
 
-# Arrays of a track, a row a frame.
-_ARRAYS = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
 
-
-def edited_take(spans: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase) -> EditedTake:
-    """People after the edits of a configuration; without edits as they were found."""
+def edited_take(
+    spans: Sequence[PersonSpan], config: ReconstructionConfig, timebase: Timebase, known: Known = MappingProxyType({})
+) -> EditedTake:
+    """People after the edits of a configuration; without edits as they were found. ``known``: see ``apply_edits``."""
     first = 0 if config.frames is None else config.frames.start
-    return apply_edits(spans, config.edits, range(first, first + timebase.num_frames))
+    return apply_edits(spans, config.edits, range(first, first + timebase.num_frames), known)
+
+
+def applied_edits(context: Context, spans: Sequence[PersonSpan]) -> EditedTake:
+    """People after the edits of a job, the frames that they keep, and the outcomes of the edits."""
+    session = wanted_on_clocks(context, context.outline())
+    joints = detection_source(context).joints(session).names
+    cameras = [camera.name for camera in session.cameras]
+    known = {"camera": cameras, "joint": joints, "part": (*PARTS, *joints)}
+    return edited_take(spans, context.config, session.timebase, known)
 
 
 def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake) -> People:
     """Tracks and observations of people changed by the edits, from the tracks and observations of found people.
 
-    Frames between two pieces are absent. People without a single known joint are left out. ``spans`` are the frames of
-    ``people``, who were found, in the same order.
+    Corrections are not applied to them yet. Frames between two pieces are absent. People without a single known joint
+    are left out. ``spans`` are the frames of ``people``, who were found, in the same order.
     """
     number_of = {span.id: number for number, span in enumerate(spans)}
     tracks, observations = [], []
     for person in take.people:
-        if unchanged_from(person, spans) is not None:
+        source = unchanged_from(person, spans)
+        if source is not None and not person.corrections:
+            continue
+        if source is not None:
+            tracks.append(replace(people.tracks[number_of[source]], track_id=person.id))
+            observations.append(replace(people.observations[number_of[source]], track_id=person.id))
             continue
         parts = [people.tracks[number_of[piece.person]] for piece in person.pieces]
         track = _track(person, parts)
@@ -45,8 +64,8 @@ def changed_people(people: People, spans: Sequence[PersonSpan], take: EditedTake
             continue
         kept = slice(int(known[0]), int(known[-1]) + 1)
         seen = _observations(person, parts, [people.observations[number_of[piece.person]] for piece in person.pieces])
-        tracks.append(part_of_track(track, kept))
-        observations.append(part_of_observations(seen, kept))
+        tracks.append(track.part(kept))
+        observations.append(seen.part(kept))
     return People(tracks, observations)
 
 
@@ -68,38 +87,50 @@ def put_together(
     changed: People,
     refitted: Animation,
     take: EditedTake,
+    cameras: Sequence[Camera],
+    joints: JointSet,
 ) -> tuple[People, Animation]:
     """People of an edited take and their animation: the changed ones, and the others as they were found.
 
     The floor of the found people stays: it does not depend on who is who. Doubts and losses remain of people
-    who did not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were found, in
-    the same order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
+    whose frames did not change: others were decided by hand. ``people``, ``fitted`` and ``spans`` are those who were
+    found, in the same order; ``changed`` are of ``changed_people``, ``refitted`` their animation.
     """
     number_of = {span.id: number for number, span in enumerate(spans)}
     changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
-    sources: list[tuple[int, People, int]] = []
+    sources: list[tuple[EditedPerson, People, int]] = []
     tracks, motions, doubts = [], [], []
+    present: dict[int, int] = {}
     for person in take.people:
         source = unchanged_from(person, spans)
         if source is None and person.id not in changed_number_of:
             continue
-        number = changed_number_of[person.id] if source is None else number_of[source]
-        sources.append((person.id, changed if source is None else people, number))
-        animation = refitted if source is None else fitted
+        if source is not None:
+            present[source] = person.id
+        is_changed = person.id in changed_number_of
+        number = changed_number_of[person.id] if is_changed else number_of[source or 0]
+        sources.append((person, changed if is_changed else people, number))
+        animation = refitted if is_changed else fitted
         tracks.append(replace(animation.tracks[number], track_id=person.id))
         name = person.name or f"person-{person.id}"
         motions.append(replace(animation.motions[number], track_id=person.id, name=name))
-        doubts.append(_doubts(people, take, number) if people.doubts and source is not None else [])
+        is_doubted = people.doubts and source is not None
+        doubts.append(_doubts(people, take, number_of[source or 0]) if is_doubted else [])
 
     def track(k: int) -> Track3D:
-        number, kept, row = sources[k]
-        return replace(kept.tracks[row], track_id=number)
+        person, kept, row = sources[k]
+        located = kept.tracks[row]
+        if person.corrections:
+            located = corrected_evidence(located, kept.observations[row], person.corrections, cameras, joints).located
+        return replace(located, track_id=person.id)
 
     def observations(k: int) -> Observations:
-        number, kept, row = sources[k]
-        return replace(kept.observations[row], track_id=number)
+        person, kept, row = sources[k]
+        seen = kept.observations[row]
+        if person.corrections:
+            seen = corrected_evidence(kept.tracks[row], seen, person.corrections, cameras, joints).seen
+        return replace(seen, track_id=person.id)
 
-    present = {spans[row].id: number for number, kept, row in sources if kept is people}
     edited = People(
         StoredSequence(len(sources), track),
         StoredSequence(len(sources), observations),
@@ -136,16 +167,14 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
         rows = _rows(track, frames)
         if rows.start < rows.stop:
             kept.append((number, rows))
-            tracks.append(_moved(part_of_track(track, rows), frames.start))
+            tracks.append(_moved(track.part(rows), frames.start))
             motions.append(replace(_part_of_motion(motion, rows), start_frame=tracks[-1].start_frame))
     located, observations, doubts = reconstruction.located, reconstruction.observations, reconstruction.doubts
     return replace(
         reconstruction,
         timebase=cut_timebase(reconstruction.timebase, frames),
-        located=StoredSequence(
-            len(kept), lambda k: _moved(part_of_track(located[kept[k][0]], kept[k][1]), frames.start)
-        ),
-        observations=StoredSequence(len(kept), lambda k: part_of_observations(observations[kept[k][0]], kept[k][1])),
+        located=StoredSequence(len(kept), lambda k: _moved(located[kept[k][0]].part(kept[k][1]), frames.start)),
+        observations=StoredSequence(len(kept), lambda k: observations[kept[k][0]].part(kept[k][1])),
         doubts=[
             [
                 doubt._replace(frame=doubt.frame - frames.start)
@@ -166,18 +195,6 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
         ],
         animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
     )
-
-
-def part_of_track(track: Track3D, rows: slice) -> Track3D:
-    """Some rows of a track."""
-    arrays: dict[str, Any] = {name: getattr(track, name) for name in _ARRAYS}
-    kept: dict[str, Any] = {name: array if array is None else array[rows] for name, array in arrays.items()}
-    return replace(track, start_frame=track.start_frame + rows.start, **kept)
-
-
-def part_of_observations(seen: Observations, rows: slice) -> Observations:
-    """Some rows of the observations of a track."""
-    return replace(seen, points_px=seen.points_px[rows], score=seen.score[rows], detection=seen.detection[rows])
 
 
 def _part_of_motion(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:

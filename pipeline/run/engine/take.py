@@ -10,16 +10,15 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import SessionCheck
-from pipeline.core.options.edited_take import EditedTake
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
 from pipeline.run.engine import stage
 from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
-from pipeline.run.engine.edited_people import cut, edited_take, put_together, united
+from pipeline.run.engine.edited_people import applied_edits, cut, put_together, united
 from pipeline.run.engine.stored_people import found_people
-from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, wanted_frames, wanted_on_clocks
+from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, wanted_frames
 
 
 def assemble(context: stage.Context) -> Reconstruction:
@@ -32,12 +31,13 @@ def assemble(context: stage.Context) -> Reconstruction:
     people, animation = identified.people, found_animation(context)
     take = None
     if context.config.edits:
-        take = edited_take(identified.spans, context.config, session.timebase)
+        take = applied_edits(context, identified.spans)
         changed, refitted = People((), ()), Animation((), (), animation.floor)
         if context.config.people_edits:
             changed = found_people(context, stage.EDIT).people
             refitted = united(list(output_records(context, stage.REFIT, Animation)))
-        people, animation = put_together(people, animation, identified.spans, changed, refitted, take)
+        of_people = people, animation, identified.spans, changed, refitted, take
+        people, animation = put_together(*of_people, session.cameras, detection_source(context).joints(session))
     refined = refined_calibration(context)
     reconstruction = Reconstruction(
         cameras=session.cameras,
@@ -67,12 +67,6 @@ def assemble(context: stage.Context) -> Reconstruction:
 def found_animation(context: stage.Context) -> Animation:
     """Animation of everybody who was found, before any edit."""
     return united(list(output_records(context, stage.HOLD, Animation)))
-
-
-def applied_edits(context: stage.Context) -> EditedTake:
-    """People after the edits, the frames that they keep, and the outcomes of the edits."""
-    timebase = wanted_on_clocks(context, context.outline()).timebase
-    return edited_take(found_people(context, stage.IDENTIFY).spans, context.config, timebase)
 
 
 def viewer_files(

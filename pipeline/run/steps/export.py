@@ -42,9 +42,10 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.export.quality.report import all_checks, quality_report
     from pipeline.export.quality.views import person_views
     from pipeline.export.results import NOTHING_KEPT, write_files
+    from pipeline.run.engine.edited_people import applied_edits
     from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
     from pipeline.run.engine.stored_people import found_people
-    from pipeline.run.engine.take import applied_edits, assemble, viewer_files
+    from pipeline.run.engine.take import assemble, viewer_files
 
     config, scratch, pieces = context.config, context.scratch, Pieces(task, context)
     reconstruction = assemble(context)
@@ -53,7 +54,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     report: "ReportOf" = partial(take.report, views=views) if context.files.keeps_pieces else quality_report
     if "osim" in config.exports:
         report = partial(_with_opensim, report, context)
-    edited = applied_edits(context)
+    edited = applied_edits(context, found_people(context, stage.IDENTIFY).spans)
     report = partial(_with_edits, report, edited)
     choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)

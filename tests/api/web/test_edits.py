@@ -218,6 +218,44 @@ def test_malformed_edits_are_refused(capture: Capture, wrong: object) -> None:
     assert error["pointer"].startswith("/edits/0")
 
 
+FRAMES = {"start_frame": 5, "stop_frame": 9}
+CORRECTIONS = [
+    {"action": "key", "person": 1, "joint": "left_wrist", "frame": 30, "place_m": [3.0, 0.5, 1.0]},
+    {"action": "ignore_detections", "person": 1, "camera": "cam-1", "part": "left_arm", **FRAMES},
+    {"action": "place_detection", "person": 1, "camera": "cam-1", "joint": "nose", "frame": 3, "place_px": [9.5, 8.0]},
+    {"action": "exchange_sides", "person": 1, "part": "arms", **FRAMES},
+    {"action": "contact", "person": 1, "limb": "left_foot", "stands": True, **FRAMES},
+    {"action": "accept", "person": 1, "kind": "error", **FRAMES},
+]
+
+
+def test_corrections_of_joints_are_kept(capture: Capture) -> None:
+    answer = capture.edit(*CORRECTIONS)
+    assert answer.status_code == 200, answer.text
+    kept = capture.read()["edits"]
+    assert [edit["action"] for edit in kept] == [edit["action"] for edit in CORRECTIONS]
+    assert kept[0]["place_m"] == [3.0, 0.5, 1.0]
+    assert kept[0]["person"] == {"frame": 30, "place_m": [3.0, 0.0, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("number", "wrong"),
+    [
+        (0, {"place_m": [3.0, "NaN", 1.0]}),
+        (0, {"place_m": [3.0, 1.0]}),
+        (0, {"joint": "x" * 300}),
+        (0, {"frame": -1}),
+        (1, {"stop_frame": 5}),
+        (1, {"start_frame": 500, "stop_frame": 600}),
+        (3, {"part": "left"}),
+        (4, {"limb": "head"}),
+    ],
+)
+def test_wrong_corrections_are_refused(capture: Capture, number: int, wrong: dict[str, object]) -> None:
+    answer = capture.edit(CORRECTIONS[number] | wrong)
+    assert problem_of(answer, 422, "invalid_request")["errors"][0]["pointer"].startswith("/edits/0")
+
+
 def test_unfinished_job_has_no_people(live: Live) -> None:
     job = live.client.get(f"/v1/jobs/{live.job_id()}").json()
     address = f"/v1/sessions/{job['session_id']}/edits"

@@ -21,7 +21,7 @@ from pipeline.core.data.animation import Floor, FootContact, SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, JointSet, without_hands
-from pipeline.core.options.corrections import Contact, Correction
+from pipeline.core.options.edits import Contact, Correction
 from pipeline.geometry.tracks import reproject
 from pipeline.motion.skeleton.animate import PersonFitter
 from pipeline.motion.skeleton.corrections import keys as keying
@@ -225,7 +225,11 @@ class _Person:
             found = tuple(replace(contact, start_frame=contact.start_frame + rows.start) for contact in found)
         lifted = [
             Contact(
-                limb="left_foot" if side == "left" else "right_foot", start_frame=start, stop_frame=stop, stands=False
+                person=0,
+                limb="left_foot" if side == "left" else "right_foot",
+                start_frame=start,
+                stop_frame=stop,
+                stands=False,
             )
             for side in SIDES
             for kind in _ON_FOOT

@@ -11,14 +11,8 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import JointSet, other_side
-from pipeline.core.options.corrections import (
-    Correction,
-    ExchangeSides,
-    IgnoreDetections,
-    PlaceDetection,
-    joints_of_part,
-    joints_of_sides,
-)
+from pipeline.core.options.corrections import joints_of_part, joints_of_sides
+from pipeline.core.options.edits import Correction, ExchangeSides, IgnoreDetections, PlaceDetection
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_views

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import PchipInterpolator
 
-from pipeline.core.options.corrections import Correction, Key
+from pipeline.core.options.edits import Correction, Key
 
 REACH_S = 0.5
 """Time before the first and after the last correction of a range in which the motion passes to the uncorrected one."""

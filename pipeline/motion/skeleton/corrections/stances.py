@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.core.data.animation import Floor, FootContact, FootPart
-from pipeline.core.options.corrections import LIMBS, Contact, Correction
+from pipeline.core.options.corrections import LIMBS
+from pipeline.core.options.edits import Contact, Correction
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, SIDES, find_runs
 from pipeline.motion.skeleton.feet.holding import PARTS, at_own_distance, led_m
 from pipeline.motion.skeleton.feet.stances import LANDMARKS, SHORTEST_S, FootPoints

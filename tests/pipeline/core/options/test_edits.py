@@ -14,12 +14,16 @@ from pipeline.core.options.edit_pieces import Piece
 from pipeline.core.options.edited_take import EditedPerson, EditedTake, apply_edits, place_edits
 from pipeline.core.options.edits import (
     MAX_PIECES,
+    Accept,
     Cut,
     Exchange,
+    IgnoreDetections,
+    Key,
     Merge,
     PeopleEdit,
     PersonAt,
     PersonSpan,
+    PlaceDetection,
     Remove,
     Rename,
     Split,
@@ -50,6 +54,24 @@ edits = st.one_of(
     st.builds(Split, person=named, frame=frames),
     st.builds(Exchange, person=named, other=named, start_frame=frames, stop_frame=st.none() | frames),
     st.builds(Cut, start_frame=frames, stop_frame=frames),
+    st.builds(Key, person=named, joint=st.just("left_wrist"), frame=frames, place_m=st.just((1.0, 0.5, 1.0))),
+    st.builds(
+        IgnoreDetections,
+        person=named,
+        camera=st.just("cam"),
+        part=st.just("all"),
+        start_frame=frames,
+        stop_frame=frames,
+    ),
+    st.builds(
+        PlaceDetection,
+        person=named,
+        camera=st.just("cam"),
+        joint=st.just("nose"),
+        frame=frames,
+        place_px=st.just((1.0, 2.5)),
+    ),
+    st.builds(Accept, person=named, kind=st.just("sides"), start_frame=frames, stop_frame=frames),
 )
 
 
@@ -315,3 +337,54 @@ def test_place_is_taken_where_others_are_far() -> None:
     )
     (placed,) = place_edits(crossing, [Remove(person=1)], range(80))
     assert placed == Remove(person=PersonAt(frame=30, place_m=(3.038, 0.0, 1.0)))
+
+
+def key(number: int, named_at: int) -> Key:
+    person = at(number, named_at)
+    return Key(person=person, joint="left_wrist", frame=named_at, place_m=person.place_m)
+
+
+def test_correction_stays_with_body_whatever_is_exchanged() -> None:
+    exchange = Exchange(person=at(1, 7), other=at(2, 7), start_frame=5, stop_frame=12)
+    for made in ((key(1, 8), exchange), (exchange, key(1, 8))):
+        corrected = {person.id: len(person.corrections) for person in apply(*made).people}
+        assert corrected == {1: 0, 2: 1, 3: 0}
+
+
+def test_corrections_have_numbers_of_frames_of_the_run() -> None:
+    ignore = IgnoreDetections(person=at(1, 14), camera="a", part="all", start_frame=12, stop_frame=16)
+    shorter = (PersonSpan(1, 0, 20, tuple((frame - 10, x, y, z) for frame, x, y, z in FOUND[0].places)),)
+    (person,) = apply_edits(shorter, [key(1, 14), ignore], range(10, 30)).people
+    first, second = person.corrections
+    assert isinstance(first, Key)
+    assert isinstance(second, IgnoreDetections)
+    assert (first.frame, second.start_frame, second.stop_frame) == (4, 2, 6)
+
+
+@pytest.mark.parametrize(
+    ("correction", "message"),
+    [
+        (replace(key(2, 8), frame=20), "The person is not there at frame 20."),
+        (replace(key(1, 8), frame=300), "The frames 300 to 301 are not a part of the take."),
+        (replace(key(1, 8), joint="left_toe"), "This run has no joint left_toe."),
+        (replace(key(1, 8), place_m=(9.0, 0.0, 1.0)), "The place is 8.2 m from the person at frame 8."),
+        (
+            PlaceDetection(person=at(1, 8), camera="b", joint="left_wrist", frame=8, place_px=(1.0, 2.0)),
+            "This run has no camera b.",
+        ),
+    ],
+)
+def test_correction_that_no_longer_applies_is_told(correction: PeopleEdit, message: str) -> None:
+    known = {"camera": ["a"], "joint": ["left_wrist"]}
+    take = apply_edits(FOUND, [correction, key(1, 8)], FRAMES, known)
+    first, second = take.outcomes
+    assert first.problem is not None
+    assert first.problem.message == message
+    assert second.problem is None
+    assert [len(person.corrections) for person in take.people] == [1, 0, 0]
+
+
+def test_numbers_in_corrections_become_places() -> None:
+    (placed,) = place_edits(FOUND, [replace(key(2, 9), person=2)], FRAMES)
+    assert isinstance(placed, Key)
+    assert placed.person == at(2, 9)

@@ -13,7 +13,18 @@ from pipeline.core.data.people import People, PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edited_take import apply_edits, place_edits
-from pipeline.core.options.edits import Cut, Exchange, Merge, PeopleEdit, PersonSpan, Remove, Rename, Split
+from pipeline.core.options.edits import (
+    Cut,
+    Exchange,
+    IgnoreDetections,
+    Key,
+    Merge,
+    PeopleEdit,
+    PersonSpan,
+    Remove,
+    Rename,
+    Split,
+)
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import forward_kinematics
 from pipeline.run.engine import edited_people
@@ -114,6 +125,42 @@ def test_files_bear_numbers_and_names(session: KeypointSession, cache: Path, tmp
     assert (tracks[0]["id"], tracks[0]["name"]) == (2, "Zoë / 2")
 
 
+def key_of(plain: Reconstruction, number: int, frame: int, up_m: float = 0.1) -> Key:
+    x, y, z = plain.tracks[number].xyz_m[frame, plain.joints.index("left_elbow")]
+    return Key(person=number + 1, joint="left_elbow", frame=frame, place_m=(float(x), float(y), float(z) + up_m))
+
+
+def test_key_changes_one_person_around_it(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:
+    key = key_of(plain, 0, 30)
+    take = edited(session, cache, key)
+    elbow = plain.joints.index("left_elbow")
+    assert np.linalg.norm(take.tracks[0].xyz_m[30, elbow] - key.place_m) < 0.002
+    np.testing.assert_array_equal(take.tracks[0].xyz_m[45:], plain.tracks[0].xyz_m[45:])
+    assert all(same_motion(take, number, plain, number) for number in range(1, len(plain.motions)))
+
+
+def test_corrections_go_with_exchanged_body(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:
+    spans = tuple(PersonSpan(track.track_id, track.start_frame, track.num_frames) for track in plain.tracks)
+    exchange, ignore = Exchange(person=1, other=2, start_frame=40), key_of(plain, 0, 60)
+    config = replace(PLAIN, edits=(ignore, exchange))
+    take = edited_people.edited_take(spans, config, plain.timebase)
+    # Before the exchange, the person with the number 1 had this body.
+    assert [len(person.corrections) for person in take.people[:2]] == [0, 1]
+    elbow = plain.joints.index("left_elbow")
+    found = edited(session, cache, ignore, exchange)
+    assert np.linalg.norm(found.tracks[1].xyz_m[60, elbow] - ignore.place_m) < 0.002
+
+
+def test_ignored_detections_leave_observations(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:
+    camera = plain.cameras[1].name
+    ignore = IgnoreDetections(person=1, camera=camera, part="left_arm", start_frame=20, stop_frame=30)
+    take = edited(session, cache, ignore)
+    wrist = plain.joints.index("left_wrist")
+    assert not take.observations[0].score[20:30, 1, wrist].any()
+    np.testing.assert_array_equal(take.observations[0].score[30:], plain.observations[0].score[30:])
+    assert take.located[0].views[20:30, wrist].max() < len(plain.cameras)
+
+
 def test_losses_of_people_who_did_not_change_stay_and_are_cut(plain: Reconstruction) -> None:
     place_m = (0.0, 0.0, 1.0)
     lost = [
@@ -126,7 +173,7 @@ def test_losses_of_people_who_did_not_change_stay_and_are_cut(plain: Reconstruct
     config = replace(PLAIN, edits=(Remove(person=2),))
     nobody = People((), ()), Animation((), (), None)
     take = edited_people.edited_take(spans, config, plain.timebase)
-    kept, _ = edited_people.put_together(people, plain.animation, spans, *nobody, take)
+    kept, _ = edited_people.put_together(people, plain.animation, spans, *nobody, take, plain.cameras, plain.joints)
     assert list(kept.losses) == [lost[0], lost[2]]
     shorter = edited_people.cut(replace(plain, losses=kept.losses), range(8, 40))
     assert list(shorter.losses) == [PersonLoss("vanished", 1, 2, 32, place_m)]

@@ -11,7 +11,7 @@ from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.options.corrections import Correction, ExchangeSides
+from pipeline.core.options.edits import Correction, ExchangeSides
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.animate import PersonFitter, animate
 from pipeline.motion.skeleton.corrections.correct import correct_person
@@ -72,7 +72,7 @@ class Take:
 
     def sides_exchanged(self, rows: slice) -> "Take":
         frames = self.located.frames[rows]
-        exchange = ExchangeSides(part="all", start_frame=frames.start, stop_frame=frames.stop)
+        exchange = ExchangeSides(person=1, part="all", start_frame=frames.start, stop_frame=frames.stop)
         simulation = self.simulation
         evidence = corrected_evidence(self.located, self.seen, [exchange], simulation.cameras, simulation.joints)
         return self.with_fault(evidence.located, evidence.seen)

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.data.people import Source
-from pipeline.core.options.corrections import (
-    Contact,
-    Correction,
-    ExchangeSides,
-    IgnoreDetections,
-    Key,
-    PlaceDetection,
-)
+from pipeline.core.options.edits import Contact, Correction, ExchangeSides, IgnoreDetections, Key, PlaceDetection
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from pipeline.validation.simulation.scenes import Joints
@@ -27,12 +20,12 @@ REACH = 12
 def key(take: Take, joint: str, row: int, by_m: tuple[float, float, float]) -> Key:
     track, _ = take.person
     x, y, z = track.xyz_m[row, take.index(joint)] + by_m
-    return Key(joint=joint, frame=track.start_frame + row, place_m=(float(x), float(y), float(z)))
+    return Key(person=1, joint=joint, frame=track.start_frame + row, place_m=(float(x), float(y), float(z)))
 
 
 def true_key(take: Take, joint: str, row: int) -> Key:
     x, y, z = take.truth_m[row, take.index(joint)]
-    return Key(joint=joint, frame=take.located.start_frame + row, place_m=(float(x), float(y), float(z)))
+    return Key(person=1, joint=joint, frame=take.located.start_frame + row, place_m=(float(x), float(y), float(z)))
 
 
 def assert_consistent(take: Take, person: Person) -> None:
@@ -111,7 +104,7 @@ def test_exchanged_sides_are_put_right() -> None:
     take = clean.sides_exchanged(rows)
     fault_mm = take.error_mm(take.person[0], rows)
     frames = take.located.frames[rows]
-    person = take.corrected([ExchangeSides(part="all", start_frame=frames.start, stop_frame=frames.stop)])
+    person = take.corrected([ExchangeSides(person=1, part="all", start_frame=frames.start, stop_frame=frames.stop)])
     assert fault_mm > 300.0
     assert take.error_mm(person[0], rows) < 1.1 * clean.error_mm(clean.person[0], rows)
     assert_consistent(take, person)
@@ -133,7 +126,7 @@ def test_wrong_elbow_is_put_right(by: str) -> None:
     if by == "ignoring":
         cameras = [camera.name for camera in take.simulation.cameras[:2]]
         corrections = [
-            IgnoreDetections(camera=name, part="left_arm", start_frame=start + 60, stop_frame=start + 68)
+            IgnoreDetections(person=1, camera=name, part="left_arm", start_frame=start + 60, stop_frame=start + 68)
             for name in cameras
         ]
     assert take.error_mm(take.corrected(corrections)[0]) < 1.1 * clean.error_mm(clean.person[0])
@@ -157,7 +150,9 @@ def test_placed_detections_lead_joint_to_place() -> None:
     for camera in take.simulation.cameras[:3]:
         x, y = project(camera, place_m)
         placed.append(
-            PlaceDetection(camera=camera.name, joint="left_wrist", frame=start + 50, place_px=(float(x), float(y)))
+            PlaceDetection(
+                person=1, camera=camera.name, joint="left_wrist", frame=start + 50, place_px=(float(x), float(y))
+            )
         )
     track, _ = take.corrected(placed)
     # The neighbours in time and the bones hold it back by a quarter of the way.
@@ -168,7 +163,7 @@ def test_ignored_person_is_predicted() -> None:
     take = taken()
     start = take.located.start_frame
     ignored = [
-        IgnoreDetections(camera=camera.name, part="all", start_frame=start + 50, stop_frame=start + 60)
+        IgnoreDetections(person=1, camera=camera.name, part="all", start_frame=start + 50, stop_frame=start + 60)
         for camera in take.simulation.cameras
     ]
     track, motion = take.corrected(ignored)
@@ -183,7 +178,11 @@ def test_added_contact_holds_foot_and_removed_frees_it() -> None:
     start = take.located.start_frame
     first, second = [contact for contact in before.contacts if contact.side == "left"][1:3]
     gap = Contact(
-        limb="left_foot", start_frame=start + first.rows.stop, stop_frame=start + first.rows.stop + 5, stands=True
+        person=1,
+        limb="left_foot",
+        start_frame=start + first.rows.stop,
+        stop_frame=start + first.rows.stop + 5,
+        stands=True,
     )
     track, motion = take.corrected([gap])
     held = track.xyz_m[first.rows.start : first.rows.stop + 5, take.index("left_ankle"), :2]
@@ -191,7 +190,11 @@ def test_added_contact_holds_foot_and_removed_frees_it() -> None:
     longer = [contact for contact in motion.contacts if contact.side == "left"][1]
     assert (longer.start_frame, longer.num_frames) == (first.start_frame, first.num_frames + 5)
     none = Contact(
-        limb="left_foot", start_frame=start + second.start_frame, stop_frame=start + second.rows.stop, stands=False
+        person=1,
+        limb="left_foot",
+        start_frame=start + second.start_frame,
+        stop_frame=start + second.rows.stop,
+        stands=False,
     )
     assert len(take.corrected([none])[1].contacts) == len(before.contacts) - 1
 
@@ -199,7 +202,9 @@ def test_added_contact_holds_foot_and_removed_frees_it() -> None:
 def test_contact_of_hand_holds_wrist() -> None:
     take = taken()
     start = take.located.start_frame
-    track, _ = take.corrected([Contact(limb="right_hand", start_frame=start + 60, stop_frame=start + 70, stands=True)])
+    track, _ = take.corrected(
+        [Contact(person=1, limb="right_hand", start_frame=start + 60, stop_frame=start + 70, stands=True)]
+    )
     assert np.ptp(track.xyz_m[60:70, take.index("right_wrist")], axis=0).max() < 0.001
 
 
@@ -209,8 +214,8 @@ def test_order_of_independent_corrections_does_not_matter() -> None:
     corrections: list[Correction] = [
         key(take, "left_wrist", 20, (0.1, 0.0, 0.0)),
         key(take, "right_knee", 30, (0.0, 0.05, 0.0)),
-        ExchangeSides(part="arms", start_frame=start + 100, stop_frame=start + 110),
-        Contact(limb="left_foot", start_frame=start + 60, stop_frame=start + 75, stands=True),
+        ExchangeSides(person=1, part="arms", start_frame=start + 100, stop_frame=start + 110),
+        Contact(person=1, limb="left_foot", start_frame=start + 60, stop_frame=start + 75, stands=True),
     ]
     expected_track, expected = take.corrected(corrections)
     for order in list(itertools.permutations(corrections))[5::9]:
@@ -224,9 +229,9 @@ def test_corrections_elsewhere_change_nothing() -> None:
     take = taken()
     track, motion = take.corrected(
         [
-            Key(joint="left_wrist", frame=100_000, place_m=(0.0, 0.0, 1.0)),
-            Key(joint="left_index_tip", frame=take.located.start_frame, place_m=(0.0, 0.0, 1.0)),
-            IgnoreDetections(camera="elsewhere", part="all", start_frame=0, stop_frame=50),
+            Key(person=1, joint="left_wrist", frame=100_000, place_m=(0.0, 0.0, 1.0)),
+            Key(person=1, joint="left_index_tip", frame=take.located.start_frame, place_m=(0.0, 0.0, 1.0)),
+            IgnoreDetections(person=1, camera="elsewhere", part="all", start_frame=0, stop_frame=50),
         ]
     )
     assert track.xyz_m.tobytes() == take.person[0].xyz_m.tobytes()

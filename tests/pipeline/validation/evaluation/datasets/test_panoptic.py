@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 from api.cli.main import app
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
-from pipeline.run.engine.edited_people import part_of_track
 from pipeline.validation.evaluation.datasets.panoptic import CAMERAS, load_panoptic, score_panoptic
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 from tests.pipeline.validation.evaluation.datasets.panoptic_files import write_poses, write_sequence
@@ -102,7 +101,7 @@ def test_frames_outside_of_tracks_do_not_count(simulation: Simulation, written: 
     sequence = load_panoptic(written, CHOSEN, every=10, has_footage=False)
     rate_hz = simulation.timebase.frame_rate_hz
     cut = Timebase(simulation.timebase.time_s(20), rate_hz, 15)
-    tracks = [replace(part_of_track(track, slice(20, 35)), start_frame=0) for track in true_tracks(simulation)]
+    tracks = [replace(track.part(slice(20, 35)), start_frame=0) for track in true_tracks(simulation)]
     scores = score_panoptic(tracks, simulation.joints, cut, sequence, times_of(simulation))
     assert (scores["instants"], scores["recall"]) == (2, 1.0)
     assert scores["mpjpe_mm"] == pytest.approx(0.0, abs=1e-2)
