@@ -7,7 +7,7 @@ import { percent } from "./shared/format.js";
 import { hasEnded } from "./shared/jobs.js";
 import { html, live, nothing, problemBox, prose, render } from "./shared/lit.js";
 import { canNotify, noticeEnds, notifies, setNotices } from "./shared/notices.js";
-import { announce, currentRoute, replace, setTitle, setTitleShare } from "./shared/page.js";
+import { announce, currentRoute, replace, setTitle } from "./shared/page.js";
 import { PROBLEMS } from "./shared/strings/common.js";
 import { FRAME } from "./shared/strings/frame.js";
 
@@ -108,7 +108,7 @@ function showStatus() {
   const atWork = feed.newest().filter((job) => !hasEnded(job));
   const { id } = currentRoute();
   const shown = feed.jobs.has(id) ? atWork.find((job) => job.id === id) : atWork[0];
-  setTitleShare(shown && shown.state !== "queued" ? percent(shown.progress) : null);
+  setTitle(undefined, shown && shown.state !== "queued" ? percent(shown.progress) : null);
   const notify = (event) => setNotices(event.target.checked).finally(showStatus);
   render(html`
     ${atWork.length && canNotify() ? html`<label class="with"><input type="checkbox" .checked=${live(notifies())} @change=${notify}>${FRAME.notify}</label>` : nothing}

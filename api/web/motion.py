@@ -239,7 +239,7 @@ class _Part:
 _MAX_RANGES = 20  # of an answer
 
 
-class FirstPeople(ResponseModel):
+class FirstPeopleOut(ResponseModel):
     """People who were located before they are tracked, while a job runs."""
 
     ranges: tuple[dict[str, Any], ...] = Field(
@@ -254,7 +254,7 @@ class FirstPeople(ResponseModel):
     "/first-people",
     operation_id="getFirstPeople",
     summary="Look at the first people of a running job",
-    response_model=FirstPeople,
+    response_model=FirstPeopleOut,
     responses=problems(404),
 )
 def get_first_people(

@@ -10,6 +10,7 @@ const AGAIN_MS = 3000;
 
 export class FirstPeople {
   #instants = []; // of all ranges so far
+  #at = 0; // instant that is shown next
   #next = 0; // number of the first range that was not read
   #scene = null;
   #stage = null; // element of the 3D view
@@ -34,15 +35,12 @@ export class FirstPeople {
     if (next <= this.#next) return; // an earlier answer had them
     this.#next = next;
     this.#instants.push(...ranges.flatMap(({ instants }) => instants));
-    const people = this.#instants.some(({ people }) => people.length);
-    if (!people) return;
+    if (!this.#instants.some(({ people }) => people.length)) return;
     this.#draw();
     if (this.#scene !== null) return;
     const { LiveScene } = await import("../live/scene.js");
     this.#scene ??= new LiveScene(this.#stage, ranges.at(-1), RATE_HZ);
   }
-
-  #at = 0;
 
   #play() {
     if (this.#scene === null || document.hidden) return;
@@ -52,9 +50,8 @@ export class FirstPeople {
   }
 
   #draw() {
-    const seconds = this.#instants.length / RATE_HZ;
     render(html`<section class="panel first-people" aria-labelledby="first-title"><h2 id="first-title">${TAKE.firstPeople}</h2>
-      <p class="quiet">${TAKE.firstPeopleHint(length(seconds))}</p>
+      <p class="quiet">${TAKE.firstPeopleHint(length(this.#instants.length / RATE_HZ))}</p>
       <div class="look-viewer"><div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? this.#stage; })}></div></div></section>`, this.#place);
   }
 }

@@ -15,12 +15,10 @@ export function announce(text) {
 
 let [title, share] = ["", null];
 
-export function setTitle(name, done = share) {
+export function setTitle(name = title, done = share) {
   [title, share] = [name, done];
   document.title = FRAME.title(share === null ? title : FRAME.shareOf(share, title));
 }
-
-export const setTitleShare = (done) => setTitle(title, done);
 
 // Views by the address' hash: `#/captures`, `#/jobs/ID`. Addresses of the service itself stay its API's.
 
