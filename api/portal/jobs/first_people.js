@@ -12,6 +12,7 @@ export class FirstPeople {
   #instants = []; // of all ranges so far
   #at = 0; // instant that is shown next
   #next = 0; // number of the first range that was not read
+  #head = null; // skeleton and cameras, as the first range has them
   #scene = null;
   #stage = null; // element of the 3D view
   #timers = [];
@@ -34,12 +35,13 @@ export class FirstPeople {
     const { ranges, next } = await call(`${path}?from=${this.#next}`).catch(() => ({ ranges: [], next: this.#next }));
     if (next <= this.#next) return; // an earlier answer had them
     this.#next = next;
+    this.#head ??= ranges[0] ?? null;
     this.#instants.push(...ranges.flatMap(({ instants }) => instants));
     if (!this.#instants.some(({ people }) => people.length)) return;
     this.#draw();
     if (this.#scene !== null) return;
     const { LiveScene } = await import("../live/scene.js");
-    this.#scene ??= new LiveScene(this.#stage, ranges.at(-1), RATE_HZ);
+    if (this.#stage.isConnected) this.#scene ??= new LiveScene(this.#stage, this.#head, RATE_HZ);
   }
 
   #play() {
