@@ -14,7 +14,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
 from pipeline.core.options.config import Body, Preset, Timeline
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
@@ -26,6 +26,7 @@ from pipeline.export.writers.body_mesh import CAPSULES, BodyChoice
 from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles, joint_angles
+from pipeline.motion.balance.compute import Balance, balance_of
 from pipeline.motion.skeleton.model import forward_kinematics
 
 SKELETONS = "skeletons"
@@ -49,6 +50,7 @@ class PersonOfTake:
     # Frames of the files in which the person is there; all in files of the person's own frames
     is_present: Bool[np.ndarray, " frames"]
     body: BodyChoice  # Body in files that have one
+    subject: Subject  # Table of segments, sex and mass
 
 
 def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
@@ -59,7 +61,8 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
     for track, motion in zip(take.tracks, take.motions, strict=True):
         frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
-        yield PersonOfTake(track, motion, take.joints, take.timebase, origin_m, frames, is_present, choice)
+        of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, take.subject
+        yield PersonOfTake(track, motion, *of_take)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +110,12 @@ def write_person(
     """
     skeleton_m = cache(lambda: forward_kinematics(person.motion))
     angles = cache(lambda: joint_angles(person.motion, person.track, person.joints))
+    balance = cache(lambda: balance_of(person.motion, person.track, person.joints, person.subject))
     for (name, path), on_file in zip(paths.items(), split(on_share, [1] * len(paths)), strict=True):
         found = kept.find(person, name, path)
         if found is None:
             # Writing takes about as long as reading.
-            found = _written(person, name, path, preset, skeleton_m, angles, sub_share(on_file, 0.5, 1.0))
+            found = _written(person, name, path, preset, skeleton_m, angles, balance, sub_share(on_file, 0.5, 1.0))
             kept.keep(person, name, path, found)
         on_file(1.0)
         yield name, found
@@ -125,6 +129,7 @@ def _written(
     preset: Preset,
     skeleton_m: Callable[[], Float[np.ndarray, "frames joints 3"]],
     angles: Callable[[], JointAngles],
+    balance: Callable[[], Balance | None],
     on_read: OnShare,
 ) -> KeptFile:
     """Write a file of a person and read it back; returns what was found in it."""
@@ -150,6 +155,7 @@ def _written(
         person.body,
         skeleton_m,
         angles,
+        balance,
     )
     writer = find_writer(export)
     expected = writer.expected(content)

@@ -32,8 +32,9 @@ from pipeline.export.resample import resample
 from pipeline.export.scene import file_origin_m, take_scene
 from pipeline.export.timelines import held
 from pipeline.export.writers import skeletons_json
-from pipeline.export.writers.angle_tables import gait_tables
+from pipeline.export.writers.angle_tables import BALANCE, balance_table, gait_tables
 from pipeline.export.writers.registry import find_writer
+from pipeline.motion.balance.compute import balance_of
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics
 
@@ -167,10 +168,10 @@ def write_files(
     """Write all result files into a folder, which is created if missing.
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
-    Beside CSV files are tables of events and strides of people who have some. ``calibration.json`` is written if the
-    calibration was refined. ``metrics.json`` is the last file. It contains the largest distance, for each format,
-    between joints read back and their true positions, the same half-way between two frames for files with angles, and
-    the origin of files of single precision, if it is not the world's.
+    Beside CSV files are tables of balance, and of events and strides of people who have some. ``calibration.json`` is
+    written if the calibration was refined. ``metrics.json`` is the last file. It contains the largest distance, for
+    each format, between joints read back and their true positions, the same half-way between two frames for files with
+    angles, and the origin of files of single precision, if it is not the world's.
 
     Parameters
     ----------
@@ -248,13 +249,10 @@ def write_files(
         if origin_m.any() and find_writer(export).has_origin:
             check[export]["origin_m"] = origin_m.tolist()
     if "csv" in exports:
-        for track in shown.tracks:
-            gait = analyse_gait(track, shown.joints, shown.timebase.frame_rate_hz)
-            for kind, content in gait_tables(gait, shown.timebase):
-                path = folder / f"person-{track.track_id}.{kind}.csv"
-                with person_files.replacing(path, [content]) as part:
-                    _require_equal(part, path, [content])
-                complete(path)
+        for path, pieces in _tables(shown, folder):
+            with person_files.replacing(path, pieces) as part:
+                _require_equal(part, path, pieces)
+            complete(path)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with person_files.replacing(path, [encode_calibration(reconstruction.cameras)]):
@@ -295,6 +293,16 @@ def keep_people(
             pass
         for path in paths.values():
             path.unlink()
+
+
+def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[bytes]]]:
+    """Path and content of each table beside people's CSV files: events, strides, balance."""
+    for track, motion in zip(take.tracks, take.motions, strict=True):
+        gait = analyse_gait(track, take.joints, take.timebase.frame_rate_hz)
+        tables = [(kind, [content]) for kind, content in gait_tables(gait, take.timebase)]
+        if (balance := balance_of(motion, track, take.joints, take.subject)) is not None:
+            tables.append((BALANCE, list(balance_table(balance, take.timebase))))
+        yield from ((folder / f"person-{track.track_id}.{kind}.csv", pieces) for kind, pieces in tables)
 
 
 def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Refinement, Synchronization, Timebase
@@ -29,6 +29,14 @@ _TO_DATAFRAME = "pipeline.export.notebook.named_arrays:to_dataframe"
 _TO_PARQUET = "pipeline.export.notebook.named_arrays:to_parquet"
 _PLOT = "pipeline.export.notebook.plots:plot"
 _HTML = "pipeline.export.notebook.plots:html"
+
+
+class Subject(NamedTuple):
+    """People's bodies, as the masses of segments are taken from a table."""
+
+    table: str = "de-leva"  # Table of segments: ``de-leva`` or ``dumas``
+    sex: str = "unstated"  # ``female``, ``male``, or ``unstated``: the mean of both
+    mass_kg: float | None = None  # Mass of each person; ``None``: unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +71,8 @@ class Reconstruction:
         Layout of keypoints whose files do not name their points, and how it was told; ``None`` for others.
     is_emptied
         Whether edits removed everybody who was found.
+    subject
+        Table of segments, sex and mass of the people.
 
     Examples
     --------
@@ -91,6 +101,7 @@ class Reconstruction:
     provider: ProviderName | None = None
     layout: Mapping[str, Any] | None = None
     is_emptied: bool = False
+    subject: Subject = field(default_factory=Subject)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -116,6 +116,15 @@ Body = (
     | Annotated[Literal["capsules"], Value("Capsules", note="One around each bone.")]
 )
 
+SegmentTable = (
+    Annotated[Literal["de-leva"], Value("de Leva 1996")] | Annotated[Literal["dumas"], Value("Dumas et al. 2007")]
+)
+Sex = (
+    Annotated[Literal["unstated"], Value("Mean of both")]
+    | Annotated[Literal["female"], Value("Female")]
+    | Annotated[Literal["male"], Value("Male")]
+)
+
 
 @dataclass(frozen=True, slots=True)
 class MotionChoices:
@@ -263,6 +272,21 @@ class JobChoices(MotionChoices):
             group="purpose",
         ),
     ] = "capsules"
+    segments: Annotated[
+        SegmentTable, About("Masses of segments", "Table from which the centre of mass is computed.", group="purpose")
+    ] = "de-leva"
+    sex: Annotated[Sex, About("Sex", "Sex of the people, for masses of segments.", group="purpose")] = "unstated"
+    mass_kg: Annotated[
+        float | None,
+        About(
+            "Mass, kg",
+            "Mass of each person in kg, for momenta.",
+            minimum=1.0,
+            maximum=500.0,
+            unset="momenta per kilogram",
+            group="purpose",
+        ),
+    ] = None
     report: Annotated[
         bool,
         About(

@@ -49,6 +49,7 @@ from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers
 from pipeline.export.quality.world_checks import world_checks
 from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
+from pipeline.motion.balance.compute import balance_document, balance_of
 from pipeline.motion.gait.analysis import analyse_gait, gait_document, movement_documents
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S
 
@@ -78,6 +79,12 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     whole_tracks = {track.track_id: track for track in reconstruction.tracks}
     ranges = {
         motion.track_id: ranges_of_motion(joint_angles(motion, whole_tracks[motion.track_id], joints))
+        for motion in reconstruction.motions
+    }
+    balances = {
+        motion.track_id: balance_document(
+            balance_of(motion, whole_tracks[motion.track_id], joints, reconstruction.subject)
+        )
         for motion in reconstruction.motions
     }
     statures_m = {track.track_id: estimate_stature_m(track, joints) for track in tracks}
@@ -124,6 +131,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
                 "gait": gait_document(gaits[track.track_id]),
                 "movements": movement_documents(gaits[track.track_id], reconstruction.timebase),
                 "angles": ranges.get(track.track_id, {}),
+                "balance": balances.get(track.track_id),
                 **_describe_hands(whole, figures.error_px, joints),
                 "identity": _describe_identity(doubts),
             }

@@ -278,6 +278,30 @@ def movement_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
     ]
 
 
+BALANCE_COLUMNS = ("Person", "Height", "Range", "Deviation", "Speed", "Angular momentum", "Margin of stability")
+
+
+def balance_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
+    """Rows of ``BALANCE_COLUMNS``: a person each; medians, and the largest angular momentum."""
+
+    def shown(value: float | None, unit: str, digits: int = 2) -> str:
+        return "-" if value is None else f"{value:.{digits}f} {unit}"
+
+    return [
+        (
+            name,
+            shown(found["height_m"], "m"),
+            f"{found['lowest_m']:.2f} to {found['highest_m']:.2f} m",
+            shown(None if found["sigma_m"] is None else 1000 * found["sigma_m"], "mm", 1),
+            shown(found["speed_m_s"], "m/s"),
+            shown(found["angular_momentum_max"], "m²/s" if found["mass_kg"] is None else "kg m²/s"),
+            shown(found["margin_m"], "m"),
+        )
+        for name, figures in people
+        if (found := figures["balance"]) is not None
+    ]
+
+
 def _spread(spread: Mapping[str, Any] | None, unit: str, digits: int) -> str:
     """Mean, and the standard deviation if there is one."""
     if spread is None:

@@ -160,6 +160,7 @@ def _gait(contents: ReportContents) -> Markup:
         for caption, columns, rows in (
             ("Gait", biomechanics.GAIT_COLUMNS, biomechanics.gait_rows(named)),
             ("Movements", biomechanics.MOVEMENT_COLUMNS, biomechanics.movement_rows(named)),
+            ("Centre of mass", biomechanics.BALANCE_COLUMNS, biomechanics.balance_rows(named)),
         )
         if rows
     ]

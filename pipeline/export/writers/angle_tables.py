@@ -19,6 +19,7 @@ from pipeline.export.timelines import fixed, frame_blocks, held, read_rows, unkn
 from pipeline.export.writers.registry import Expected, PersonContent, Writer
 from pipeline.motion.angles.compute import JointAngles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.balance.compute import Balance
 from pipeline.motion.gait.analysis import PersonGait, marked_events, time_s
 from pipeline.motion.gait.strides import FIGURES, Stride
 
@@ -128,7 +129,7 @@ MOT = Writer(
 )
 
 
-EVENTS, STRIDES = "events", "strides"
+EVENTS, STRIDES, BALANCE = "events", "strides", "balance"
 """Kinds of the files, which are part of their names."""
 _TIMES = ("strike_s", "off_s", "other_strike_s", "next_strike_s")
 
@@ -167,6 +168,29 @@ def _stride(stride: Stride, start_frame: int, timebase: Timebase) -> Sequence[ob
         int(stride.is_steady),
         f"{stride.confidence:.3f}",
     )
+
+
+# Columns of a table of balance: names of three axes, and the attribute.
+_VECTORS = {"center_{}_m": "centre_m", "velocity_{}_m_s": "velocity_m_s", "extrapolated_{}_m": "extrapolated_m"}
+
+
+def balance_table(balance: Balance, timebase: Timebase) -> Iterator[bytes]:
+    """Table of the frames of a person: centre of mass, momenta and margin of stability, with standard deviations."""
+    unit = "m_s" if balance.mass_kg is None else "kg_m_s"
+    vectors = _VECTORS | {f"momentum_{{}}_{unit}": "momentum"}
+    vectors |= {f"angular_momentum_{{}}_{unit.replace('m_s', 'm2_s')}": "angular_momentum"}
+    columns = {
+        name.format(axis): values
+        for name, attribute in vectors.items()
+        for axis, values in zip("xyz", getattr(balance, attribute).T, strict=False)
+    }
+    columns |= {name: getattr(balance, name) for name in ("sigma_m", "margin_m", "margin_sigma_m")}
+    yield (",".join(["frame", "time_s", *columns]) + "\r\n").encode("ascii")
+    values = np.stack(list(columns.values()), axis=1)
+    for rows in frame_blocks(len(values)):
+        numbers = zip(balance.frames[rows], fixed(values[rows], 5, ","), strict=True)
+        lines = (f"{number},{timebase.time_s(number):.6f},{cells}\r\n" for number, cells in numbers)
+        yield "".join(lines).replace("nan", "").encode("ascii")
 
 
 def _encoded(rows: Sequence[Sequence[object]]) -> bytes:

@@ -76,6 +76,9 @@ def segment_reliability(track: Track3D, joints: JointSet) -> Float[np.ndarray, "
     return np.stack([known[name] for name in SEGMENT_LABELS], axis=1).astype(float)
 
 
+CENTRES = ("center_of_mass", "extrapolated_center_of_mass")
+"""Points of a file beside the joints: the extrapolated centre is on the floor."""
+
 BLOCK_BYTES = 512
 MAX_BLOCKS = 2**16 - 1
 """Largest number of a block that a parameter can state."""
@@ -387,11 +390,42 @@ def _num_blocks(num_bytes: int) -> int:
     return -(-num_bytes // BLOCK_BYTES)
 
 
-def _encode_person(person: PersonContent) -> Iterator[bytes]:
+def _with_centre(person: PersonContent) -> PersonContent:
+    """Person with the centre of mass and the extrapolated centre of mass as further points."""
+    balance, track = person.balance(), person.track
+    if balance is None:
+        return person
+    on_floor_m = np.pad(balance.extrapolated_m, [(0, 0), (0, 1)])
+    points_m = np.stack([balance.centre_m, on_floor_m], axis=1)
+    known = np.isfinite(points_m).all(-1)
+    given_m = np.full(track.score.shape, np.nan) if track.uncertainty_m is None else track.uncertainty_m
+
+    def wider(given: np.ndarray, added: np.ndarray) -> np.ndarray:
+        return np.concatenate([given, added], axis=1)
+
+    widened = replace(
+        track,
+        xyz_m=wider(track.xyz_m, points_m),
+        score=wider(track.score, known.astype(float)),
+        source=wider(track.source, np.full(known.shape, Source.MEASURED)),
+        error_px=wider(track.error_px, np.full(known.shape, np.nan)),
+        views=wider(track.views, np.zeros(known.shape, int)),
+        uncertainty_m=wider(given_m, np.stack([balance.sigma_m, balance.margin_sigma_m], axis=1)),
+    )
+    return replace(person, track=widened, joints=JointSet((*person.joints.names, *CENTRES), person.joints.bones))
+
+
+def _encode_person(given: PersonContent) -> Iterator[bytes]:
     """Write a person's file, with the events of gait and jumps."""
-    events = marked_events(analyse_gait(person.track, person.joints, person.timebase.frame_rate_hz))
+    events = marked_events(analyse_gait(given.track, given.joints, given.timebase.frame_rate_hz))
+    person = _with_centre(given)
     content = person.track, person.joints, person.timebase, person.origin_m, person.frames, events, person.motion
     return encode(*content)
 
 
-WRITER = Writer(_encode_person, lambda path, _: read_xyz_m(path), joint_positions, has_origin=True)
+WRITER = Writer(
+    _encode_person,
+    lambda path, _: read_xyz_m(path),
+    lambda person: joint_positions(_with_centre(person)),
+    has_origin=True,
+)

@@ -25,6 +25,7 @@ from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles
+from pipeline.motion.balance.compute import Balance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,9 +46,9 @@ class PersonContent:
         World position that is the origin of files of single precision.
     preset, body
         Convention of BVH and FBX files; body of files that have one.
-    skeleton_m, angles
-        World positions of the skeleton's joints, and joint angles in degrees, in the frames of the track, each
-        computed once.
+    skeleton_m, angles, balance
+        World positions of the skeleton's joints, joint angles in degrees, and centre of mass and balance, in the frames
+        of the track, each computed once.
 
     Examples
     --------
@@ -68,6 +69,7 @@ class PersonContent:
     body: BodyChoice
     skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
     angles: Callable[[], JointAngles]
+    balance: Callable[[], Balance | None] = lambda: None
 
 
 plainly_annotated(PersonContent.__init__)

@@ -6,7 +6,7 @@ lands in the pose of the take-off (Bosco et al. 1983, doi:10.1007/BF00422166), a
 above standing.
 
 Squats and seats are dips of the hips while both feet stand. On a seat the body's centre of mass is behind the feet,
-where nothing but the seat holds it; its position is computed from segments after Winter 2009 (table 4.1).
+where nothing but the seat holds it (``pipeline.motion.balance``).
 """
 
 from collections.abc import Sequence
@@ -41,11 +41,6 @@ _BEGINS, _DEEP = 0.93, 0.82
 _FOOT_STAYS_M, _SQUAT_S, _OF_JUMP_S = 0.15, (0.5, 8.0), 0.3
 # Seat: distance of the centre of mass behind the heels, and time of rest, with hips that move no faster.
 _BEHIND_M, _SEATED_S, _RESTING_M_S = 0.03, 0.4, 0.12
-# Shares of the body's mass (Winter 2009): thighs, shins and feet, and trunk, head and arms, with the centre of mass of
-# each from its upper to its lower end.
-_TRUNK_SHARE, _TRUNK_AT = 0.678, 0.374
-_THIGH_SHARE, _THIGH_AT = 0.20, 0.433
-_SHIN_SHARE, _SHIN_AT = 0.122, 0.606
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,14 +210,7 @@ def _seated(points: BodyPoints, height_m: Float[np.ndarray, " frames"]) -> Bool[
     across_m = points.hips_m[:, 0, :2] - points.hips_m[:, 1, :2]
     ahead = np.column_stack([across_m[:, 1], -across_m[:, 0]])
     ahead /= np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-9)
-    middle_m = {
-        name: getattr(points, f"{name}_m").mean(1)[:, :2] for name in ("shoulders", "hips", "knees", "ankles", "heels")
-    }
-    trunk_m = middle_m["shoulders"] + (1 - _TRUNK_AT) * (middle_m["hips"] - middle_m["shoulders"])
-    thigh_m = middle_m["hips"] + _THIGH_AT * (middle_m["knees"] - middle_m["hips"])
-    shin_m = middle_m["knees"] + _SHIN_AT * (middle_m["ankles"] - middle_m["knees"])
-    mass_m = _TRUNK_SHARE * trunk_m + _THIGH_SHARE * thigh_m + _SHIN_SHARE * shin_m
-    behind_m = ((middle_m["heels"] - mass_m) * ahead).sum(-1)
+    behind_m = ((points.heels_m.mean(1)[:, :2] - points.mass_m[:, :2]) * ahead).sum(-1)
     hips_m = gaussian_filter1d(points.centre_m, _SMOOTH_S * points.frame_rate_hz, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(hips_m, axis=0), axis=-1) * points.frame_rate_hz
     return np.asarray((behind_m > _BEHIND_M) & (speed < _RESTING_M_S))

@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.core.data.people import Source, Track3D
+from pipeline.core.data.reconstruction import Subject
 from pipeline.core.joints import SIDES, JointSet
+from pipeline.motion.balance.segment_masses import segment_masses
 from pipeline.motion.skeleton.feet.support import FootMarks, belt_m
 
-_BODY = tuple(f"{side}_{kind}" for kind in ("ankle", "knee", "hip", "shoulder") for side in SIDES)
+_BODY = tuple(f"{side}_{kind}" for kind in ("ankle", "knee", "hip") for side in SIDES)
 # Share of the frames with a known ankle in which heel and toe must be known, so that events are theirs.
 _KNOWN_SHARE = 0.5
 
@@ -30,7 +32,7 @@ class BodyPoints:
     ankles_m: Float[np.ndarray, "frames 2 3"]
     knees_m: Float[np.ndarray, "frames 2 3"]
     hips_m: Float[np.ndarray, "frames 2 3"]
-    shoulders_m: Float[np.ndarray, "frames 2 3"]
+    mass_m: Float[np.ndarray, "frames 3"]  # Centre of mass of a body of the mean of both sexes
     is_marked: Bool[np.ndarray, " 2"]  # Feet whose heels and toes were seen
     known: Bool[np.ndarray, "frames 2"]  # Frames in which the points of a leg have a position
     measured: Bool[np.ndarray, "frames 2"]  # Frames in which the points of a foot were measured
@@ -69,10 +71,11 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
         columns = joints.indices(tuple(f"{side}_{kind}" for side in SIDES))
         return np.array(track.xyz_m[:, columns], dtype=float)
 
-    ankles_m, knees_m, hips_m, shoulders_m = (positions_m(kind) for kind in ("ankle", "knee", "hip", "shoulder"))
+    ankles_m, knees_m, hips_m = (positions_m(kind) for kind in ("ankle", "knee", "hip"))
     legs_m = np.stack([ankles_m, knees_m, hips_m], axis=2)
     known = np.isfinite(legs_m).all((2, 3))
-    if known.all(1).sum() < 2:
+    masses = segment_masses(Subject(), joints)
+    if masses is None or known.all(1).sum() < 2:
         return None
     columns = joints.indices(tuple(f"{side}_ankle" for side in SIDES))
     measured = known & (track.source[:, columns] == Source.MEASURED)
@@ -89,9 +92,12 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
         marks_m = np.concatenate(found_m, axis=1)
         foot_marks = FootMarks(_filled(marks_m), np.isfinite(marks_m).all(-1) & np.tile(is_marked, 2))
     way_m = belt_m(_filled(ankles_m), known, _filled(hips_m).mean(1), frame_rate_hz, foot_marks)
-    heels_m, toes_m, ankles_m, knees_m, hips_m, shoulders_m = (
-        _filled(points_m) - way_m[:, None] for points_m in (heels_m, toes_m, ankles_m, knees_m, hips_m, shoulders_m)
+    heels_m, toes_m, ankles_m, knees_m, hips_m = (
+        _filled(points_m) - way_m[:, None] for points_m in (heels_m, toes_m, ankles_m, knees_m, hips_m)
     )
+    # Weights in a sum of 1; fingers, and joints that are never known, have none.
+    weights = masses.weights[: track.xyz_m.shape[1]] * np.isfinite(track.xyz_m).all(-1).any(0)
+    mass_m = np.einsum("j,fjk->fk", weights / weights.sum(), _filled(np.array(track.xyz_m, dtype=float))) - way_m
     belt_m_s = way_m[-1, :2] / (len(way_m) - 1) * frame_rate_hz
     return BodyPoints(
         frame_rate_hz,
@@ -100,7 +106,7 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
         ankles_m,
         knees_m,
         hips_m,
-        shoulders_m,
+        mass_m,
         np.asarray(is_marked),
         known,
         measured,

@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.capture.session import Session
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.findings import SessionCheck
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
@@ -57,6 +57,7 @@ def assemble(context: stage.Context) -> Reconstruction:
         check=output_record(context, stage.CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
         layout=None if session.layout is None else asdict(session.layout),
+        subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),
     )
     if take is None:
         return reconstruction

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pipeline.core.options.edited_take import EditedTake
     from pipeline.export.results import ReportOf
 
+# Choices that decide about the files of people.
+_CHOICES = ("exports", "preset", "output_rate_hz", "timeline", "body", "segments", "sex", "mass_kg")
 # People, or edits, named by a warning.
 _MAX_NAMED = 10
 
@@ -118,7 +120,7 @@ def _result_file(path: Path, names: Mapping[int, str]) -> stage.ResultFile:
         if ending == file_ending(name):
             return stage.ResultFile(path.name, name, person, file_format.media_type, path, person_name)
     if person is not None:
-        # Tables of events and of strides.
+        # Tables of events, strides and balance.
         kind, _, _ = ending.partition(".")
         return stage.ResultFile(path.name, kind, person, FILE_FORMATS["csv"].media_type, path, person_name)
     return stage.ResultFile(path.name, path.stem, None, "application/json", path)
@@ -130,7 +132,7 @@ WRITE_STAGE = stage.Stage(
     write_people,
     cut="people",
     follows=stage.TAKE,
-    choices=("exports", "preset", "output_rate_hz", "timeline", "body"),
+    choices=_CHOICES,
     is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
     is_of_edits=True,
     pieces_of=stage.EXPORT,
@@ -141,7 +143,7 @@ EXPORT_STAGE = stage.Stage(
     export,
     cut="whole",
     follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),
-    choices=("exports", "preset", "output_rate_hz", "timeline", "body", "names"),
+    choices=(*_CHOICES, "names"),
     is_planned=lambda facts, config: config.making is None,
     is_reusable=False,
     makes_files=True,

@@ -1,5 +1,6 @@
 """Result files of a reconstruction: unusual takes, and files with wrong contents."""
 
+import csv
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ from pygltflib import GLTF2
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17, FINGER_JOINTS, WHOLE_BODY, finger_joints
@@ -23,6 +24,7 @@ from pipeline.export.results import write_files, write_results
 from pipeline.export.writers import c3d_file, csv_table, fbx_nodes, trc
 from pipeline.export.writers.fbx_stored import StoredScene, numbers
 from pipeline.export.writers.registry import find_writer
+from pipeline.motion.balance.compute import balance_of
 from pipeline.motion.skeleton.animate import animate
 from tests.e2e.foreign import validate_with_khronos
 from tests.pipeline.export.bvh_readers import read_with_bvhio
@@ -57,7 +59,8 @@ def test_every_file_reports_progress(tmp_path: Path) -> None:
     done: list[float] = []
     write_files(take(*people), tmp_path, EXPORTS, on_share=shares.append, on_file=lambda _: done.append(shares[-1]))
     assert shares == sorted(shares)
-    assert len(set(done)) == len(done) == 2 + len(OF_TAKE) + 2 * len(EXPORTS)
+    # The tables of balance, one a person, are written at once.
+    assert len(set(done)) + 1 == len(done) == 4 + len(OF_TAKE) + 2 * len(EXPORTS)
     assert done[-1] == 1.0
 
 
@@ -79,6 +82,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
     assert {path.name for path in paths} == {
         "skeletons.json",
         "metrics.json",
+        "person-1.balance.csv",
         *(f"person-1.{file_ending(export)}" for export in EXPORTS),
         *OF_TAKE,
     }
@@ -187,7 +191,7 @@ def test_survey_coordinates_have_origin_near_people(tmp_path: Path) -> None:
         content = ezc3d.c3d(str(tmp_path / f"person-{number}.c3d"))
         assert content["parameters"]["WORLD"]["ORIGIN_M"]["value"].tolist() == origin_m.tolist()
         points_m = content["data"]["points"][:3].transpose(2, 1, 0) / 1000.0 + origin_m
-        np.testing.assert_allclose(points_m, far.tracks[number - 1].xyz_m, atol=1e-4)
+        np.testing.assert_allclose(points_m[:, :17], far.tracks[number - 1].xyz_m, atol=1e-4)
         (scene,) = GLTF2.load_binary(str(tmp_path / f"person-{number}.glb")).animations
         assert scene.extras["origin_m"] == origin_m.tolist()
         models = StoredScene(fbx_nodes.read((tmp_path / f"person-{number}.fbx").read_bytes())).find_all("Model", "Null")
@@ -235,9 +239,34 @@ def test_fingers_that_nobody_saw_are_in_no_file_of_joints(tmp_path: Path) -> Non
     known[:, fingers] = False
     known[5:10, left] = True
     for name, read in (("trc", trc.read_xyz_m), ("c3d", c3d_file.read_xyz_m), ("csv", csv_table.read_xyz_m)):
-        (path,) = tmp_path.rglob(f"*.{name}")
+        path = tmp_path / f"person-1.{name}"
         in_file_m = np.concatenate(list(read(path)))
-        np.testing.assert_array_equal(np.isfinite(in_file_m).all(-1), known)
+        # A C3D file has two centres of mass behind the joints.
+        np.testing.assert_array_equal(np.isfinite(in_file_m[:, : known.shape[1]]).all(-1), known)
     skeletons = json.loads(next(tmp_path.rglob("skeletons.json")).read_text())
     (person,) = skeletons["tracks"]
     assert person["positions_m"][0][left[0]] is not None
+
+
+def test_centre_of_mass_is_in_table_and_points_of_c3d(tmp_path: Path) -> None:
+    one = replace(take(track_of(walker(30))), subject=Subject("dumas", "female", 60.0))
+    write_results(one, tmp_path, ("csv", "c3d"))
+    expected = balance_of(one.motions[0], one.tracks[0], COCO_17, one.subject)
+    assert expected is not None
+    with (tmp_path / "person-1.balance.csv").open(newline="", encoding="ascii") as file:
+        rows = list(csv.DictReader(file))
+    centre_m = [[float(row[f"center_{axis}_m"]) for axis in "xyz"] for row in rows]
+    np.testing.assert_allclose(centre_m, expected.centre_m, atol=1e-5)
+    spin = [[float(row[f"angular_momentum_{axis}_kg_m2_s"]) for axis in "xyz"] for row in rows]
+    np.testing.assert_allclose(spin, expected.angular_momentum, atol=1e-5)
+    momentum = [float(row["momentum_x_kg_m_s"]) for row in rows]
+    np.testing.assert_allclose(momentum, 60.0 * expected.velocity_m_s[:, 0], atol=1e-5)
+    content = ezc3d.c3d(str(tmp_path / "person-1.c3d"))
+    assert content["parameters"]["POINT"]["LABELS"]["value"][17:] == ["center_of_mass", "extrapolated_center_of_mass"]
+    points_m = content["data"]["points"][:3].transpose(2, 1, 0)[:30] / 1000.0
+    np.testing.assert_allclose(points_m[:, 17], expected.centre_m, atol=1e-5)
+    np.testing.assert_allclose(points_m[:, 18, :2], expected.extrapolated_m, atol=1e-5)
+    np.testing.assert_allclose(points_m[:, 18, 2], 0.0, atol=1e-9)
+    figures = json.loads((tmp_path / "metrics.json").read_bytes())["people"][0]["balance"]
+    assert figures["height_m"] == pytest.approx(expected.centre_m[:, 2].mean(), abs=1e-3)
+    assert figures["mass_kg"] == 60.0

@@ -17,7 +17,7 @@ from pipeline.core.options.file_formats import file_ending, formats_of_people, i
 from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.export.timelines import BLOCK_FRAMES, held, held_blocks, unknown_outside
-from pipeline.export.writers import angle_tables, bvh, c3d_file, csv_table, fbx, glb, trc, vrma
+from pipeline.export.writers import angle_tables, bvh, csv_table, fbx, glb, trc, vrma
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from tests.e2e.foreign import read_with_blender, read_with_three, validate_with_khronos
@@ -129,8 +129,8 @@ def test_files_of_joints_have_all_frames_and_no_joints_of_nobody(two_people: Rec
         c3d = ezc3d.c3d(str(of_take / f"{name}.c3d"))
         assert (c3d["header"]["points"]["first_frame"], c3d["header"]["points"]["last_frame"]) == (0, NUM_FRAMES - 1)
         found_m = np.transpose(c3d["data"]["points"][:3], (2, 1, 0)) / 1000.0
-        np.testing.assert_allclose(found_m, expected_m, atol=1e-4)
-        residuals = c3d["data"]["meta_points"]["residuals"][0].T
+        np.testing.assert_allclose(found_m[:, :17], expected_m, atol=1e-4)
+        residuals = c3d["data"]["meta_points"]["residuals"][0].T[:, :17]
         np.testing.assert_array_equal(residuals < 0, np.isnan(expected_m).any(-1))
         table = TRCData()
         table.load(str(of_take / f"{name}.trc"))
@@ -158,7 +158,6 @@ def test_files_of_own_frames_equal_files_of_motion(two_people: Reconstruction, t
             "fbx": fbx.encode(motion, "default", np.zeros(3)),
             "vrma": vrma.encode(motion, np.zeros(3)),
             "trc": trc.encode(track, joints, clock, f"{name}.trc"),
-            "c3d": c3d_file.encode(track, joints, clock, np.zeros(3), motion=motion),
             "csv": csv_table.encode(track, joints, clock),
             "angles.csv": angle_tables.encode_csv(angles, clock, track.frames),
             "mot": angle_tables.encode_mot(angles, clock, f"{name}.mot", track.frames),

@@ -99,6 +99,7 @@ def test_perfect_walk_has_perfect_figures() -> None:
         "gait": None,
         "movements": [],
         "angles": {},
+        "balance": None,
         "identity": {"confidence": 1.0, "doubts": []},
     }
 

@@ -1,0 +1,1 @@
+"""Balance: centre of mass, momentum, base of support."""
