@@ -370,7 +370,7 @@ def test_report_follows_edits_on_request(page: Page, portal: ServedPeople) -> No
     look_at(page, with_report)
     files = page.get_by_role("region", name="Files")
     expect(files.get_by_role("link", name="report.html")).to_be_visible()
-    expect(files.get_by_role("button")).to_have_count(0)
+    expect(files.get_by_role("button", name="Make them now")).to_have_count(0)
     rename(page, "person-2", "Anna")
     made(page, 1)
     expect(files).to_contain_text("The report shows the unedited take.")

@@ -213,8 +213,8 @@ class WorkerSettings(SharedSettings):
     visuals_rest_s: float = Field(
         default=300.0,
         ge=0,
-        description="Time after the last edit of a job's people at which its overlay videos, report and recording are "
-        "rebuilt; 0: only on request.",
+        description="Time after the last edit of a capture's people at which overlay videos, report and recording of a "
+        "job are rebuilt; 0: only on request.",
     )
     reap_interval_s: float = Field(
         default=5.0, gt=0, description="Time between two checks of the reaper for lost work."

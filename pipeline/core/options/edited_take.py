@@ -70,8 +70,8 @@ class EditedPerson:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """Outcome of an edit in a run.
+class EditOutcome:
+    """EditOutcome of an edit in a run.
 
     ``person`` and ``other`` are the numbers, after all edits, of the people whom it names; ``None``: no such person, or
     a new person who is gone. ``problem`` says why the edit is not applied; ``None``: it is.
@@ -92,7 +92,7 @@ class EditedTake:
 
     people: tuple[EditedPerson, ...]
     frames: range | None = None
-    outcomes: tuple[Outcome, ...] = ()
+    outcomes: tuple[EditOutcome, ...] = ()
 
 
 def apply_edits(
@@ -205,7 +205,7 @@ class _Take:
             tuple(sorted(people, key=attrgetter("id"))),
             self.kept,
             tuple(
-                Outcome(number_of(edit, "person"), number_of(edit, "other"), self.problems.get(edit))
+                EditOutcome(number_of(edit, "person"), number_of(edit, "other"), self.problems.get(edit))
                 for edit in range(num_edits)
             ),
         )

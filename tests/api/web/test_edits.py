@@ -22,7 +22,7 @@ PLACED_ANNA = ANNA | {"person": {"frame": 30, "place_m": [3.0, 0.0, 1.0]}}
 CUT = {"action": "cut", "start_frame": 5, "stop_frame": 50}
 
 
-class Capture:
+class EditedCapture:
     """A session with a finished job."""
 
     def __init__(self, live: Live) -> None:
@@ -52,11 +52,11 @@ class Capture:
 
 
 @pytest.fixture
-def capture(live: Live) -> Capture:
-    return Capture(live)
+def capture(live: Live) -> EditedCapture:
+    return EditedCapture(live)
 
 
-def test_people_are_edited_and_edits_undone(capture: Capture) -> None:
+def test_people_are_edited_and_edits_undone(capture: EditedCapture) -> None:
     assert capture.job["urls"]["edits"] == f"{capture.address}?job_id={capture.job_id}"
     before = capture.read()
     assert (before["revision"], before["edits"], before["run"]["num_frames"]) == (0, [], 60)
@@ -104,7 +104,7 @@ def test_people_are_edited_and_edits_undone(capture: Capture) -> None:
     assert capture.read() == before | {"revision": 2}
 
 
-def test_later_run_applies_edits_and_tells_what_does_not_apply(capture: Capture) -> None:
+def test_later_run_applies_edits_and_tells_what_does_not_apply(capture: EditedCapture) -> None:
     gone = {"action": "remove", "person": {"frame": 12, "place_m": [9.0, 9.0, 1.0]}}
     assert capture.edit(ANNA, gone, {"action": "split", "person": 2, "frame": 30}).status_code == 200
     capture.live.finish(capture.job_id, people=FOUND)
@@ -122,7 +122,7 @@ def test_later_run_applies_edits_and_tells_what_does_not_apply(capture: Capture)
     assert "within 0.5 m of (9.00, 9.00, 1.00) at frame 12" in told["problem"]["message"]
 
 
-def test_run_of_some_frames_is_numbered_as_the_session(capture: Capture) -> None:
+def test_run_of_some_frames_is_numbered_as_the_session(capture: EditedCapture) -> None:
     assert capture.edit({"action": "split", "person": 1, "frame": 30}, CUT).status_code == 200
     capture.live.finish(capture.job_id, people=FOUND)
     job = capture.run_again((PersonSpan(1, 0, 40, ((0, 2.0, 0.0, 1.0), (39, 5.9, 0.0, 1.0))),), frame_range=[20, 60])
@@ -134,7 +134,7 @@ def test_run_of_some_frames_is_numbered_as_the_session(capture: Capture) -> None
     ]
 
 
-def test_run_can_leave_edits_out(capture: Capture) -> None:
+def test_run_can_leave_edits_out(capture: EditedCapture) -> None:
     assert capture.edit(ANNA).status_code == 200
     capture.live.finish(capture.job_id, people=FOUND)
     job = capture.run_again(FOUND, apply_edits=False)
@@ -148,7 +148,7 @@ def test_run_can_leave_edits_out(capture: Capture) -> None:
     assert capture.read(job["id"])["run"]["people"][0]["name"] == "Anna"
 
 
-def test_places_need_no_run(capture: Capture) -> None:
+def test_places_need_no_run(capture: EditedCapture) -> None:
     answer = capture.live.client.put(capture.address, json={"edits": [PLACED_ANNA]})
     assert (answer.status_code, answer.json()["run"], answer.json()["revision"]) == (200, None, 1)
     job = capture.job
@@ -158,7 +158,7 @@ def test_places_need_no_run(capture: Capture) -> None:
     assert (error["code"], error["pointer"]) == ("edit_impossible", "/edits/1/person")
 
 
-def test_old_entity_tag_is_refused(capture: Capture) -> None:
+def test_old_entity_tag_is_refused(capture: EditedCapture) -> None:
     client, live = capture.live.client, capture.live
     etag = client.get(capture.address).headers["etag"]
     assert client.get(capture.address, headers={"If-None-Match": etag}).status_code == 304
@@ -168,7 +168,7 @@ def test_old_entity_tag_is_refused(capture: Capture) -> None:
     assert capture.read()["edits"] == [PLACED_ANNA]
 
 
-def test_edits_are_not_applied_for_unchanged_answer(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_are_not_applied_for_unchanged_answer(capture: EditedCapture, monkeypatch: pytest.MonkeyPatch) -> None:
     etag = capture.edit(ANNA).headers["etag"]
     capture.live.finish(capture.job_id, people=FOUND)
     applied: list[object] = []
@@ -181,7 +181,7 @@ def test_edits_are_not_applied_for_unchanged_answer(capture: Capture, monkeypatc
     assert applied == []
 
 
-def test_impossible_edits_are_named(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_edits_are_named(capture: EditedCapture, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*edits: object) -> tuple[str, str, str]:
         (error,) = problem_of(capture.edit(*edits), 422, "invalid_request")["errors"]
         return error["code"], error["pointer"], error["hint"]
@@ -209,7 +209,7 @@ def test_impossible_edits_are_named(capture: Capture, monkeypatch: pytest.Monkey
         "remove",
     ],
 )
-def test_malformed_edits_are_refused(capture: Capture, wrong: object) -> None:
+def test_malformed_edits_are_refused(capture: EditedCapture, wrong: object) -> None:
     content = json.dumps({"edits": [wrong], "job_id": capture.job_id}).encode()
     answer = capture.live.client.put(capture.address, content=content, headers={"Content-Type": "application/json"})
     (error, *_) = problem_of(
@@ -266,13 +266,13 @@ def test_unfinished_job_has_no_people(live: Live) -> None:
     live.client.post(f"/v1/jobs/{job['id']}/cancel")
 
 
-def test_job_of_another_session_is_unknown(live: Live, capture: Capture) -> None:
+def test_job_of_another_session_is_unknown(live: Live, capture: EditedCapture) -> None:
     address = f"/v1/sessions/{live.session_id()}/edits"
     problem_of(live.client.get(address, params={"job_id": capture.job_id}), 404, "not_found")
     problem_of(live.client.put(address, json={"edits": [], "job_id": capture.job_id}), 404, "not_found")
 
 
-def test_edits_are_stacked(capture: Capture) -> None:
+def test_edits_are_stacked(capture: EditedCapture) -> None:
     live = capture.live
     assert capture.edit(ANNA).status_code == 200
     claim = live.services.store.leases.claim("test", 30.0)

@@ -1,12 +1,15 @@
 """Blurred videos of jobs: made once with the job, and left by edits of people and by visuals that are made anew."""
 
+from functools import partial
+
 from pipeline.core.options.edits import Remove
 from pipeline.run.engine.stage import BLUR, DETECT, HEADS
 from tests.worker.conftest import RESULT, RunnerBench
+from worker.run.planning import plan_remake
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
-from worker.store.spec import JobSpec
+from worker.store.spec import FilesAdded, JobSpec
 
 SPEC = JobSpec(blur_faces=True, overlay=True)
 VIDEO = b"blurred by heads in " + RESULT
@@ -57,6 +60,26 @@ def test_edits_and_visuals_leave_blurred_videos(bench: RunnerBench) -> None:
     after = listed(bench, job.id)
     assert (after["blurred-0.mp4"], after["overlay-left.mp4"]) == (0, 1)
     assert bench.result(job.id, "blurred-0.mp4") == VIDEO
+
+
+def test_blurred_videos_are_added_to_finished_job(bench: RunnerBench) -> None:
+    job = done(bench, JobSpec(report=True))
+    added = FilesAdded(blur_faces=True)
+    bench.store.jobs.remake(job.id, partial(plan_remake, bench.session), added)
+    bench.runner().work(60.0)
+    remade = bench.store.jobs.get(job.id)
+    assert ({BLUR, DETECT} & stage_names(remade), remade.has_old_visuals) == ({DETECT}, True)
+    assert [stage.name for stage in remade.stages if stage.name == DETECT and stage.reused] == []  # it stayed done
+    assert bench.store.visuals.due(3600.0) == [job.id]
+    visuals = bench.make_visuals(job.id)
+    bench.runner().work(60.0)
+    assert BLUR in stage_names(visuals)
+    assert bench.result(job.id, "blurred-0.mp4") == VIDEO
+    assert listed(bench, job.id)["report.html"] == 1  # without faces
+    # They are made once.
+    bench.edit(job.id, Remove(person=1))
+    bench.runner().work(60.0)
+    assert BLUR not in stage_names(bench.make_visuals(job.id))
 
 
 def test_expired_and_deleted_jobs_leave_no_blurred_video(bench: RunnerBench) -> None:

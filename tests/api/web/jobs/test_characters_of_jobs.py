@@ -8,8 +8,10 @@ from uuid import uuid4
 import pytest
 
 from api.web.settings import Settings
+from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.pipeline.export.character.characters import bones_of, character
+from worker.store.files.unneeded import remove_files
 
 ROBOT = character(bones_of("mixamo"))
 
@@ -28,6 +30,22 @@ def add(live: Live, **spec: Any) -> dict[str, Any]:
 
 def stages(job: dict[str, Any]) -> list[str]:
     return [stage["name"] for stage in job["stages"]]
+
+
+def test_finished_job_gets_copy_of_another_character(moving: Live) -> None:
+    job_id = moving.job_id()
+    moving.finish(job_id, people=[PersonSpan(1, 0, 60)])
+    folder = moving.settings.data_dir / "artifacts" / "jobs" / job_id / "character"
+    for number in (1, 2):
+        made = add(moving)
+        answer = moving.remake(job_id, character=made["id"])
+        assert answer.status_code == 202, answer.text
+        assert (answer.json()["spec"]["character"], "retarget_character" in stages(answer.json())) == (made["id"], True)
+        moving.finish(job_id, people=[PersonSpan(1, 0, 60)])
+        remove_files(moving.services.store.removals, moving.services.artifacts)
+        assert [path.read_bytes() for path in folder.rglob("file")] == [ROBOT], number
+    problem_of(moving.remake(job_id, character=str(uuid4())), 422, "invalid_request")
+    assert len(list(folder.rglob("file"))) == 1
 
 
 def test_job_keeps_copy_of_its_character(moving: Live) -> None:

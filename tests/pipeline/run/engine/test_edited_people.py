@@ -211,3 +211,20 @@ def test_edits_hold_in_runs_of_other_methods_and_frames(
         for track in take.located
         if track.start_frame <= 30 < track.start_frame + track.num_frames
     )
+
+
+def test_independent_edits_give_same_bytes_in_any_order(
+    session: KeypointSession, cache: Path, plain: Reconstruction, tmp_path: Path
+) -> None:
+    write_people(tmp_path / "people", People(plain.located, plain.observations), joints=plain.joints)
+    spans, frames = StoredPeople(tmp_path / "people").spans, range(plain.timebase.num_frames)
+    numbered = (Rename(person=2, name="Bo"), Split(person=3, frame=40), Remove(person=1), Split(person=3, frame=20))
+    (edits,) = {tuple(place_edits(spans, [edit], frames)[0] for edit in numbered)}
+    for config in (PLAIN, replace(PLAIN, method="clustering")):
+        files = []
+        for number, order in enumerate((edits, edits[::-1], (edits[3], edits[0], edits[2], edits[1]))):
+            take = reconstruct(session, replace(config, edits=order), cache=cache)
+            paths = write_results(take, tmp_path / f"{config.method}-{number}", ("bvh", "glb"))
+            files.append({path.name: path.read_bytes() for path in paths})
+        assert len(files[0]) > 2 * 4
+        assert files[0] == files[1] == files[2]
