@@ -18,6 +18,8 @@ export class JobMotion extends EventTarget {
   #chosen = null; // job beside this one
   #number = 0; // of what is being opened, so that a slow answer does not open over a later one
   #edited = null; // people who are shown before their files are there
+  #tool = null; // to correct joints
+  #pending = [[], 0]; // corrections of joints whose files are not there, and the frame with which they count
 
   constructor(place) {
     super();
@@ -58,8 +60,16 @@ export class JobMotion extends EventTarget {
     this.#showPeople();
   }
 
+  /** Preview corrections of joints whose files are not there yet. `firstFrame` of the session is the first one of the run. */
+  previewJoints(edits, firstFrame) {
+    this.#pending = [edits, firstFrame];
+    this.#tool?.follow(edits, firstFrame);
+  }
+
   close() {
     this.#number += 1;
+    this.#tool?.close();
+    this.#tool = null;
     this.#viewer?.close();
     if (this.#viewer?.store !== this.#store) this.#store?.close();
     this.#viewer = this.#store = null;
@@ -92,6 +102,7 @@ export class JobMotion extends EventTarget {
     if (store === before) return;
     this.#viewer.replace(store);
     if (before instanceof EditedStore) before.close();
+    this.#tool?.follow(...this.#pending);
     this.#moved();
   }
 
@@ -109,7 +120,9 @@ export class JobMotion extends EventTarget {
       if (number !== this.#number) return viewer.close();
       this.#viewer = viewer;
       this.#store = viewer.store;
+      if (this.editor !== null) this.#tool = await import("./corrections/joint_tool.js").then(({ JointTool }) => new JointTool(viewer, this.editor));
       this.#showPeople();
+      this.#tool?.follow(...this.#pending);
       if (before !== null) viewer.resume(before);
       if (hadFocus) this.stage.querySelector("canvas, button")?.focus({ preventScroll: true });
       viewer.player.addEventListener("time", () => this.#moved());

@@ -139,6 +139,9 @@ class JobView {
     if (people === null || this.#shown === null) return;
     const before = this.#panel.editing.peopleAt(this.#shown) ?? null;
     const isNewer = before !== null && people.revision > before.revision;
+    const filed = new Set((before?.edits ?? []).map((edit) => JSON.stringify(edit)));
+    const pending = this.#panel.editing.edits.filter((edit) => !filed.has(JSON.stringify(edit)));
+    this.motion.previewJoints(pending, people.first_frame);
     this.motion.preview(isNewer ? { before, after: colored(people) } : null);
   }
 

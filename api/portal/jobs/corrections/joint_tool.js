@@ -13,12 +13,14 @@ import { Preview } from "./moved_joints.js";
 const NEAR_PX = 18;
 const PARTS = ["joint", "left_arm", "right_arm", "left_leg", "right_leg", "head", "all"];
 const LIMBS = ["left_foot", "right_foot", "left_hand", "right_hand"];
+const PREVIEWED = ["key", "exchange_sides"];
 const AXES = ["x", "y", "z"];
 
 export class JointTool {
   #viewer;
   #editor;
   #pending = []; // corrections whose files are not there yet
+  #firstFrame = 0; // frame of the session that is the run's first one
   #draft = null; // key that is being made
   #drag = null; // { id, start, place(event) }
   #sights = []; // of the cameras in whose pictures the joint was placed last
@@ -26,7 +28,7 @@ export class JointTool {
   #chosen = { person: 0, joint: null, way: "plane", camera: null, part: "joint", sides: "arms", limb: LIMBS[0] };
   #ending = new AbortController();
 
-  /** `editor` has `add(edit)`. */
+  /** `editor` has `add(edit)`, with frames of the run and the numbers of people in it. */
   constructor(viewer, editor) {
     this.#viewer = viewer;
     this.#editor = editor;
@@ -61,9 +63,9 @@ export class JointTool {
     if (this.isOpen) this.element.querySelector("select").focus();
   }
 
-  /** Preview these edits, whose files are not there yet, on the store that the viewer shows now. */
-  follow(edits) {
-    this.#pending = edits;
+  /** Preview these edits of the session, whose files are not there yet, on the store that the viewer shows now. */
+  follow(edits, firstFrame = 0) {
+    [this.#pending, this.#firstFrame] = [edits.filter(({ action }) => PREVIEWED.includes(action)), firstFrame];
     this.#show();
   }
 
@@ -87,38 +89,35 @@ export class JointTool {
     this.#draw();
   }
 
-  // Edits name people by a place in the world in a frame of the whole reconstruction.
-
   /** Edit of a person of the store, in its frames and from its origin; null if it is of nobody here. */
   #inStore(edit) {
-    const { first_frame: first, origin_m: origin, people } = this.#viewer.description;
+    const { description: { first_frame: first, origin_m: origin, people } } = this.#viewer;
     const local = (place) => place.map((value, axis) => value - origin[axis]);
-    const distances = people.map((_, person) => {
-      const center = this.#center(person, edit.person.frame - first);
-      return center === null ? Infinity : Math.hypot(...local(edit.person.place_m).map((value, axis) => value - center[axis]));
-    });
-    const person = distances.indexOf(Math.min(...distances));
-    if (!(distances[person] < Infinity)) return null;
-    const frames = Object.fromEntries(["frame", "start_frame", "stop_frame"].filter((name) => name in edit).map((name) => [name, edit[name] - first]));
+    const frame = (of) => of - this.#firstFrame - first;
+    let person = people.findIndex(({ id }) => id === edit.person);
+    if (typeof edit.person === "object") { // named by a place
+      const away = people.map((_, number) => this.#awayFrom(number, frame(edit.person.frame), local(edit.person.place_m)));
+      person = away.findIndex((value) => value === Math.min(...away) && value < Infinity);
+    }
+    if (person < 0) return null;
+    const frames = Object.fromEntries(["frame", "start_frame", "stop_frame"].filter((name) => name in edit).map((name) => [name, frame(edit[name])]));
     return { ...edit, ...frames, person, ...(edit.place_m ? { place_m: local(edit.place_m) } : {}) };
   }
 
-  #center(person, frame) {
+  /** Distance of a person's hips from a place in a frame; infinite where the person is not. */
+  #awayFrom(person, frame, place) {
     const { store, description: { skeleton } } = this.#viewer;
     const positions = new Float32Array(3 * skeleton.names.length);
-    if (!store.positions(person, frame, "skeleton", positions)) return null;
     const hips = 3 * skeleton.names.indexOf("Hips");
-    return [...positions.slice(hips, hips + 3)];
+    return store.positions(person, frame, "skeleton", positions) ? Math.hypot(...place.map((value, axis) => value - positions[hips + axis])) : Infinity;
   }
 
   #add(edit) {
-    const { frame, description: { first_frame: first, origin_m: origin } } = this.#viewer;
-    const center = frame === null ? null : this.#center(this.#chosen.person, frame);
-    if (center === null) return this.#viewer.say(FIX.absent);
-    return this.#editor.add({ ...edit, person: { frame: frame + first, place_m: center.map((value, axis) => value + origin[axis]) } });
+    if (this.#joints(this.#chosen.person) === null) return this.#viewer.say(FIX.absent);
+    return this.#editor.add({ ...edit, person: this.#viewer.description.people[this.#chosen.person].id });
   }
 
-  /** Frames that are marked on the time line, or the frame at the play head, of the whole reconstruction. */
+  /** Frames that are marked on the time line, or the frame at the play head, of the whole run. */
   #range() {
     const { player, frame, description: { first_frame: first, start_time_s: startS, frame_rate_hz: rateHz } } = this.#viewer;
     if (!player.hasSpan) return { start_frame: first + frame, stop_frame: first + frame + 1 };

@@ -35,6 +35,12 @@ export function describe(edit, document, { outcome = edit, first = 0 } = {}) {
     split: () => PEOPLE.actions.split(person, inRun(edit.frame)),
     exchange: () => PEOPLE.actions.exchange(person, other, inRun(start), inRun(stop)),
     cut: () => PEOPLE.actions.cut(inRun(start), inRun(stop)),
+    key: () => PEOPLE.actions.key(person, edit.joint, inRun(edit.frame)),
+    ignore_detections: () => PEOPLE.actions.ignoreDetections(person, edit.part, edit.camera, inRun(start), inRun(stop)),
+    place_detection: () => PEOPLE.actions.placeDetection(person, edit.joint, edit.camera, inRun(edit.frame)),
+    exchange_sides: () => PEOPLE.actions.exchangeSides(person, edit.part, inRun(start), inRun(stop)),
+    contact: () => PEOPLE.actions.contact(person, edit.limb, edit.stands, inRun(start), inRun(stop)),
+    accept: () => PEOPLE.actions.accept(person, inRun(start), inRun(stop)),
   };
   return words[edit.action]();
 }

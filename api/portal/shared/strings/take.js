@@ -79,6 +79,7 @@ export const SHARING = {
   said: { made: "The link is made.", copied: "The link is copied.", copyByHand: "Copy the selected address with Ctrl+C.", revoked: "The link is revoked." },
 };
 
+const words = (name) => name.replaceAll("_", " ");
 const during = (start, stop) => (stop === null ? `from frame ${start} on` : `in frames ${start} to ${stop - 1}`);
 
 export const PEOPLE = {
@@ -142,6 +143,12 @@ export const PEOPLE = {
     split: (person, frame) => `Split ${person} at frame ${frame}`,
     exchange: (person, other, start, stop) => `Exchange ${person} and ${other} ${during(start, stop)}`,
     cut: (start, stop) => `Keep frames ${start} to ${stop - 1}`,
+    key: (person, joint, frame) => `Put ${words(joint)} of ${person} to its place at frame ${frame}`,
+    ignoreDetections: (person, part, camera, start, stop) => `Ignore ${words(part)} of ${person} in ${camera} ${during(start, stop)}`,
+    placeDetection: (person, joint, camera, frame) => `Put ${words(joint)} of ${person} to its place in ${camera} at frame ${frame}`,
+    exchangeSides: (person, part, start, stop) => `Exchange sides (${part}) of ${person} ${during(start, stop)}`,
+    contact: (person, limb, stands, start, stop) => `Let ${words(limb)} of ${person} ${stands ? "stand" : "not stand"} ${during(start, stop)}`,
+    accept: (person, start, stop) => `${person} is right ${during(start, stop)}`,
     undo: (edit) => `Undo: ${edit}`,
     redo: "Redo",
   },
