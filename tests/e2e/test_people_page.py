@@ -298,6 +298,38 @@ def test_range_of_timeline_trims_the_take(page: Page, portal: ServedPeople) -> N
     expect(page.locator(".look-span")).to_be_hidden()
 
 
+def test_joint_is_keyed_and_its_files_have_it_there(page: Page, portal: ServedPeople) -> None:
+    revision = portal.revision
+    page.locator(".look-canvas").focus()
+    page.keyboard.press("c")
+    tool = page.get_by_role("region", name="Correct joints")
+    choose(page, "person-1", 50)
+    tool.get_by_label("Joint", exact=True).select_option("left wrist")
+    field = tool.get_by_label("z", exact=True)
+    keyed = round(float(field.input_value()) + 0.06, 3)
+    field.fill(str(keyed))
+    field.press("Enter")
+    # The page shows it before a fit has run.
+    expect(field).to_have_value(f"{keyed:.3f}")
+    words = "Put left wrist of person-1 to its place at frame 50"
+    expect(panel(page).get_by_role("list", name="Edits").get_by_role("listitem")).to_contain_text([words])
+    made(page, revision + 1)
+    (edit,) = portal.people()["edits"]
+    assert (edit["action"], edit["joint"], edit["frame"]) == ("key", "left_wrist", 50)
+    assert edit["place_m"][2] == pytest.approx(keyed, abs=1e-3)
+    page.reload()
+    look_at(page, portal)
+    page.locator(".look-canvas").focus()
+    page.keyboard.press("c")
+    choose(page, "person-1", 50)
+    tool.get_by_label("Joint", exact=True).select_option("left wrist")
+    assert float(field.input_value()) == pytest.approx(keyed, abs=0.003)
+    page.locator(".look-canvas").focus()
+    page.keyboard.press("Control+z")
+    made(page, revision + 2)
+    assert portal.people()["edits"] == []
+
+
 def test_people_who_never_meet_are_merged_at_once(page: Page, portal: ServedPeople) -> None:
     revision = portal.revision
     choose(page, "person-1", 50)
