@@ -156,7 +156,7 @@ def test_people_calibrate_and_take_is_reconstructed(page: Page, served: Served) 
     expect(page.get_by_role("heading", name="Without calibration", level=1)).to_be_visible()
     job = served.wait_for_end(page.url.rpartition("/")[2])
     assert job["state"] == "succeeded"
-    assert len(served.client.get(job["urls"]["people"]).json()["people"]) >= 2
+    assert len(served.edits(job["id"])["run"]["found"]) >= 2
     page.get_by_role("link", name="New capture").click()
     expect(page.get_by_label("Stored calibration")).not_to_have_value("")
 
