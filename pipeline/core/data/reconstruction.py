@@ -12,6 +12,7 @@ from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import Doubt, Observations, PersonLoss, Track3D
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.joints import JointOffsets, JointSet
+from pipeline.core.options.edits import Accept
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.paths import StrPath
 
@@ -73,6 +74,8 @@ class Reconstruction:
         Whether edits removed everybody who was found.
     subject
         Table of segments, sex and mass of the people.
+    accepted
+        Places of people, by the number of the track, that were looked at and are right; frames are of the take.
 
     Examples
     --------
@@ -102,6 +105,7 @@ class Reconstruction:
     layout: Mapping[str, Any] | None = None
     is_emptied: bool = False
     subject: Subject = field(default_factory=Subject)
+    accepted: Mapping[int, Sequence[Accept]] = field(default_factory=dict)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -212,8 +212,8 @@ class Contact(_Correction):
     stands: bool
 
 
-Suspicion = Literal["error", "identity", "sides", "few_views", "acceleration"]
-"""Reason for which somebody should look at a person."""
+ConcernKind = Literal["error", "identity", "sides", "few_views", "acceleration"]
+"""Reason to look at a person."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +222,7 @@ class Accept(_Correction):
 
     action: Literal["accept"] = "accept"
     person: Named
-    kind: Suspicion
+    kind: ConcernKind
     start_frame: int
     stop_frame: int
 

@@ -91,7 +91,9 @@ def capture_checks(
         _check_doubled(reconstruction.damaged),
         _check_people(seen, reconstruction),
         _check_cameras(names, seen),
-        _check_views(names, seen),
+        _check_views(
+            names, {number: sees for number, sees in seen.items() if not _accepts_views(reconstruction, number)}
+        ),
         _check_association(reconstruction),
         _check_identity(reconstruction),
         _check_losses(reconstruction),
@@ -439,6 +441,11 @@ def _check_synchronization(synchronization: Synchronization | None) -> Iterator[
 def _minutes(time_s: float) -> str:
     """Minutes and seconds, such as 02:14."""
     return f"{int(time_s) // 60:02d}:{int(time_s) % 60:02d}"
+
+
+def _accepts_views(take: Reconstruction, number: int) -> bool:
+    """Whether somebody has looked at a person with few views and said that it is right."""
+    return any(edit.kind == "few_views" for edit in take.accepted.get(number, ()))
 
 
 def _has_few_views(frames: Bool[np.ndarray, "frames cameras"]) -> bool:

@@ -20,6 +20,7 @@
 - *Angles*: range of each joint angle and its usual standard deviation; see ``pipeline.motion.angles``.
 - *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
   choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.association.identity``.
+- *Concerns*: places where somebody should look, worst first; see ``export.quality.concerns``.
 - *Gait*, *movements*: see ``pipeline.motion.gait``; ``gait`` is null without gait.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
 
@@ -46,6 +47,7 @@ from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.core.problems.finding_codes import CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
+from pipeline.export.quality.concerns import find_concerns
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers
 from pipeline.export.quality.world_checks import world_checks
 from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
@@ -141,6 +143,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "provider": reconstruction.provider,
         "layout": reconstruction.layout,
+        "concerns": [concern._asdict() for concern in find_concerns(reconstruction, views)],
         "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         "capture_checks": capture_checks(reconstruction, seen, likenesses),

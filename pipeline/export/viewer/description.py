@@ -195,6 +195,7 @@ class ViewerMotion:
                 *self._report["capture_checks"],
                 *self._report["world_checks"],
             ],
+            "concerns": self._report["concerns"],
             "strips": {
                 "frames_per_bucket": frames_a_bucket(take.timebase.num_frames),
                 "columns": COLUMNS,

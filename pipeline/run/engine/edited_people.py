@@ -100,13 +100,13 @@ def put_together(
     changed_number_of = {track.track_id: number for number, track in enumerate(refitted.tracks)}
     sources: list[tuple[EditedPerson, People, int]] = []
     tracks, motions, doubts = [], [], []
-    present: dict[int, int] = {}
+    holders: dict[int, EditedPerson] = {}  # by the number before any edit
     for person in take.people:
         source = unchanged_from(person, spans)
         if source is None and person.id not in changed_number_of:
             continue
         if source is not None:
-            present[source] = person.id
+            holders[source] = person
         is_changed = person.id in changed_number_of
         number = changed_number_of[person.id] if is_changed else number_of[source or 0]
         sources.append((person, changed if is_changed else people, number))
@@ -115,7 +115,8 @@ def put_together(
         name = person.name or f"person-{person.id}"
         motions.append(replace(animation.motions[number], track_id=person.id, name=name))
         is_doubted = people.doubts and source is not None
-        doubts.append(_doubts(people, take, number_of[source or 0]) if is_doubted else [])
+        of_person = _doubts(people, take, number_of[source or 0]) if is_doubted else []
+        doubts.append([doubt for doubt in of_person if not _accepts(person, doubt.frame, doubt.frame + 1)])
 
     def track(k: int) -> Track3D:
         person, kept, row = sources[k]
@@ -137,9 +138,10 @@ def put_together(
         people.num_approximate_frames,
         doubts if people.doubts else (),
         losses=[
-            loss._replace(track_id=present.get(loss.track_id, 0))
+            loss._replace(track_id=holders[loss.track_id].id if loss.track_id else 0)
             for loss in people.losses
-            if loss.track_id in present or not loss.track_id
+            if not loss.track_id
+            or ((holder := holders.get(loss.track_id)) and not _accepts(holder, loss.start_frame, loss.stop_frame))
         ],
     )
     return edited, Animation(tuple(tracks), tuple(motions), fitted.floor)
@@ -194,6 +196,13 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
             if loss.start_frame < frames.stop and loss.stop_frame > frames.start
         ],
         animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
+        accepted={
+            number: [
+                replace(edit, start_frame=edit.start_frame - frames.start, stop_frame=edit.stop_frame - frames.start)
+                for edit in edits
+            ]
+            for number, edits in reconstruction.accepted.items()
+        },
     )
 
 
@@ -262,6 +271,14 @@ def _places(person: EditedPerson, parts: Sequence[Track3D]) -> Iterator[tuple[sl
 def _doubts(people: People, take: EditedTake, number: int) -> list[Doubt]:
     """Doubts about a person who did not change, with the other person's present number; 0 if there is none."""
     return [doubt._replace(other=_present(take, doubt)) for doubt in people.doubts[number]]
+
+
+def _accepts(person: EditedPerson, start_frame: int, stop_frame: int) -> bool:
+    """Whether somebody has looked at frames of a person and said that it is this one."""
+    return any(
+        edit.kind == "identity" and edit.start_frame < stop_frame and start_frame < edit.stop_frame
+        for edit in person.accepted
+    )
 
 
 def _present(take: EditedTake, doubt: Doubt) -> int:
