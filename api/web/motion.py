@@ -180,6 +180,9 @@ class MotionDescription(ResponseModel):
     bones: tuple[tuple[str, str], ...] = Field(
         description="Pairs of joints, for drawing.", examples=[[["nose", "left_eye"]]]
     )
+    mass_weights: tuple[float, ...] | None = Field(
+        default=None, description="Weights of the joints in the centre of mass; null if joints of the body are missing."
+    )
     skeleton: MotionSkeleton
     angle_names: tuple[str, ...] = Field(
         default=(), description="Names of the joint angles of the records, in their order; see `/help/biomechanics`."

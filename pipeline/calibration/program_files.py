@@ -38,41 +38,23 @@ def encode_qca(cameras: Sequence[Camera]) -> bytes:
         width, height = camera.size_px
         area = f'left="0" top="0" right="{width - 1}" bottom="{height - 1}"'
         k1, k2, p1, p2, k3 = _padded(camera, 5)
-        rotation = (_CV_FROM_QUALISYS @ camera.cam_from_world.rotation).tolist()
-        place = dict(zip("xyz", (1000 * center_in_world(camera)).tolist(), strict=True))
-        turn = {f"r{row + 1}{column + 1}": rotation[row][column] for row in range(3) for column in range(3)}
+        x, y, z = (1000 * center_in_world(camera)).tolist()
+        turn = (_CV_FROM_QUALISYS @ camera.cam_from_world.rotation).tolist()
+        turns = (f'r{row + 1}{column + 1}="{turn[row][column]!r}"' for row in range(3) for column in range(3))
         (fx, _, cx), (_, fy, cy), _ = (_SUBPIXELS * camera.matrix).tolist()
-        lens = {
-            "focallength": 0.0,
-            "sensorMinU": 0.0,
-            "sensorMaxU": _SUBPIXELS * width,
-            "sensorMinV": 0.0,
-            "sensorMaxV": _SUBPIXELS * height,
-            "focalLengthU": fx,
-            "focalLengthV": fy,
-            "centerPointU": cx,
-            "centerPointV": cy,
-            "skew": 0.0,
-            "radialDistortion1": k1,
-            "radialDistortion2": k2,
-            "radialDistortion3": k3,
-            "tangentalDistortion1": p1,
-            "tangentalDistortion2": p2,
-        }
         name = quoteattr(camera.name)
         lines += [
             f'<camera active="1" calibrated="true" point-count="0" avg-residual="0" serial={name} model="Miqus Video" '
             'viewrotation="0">',
             *(f"<{tag} {area}/>" for tag in ("fov_marker", "fov_marker_max", "fov_video", "fov_video_max")),
-            f"<transform {_attributes(place | turn)}/>",
-            f"<intrinsic {_attributes(lens)}/>",
+            f'<transform x="{x!r}" y="{y!r}" z="{z!r}" {" ".join(turns)}/>',
+            f'<intrinsic focallength="0" sensorMinU="0" sensorMaxU="{_SUBPIXELS * width}" sensorMinV="0" '
+            f'sensorMaxV="{_SUBPIXELS * height}" focalLengthU="{fx!r}" focalLengthV="{fy!r}" centerPointU="{cx!r}" '
+            f'centerPointV="{cy!r}" skew="0" radialDistortion1="{k1!r}" radialDistortion2="{k2!r}" '
+            f'radialDistortion3="{k3!r}" tangentalDistortion1="{p1!r}" tangentalDistortion2="{p2!r}"/>',
             "</camera>",
         ]
     return "\n".join([*lines, "</cameras>", "</calibration>", ""]).encode()
-
-
-def _attributes(values: Mapping[str, float]) -> str:
-    return " ".join(f'{name}="{value!r}"' for name, value in values.items())
 
 
 def encode_opencap(cameras: Sequence[Camera]) -> bytes:

@@ -52,18 +52,7 @@ def planned_cameras(
 ) -> tuple[Camera, ...]:
     """Cameras evenly along the walls of a room, which look at the middle at a height of 1 m.
 
-    Parameters
-    ----------
-    room_m
-        Sides along X and Y.
-    field_deg
-        Horizontal field of view.
-
-    Examples
-    --------
-    >>> cameras = planned_cameras((8.0, 6.0), 4, 2.5, (1920, 1080), 60.0)
-    >>> [camera.name for camera in cameras]
-    ['cam_0', 'cam_1', 'cam_2', 'cam_3']
+    ``room_m`` are the sides along X and Y, ``field_deg`` is the horizontal field of view.
     """
     width, height = size_px
     focal_px = width / 2 / np.tan(np.radians(field_deg / 2))

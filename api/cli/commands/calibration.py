@@ -113,20 +113,17 @@ def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[P
     """Name of the format of a file to write, ``None`` if there is none; and a problem of the format or the ending."""
     file = target.name.lower()
     by_ending = [name for name, known in PROGRAM_FORMATS.items() if file.endswith(known.endings)]
-    if stated is not None and stated not in PROGRAM_FORMATS:
-        hint = f"Use one of {', '.join(PROGRAM_FORMATS)}."
-        return None, [Problem(CALIBRATION_FORMAT, f"There is no format {stated[:40]!r} to write.", hint=hint)]
-    if stated is None:
-        # Several formats of programs are zip archives.
-        if by_ending and not file.endswith(".zip"):
-            return by_ending[0], []
-        hint = f"State it: --to with one of {', '.join(by_ending or PROGRAM_FORMATS)}."
-        return None, [Problem(CALIBRATION_FORMAT, "The ending does not tell the format.", file=target.name, hint=hint)]
-    if stated in by_ending:
-        return stated, []
-    title, endings = PROGRAM_FORMATS[stated][:2]
-    message = f"{title} is not read from a file of this ending."
-    return stated, [Problem(CALIBRATION_FORMAT, message, file=target.name, hint=f"Use {' or '.join(endings)}.")]
+    # Several formats of programs are zip archives.
+    name = by_ending[0] if stated is None and by_ending and not file.endswith(".zip") else stated
+    if name in by_ending:
+        return name, []
+    if name is not None and name in PROGRAM_FORMATS:
+        title, endings = PROGRAM_FORMATS[name][:2]
+        message, hint = f"{title} is not read from a file of this ending.", f"Use {' or '.join(endings)}."
+    else:
+        message = "The ending does not tell the format." if name is None else f"There is no format {name[:40]!r}."
+        hint = f"State one by --to: {', '.join(by_ending or PROGRAM_FORMATS)}."
+    return None, [Problem(CALIBRATION_FORMAT, message, file=target.name, hint=hint)]
 
 
 def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[CameraFile, list[Problem]]:
@@ -308,18 +305,7 @@ def plan(
     if as_json:
         emit({"covered": round(found.covered, 3), "places": places, "cameras": camera_documents(rig)})
         return
-    print_table(
-        ("x", "y", "views of a joint", "expected error"),
-        (
-            [
-                f"{p['x_m']} m",
-                f"{p['y_m']} m",
-                str(p["views"]),
-                f"{p['error_mm']} mm" if p["error_mm"] else "not located",
-            ]
-            for p in places
-        ),
-    )
+    print_table(("x, m", "y, m", "views", "error, mm"), (list(map(str, place.values())) for place in places))
     console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
 
 

@@ -36,6 +36,7 @@ from pipeline.export.viewer.frames import (
 )
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.balance.segment_masses import segment_masses
 from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
 from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
 from pipeline.motion.body.shape import BodyShapes, shape_body, standing_ankle_m
@@ -162,6 +163,7 @@ class ViewerMotion:
         """Encode ``motion.json`` as strict JSON. All pieces of ``encode`` must have been taken before."""
         take = self._take
         places = [joint.name for joint in self._skeleton]
+        masses = segment_masses(take.subject, take.joints)
         document = {
             "schema_version": SCHEMA_VERSION,
             "frame_rate_hz": take.timebase.frame_rate_hz,
@@ -171,6 +173,8 @@ class ViewerMotion:
             "first_source_frame": take.timebase.first_source_frame,
             "joint_names": take.joints.names,
             "bones": take.joints.bones,
+            # Weights of the joints in the centre of mass; offsets of segments' centres beside their lines are left out.
+            "mass_weights": None if masses is None else masses.weights.round(5).tolist(),
             "skeleton": {
                 "names": places,
                 "parents": [None if joint.parent is None else places.index(joint.parent) for joint in self._skeleton],

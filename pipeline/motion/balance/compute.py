@@ -40,16 +40,20 @@ class Balance:
     """Balance of a person in the frames of a motion; NaN where a joint is unknown."""
 
     start_frame: int  # Output frame of the first row
-    mass_kg: float | None  # Mass of the person; ``None``: momenta are per kilogram
+    mass_kg: float | None  # Mass of the person; ``None``: momenta are for each kilogram
     centre_m: Float[np.ndarray, "frames 3"]  # Centre of mass in the world
     sigma_m: Float[np.ndarray, " frames"]  # Standard deviation of a coordinate of the centre
     velocity_m_s: Float[np.ndarray, "frames 3"]
     extrapolated_m: Float[np.ndarray, "frames 2"]  # Extrapolated centre of mass on the floor
-    # Momentum, in kg m/s, and angular momentum about the centre of mass, in kg m^2/s; per kilogram without a mass
-    momentum: Float[np.ndarray, "frames 3"]
+    # Angular momentum about the centre of mass, in kg m^2/s; per kilogram without a mass
     angular_momentum: Float[np.ndarray, "frames 3"]
     margin_m: Float[np.ndarray, " frames"]  # Margin of stability; NaN without a foot on the floor
     margin_sigma_m: Float[np.ndarray, " frames"]
+
+    @property
+    def momentum(self) -> Float[np.ndarray, "frames 3"]:
+        """Momentum in kg m/s, for each kilogram without a mass."""
+        return (self.mass_kg or 1.0) * self.velocity_m_s
 
     @property
     def frames(self) -> range:
@@ -109,7 +113,6 @@ def balance_of(motion: SkeletonMotion, track: Track3D, joints: JointSet, subject
     gain = frame_rate_hz**2 / (2.0 * (np.arange(1, half + 1) ** 2).sum()) if half else np.nan
     sigma_of_margin_m = np.sqrt(variance_m2 * (1.0 + gain * time_s**2))
     margin_m = _margins(track, joints, motion.contacts, extrapolated_m)
-    factor = subject.mass_kg or 1.0
     return Balance(
         track.start_frame,
         subject.mass_kg,
@@ -117,8 +120,7 @@ def balance_of(motion: SkeletonMotion, track: Track3D, joints: JointSet, subject
         sigma_m=read_only(np.sqrt(variance_m2)),
         velocity_m_s=read_only(velocity_m_s),
         extrapolated_m=read_only(extrapolated_m),
-        momentum=read_only(factor * velocity_m_s),
-        angular_momentum=read_only(factor * spin),
+        angular_momentum=read_only((subject.mass_kg or 1.0) * spin),
         margin_m=read_only(margin_m),
         margin_sigma_m=read_only(np.where(np.isfinite(margin_m), sigma_of_margin_m, np.nan)),
     )

@@ -78,9 +78,9 @@ def test_convert_writes_for_other_programs(rig: Path, target: str, to: str | Non
 @pytest.mark.parametrize(
     ("target", "to", "code", "told"),
     [
-        ("rig.zip", None, "calibration_format", "--to with one of opencap, easymocap, colmap"),
+        ("rig.zip", None, "calibration_format", "State one by --to: opencap, easymocap, colmap"),
         ("rig.json", "qca", "calibration_format", "Use .qca.txt or .qca or .xml."),
-        ("rig.json", "vicon", "calibration_format", "Use one of multicap, anipose"),
+        ("rig.json", "vicon", "calibration_format", "There is no format 'vicon'. State one by --to: multicap"),
         ("rig.yaml", "mamma", "unsupported_lens", "MAMMA's YAML can't hold 5 coefficients of distortion, but 4."),
     ],
 )
