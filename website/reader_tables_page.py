@@ -47,6 +47,7 @@ The lens is a fisheye lens of OpenCV's model `fisheye`, with 4 coefficients, if 
 | Multicap | `"lens": "fisheye"` |
 | anipose, Caliscope, FreeMoCap, Pose2Sim | `fisheye = true` |
 | OpenCV FileStorage | `fisheye: 1`, or the lens model `fisheye`, `equidistant`, `kannala_brandt` or `opencv_fisheye` |
+| Kalibr | `distortion_model: equidistant` |
 | COLMAP | `OPENCV_FISHEYE`, `RADIAL_FISHEYE`, `SIMPLE_RADIAL_FISHEYE`, `FISHEYE` or `SIMPLE_FISHEYE` |
 
 COLMAP's models `SIMPLE_PINHOLE`, `PINHOLE`, `SIMPLE_RADIAL`, `RADIAL`, `OPENCV` and `FULL_OPENCV` are read too.

@@ -227,7 +227,9 @@ def _margins(
     for side in range(2):
         corners_m[~stands[:, side], side] = corners_m[~stands[:, side], 1 - side]
     used = stands.any(1) & np.isfinite(corners_m).all((1, 2, 3)) & np.isfinite(points_m).all(1)
-    margin_m[used] = margins_of(corners_m[used].reshape(-1, 8, 2), points_m[used])
+    rows = np.flatnonzero(used)
+    for block in np.split(rows, range(_BLOCK_FRAMES, len(rows), _BLOCK_FRAMES)):
+        margin_m[block] = margins_of(corners_m[block].reshape(-1, 8, 2), points_m[block])
     return margin_m
 
 
