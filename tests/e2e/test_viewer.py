@@ -442,8 +442,9 @@ def test_fit_frames_all_people(shown: Shown) -> None:
 def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     shown.mount()
     shown.page.get_by_role("button", name="person-2: next spot to check").click()
-    assert shown.frame == 48
-    expect(shown.page.locator(".look-status")).to_have_text("person-2, frame 48: doubtful identity.")
+    assert shown.frame == 54
+    words = "person-2, frame 54: The person may be another one from frame 60 on."
+    expect(shown.page.locator(".look-status")).to_have_text(words)
     strip = shown.page.get_by_role("img", name="person-1: 100 % of the joints measured")
     box = strip.bounding_box()
     assert box is not None
@@ -453,6 +454,30 @@ def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     place.focus()
     shown.page.keyboard.press("ArrowLeft")
     assert abs(shown.frame - 89) <= 1
+
+
+def test_places_to_look_at_are_visited_and_accepted(shown: Shown) -> None:
+    shown.mount()
+    page = shown.page
+    page.evaluate("""() => {
+      globalThis.edits = [];
+      globalThis.viewer.editor = { add: (edit) => globalThis.edits.push(edit) };
+    }""")
+    concerns = page.evaluate("() => globalThis.viewer.description.concerns")
+    worst = concerns[0]
+    page.keyboard.press("n")
+    assert shown.frame == worst["start_frame"]
+    status = page.locator(".look-status")
+    expect(status).to_contain_text(f"1 of {len(concerns)}: person-{worst['person']}, frame {worst['start_frame']}.")
+    expect(status).to_contain_text(worst["message"])
+    for number in range(len(concerns)):
+        page.keyboard.press("y")
+        if number + 1 < len(concerns):
+            expect(status).to_contain_text(f"1 of {len(concerns) - number - 1}: ")
+    expect(status).to_have_text("No place is left to look at.")
+    fields = ("person", "kind", "start_frame", "stop_frame")
+    accepted = [{"action": "accept", **{name: concern[name] for name in fields}} for concern in concerns]
+    assert page.evaluate("() => globalThis.edits") == accepted
 
 
 @pytest.mark.slow

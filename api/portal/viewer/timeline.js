@@ -2,7 +2,7 @@
 
 import { VIEWER } from "../shared/strings/viewer.js";
 import { el, iconButton } from "./dom.js";
-import { badErrorPx, badSpots, bucketErrorPx, decodeStrips } from "./motion/strips.js";
+import { badErrorPx, bucketErrorPx, decodeStrips, spotsOf } from "./motion/strips.js";
 
 // Heights of the bands in pixels: sources, error, cameras, identity, contacts of the left foot over the right foot's.
 const BANDS = { sources: 12, error: 6, cameras: 6, identity: 6, contacts: 6 };
@@ -22,6 +22,8 @@ export class Strips {
   #head;
   #span; // range that is played
   #announce;
+  #concerns; // places to look at that were not accepted, from the worst one on
+  #place = -1; // number of the one that is looked at
   #current = null;
   #marked = null; // frame at which the pointer went down
 
@@ -30,7 +32,8 @@ export class Strips {
     this.#description = description;
     this.#player = player;
     this.#announce = announce;
-    this.spots = description.people.map((_, person) => badSpots(description, person));
+    this.spots = description.people.map((_, person) => spotsOf(description, person));
+    this.#concerns = description.concerns;
     this.#range = el("input", {
       type: "range", class: "look-range", min: 0, step: 1,
       "aria-label": VIEWER.head, oninput: () => { player.pause(); player.seek(Number(this.#range.value)); },
@@ -57,23 +60,42 @@ export class Strips {
     this.#head.style.setProperty("--place", numFrames > 1 ? (frame + 0.5) / numFrames : 0.5);
   }
 
-  /** Go to the next or the previous spot to check, of a person or of all people. */
-  goToSpot(direction, person = null) {
-    const all = (person === null ? this.spots.flatMap((spots, number) => spots.map((spot) => ({ ...spot, number })))
-      : this.spots[person].map((spot) => ({ ...spot, number: person }))).sort((a, b) => a.from - b.from);
+  /** Go to the next or the previous place to look at, from the worst one on. */
+  goToConcern(step) {
+    const count = this.#concerns.length;
+    if (count === 0) return this.#announce(VIEWER.noConcern);
+    this.#place = (Math.max(this.#place, step < 0 ? 0 : -1) + step + count) % count;
+    const { person: id, start_frame: from, message } = this.#concerns[this.#place];
+    this.#goTo(from);
+    const { name } = this.#description.people.find((person) => person.id === id);
+    return this.#announce(VIEWER.concernAt(name, from, message, this.#place + 1, count));
+  }
+
+  /** Say that the place that is looked at is right: make an edit of it, and go to the next one. */
+  accept(editor) {
+    const concern = this.#concerns[this.#place];
+    if (concern === undefined || editor === null) return;
+    const { first_frame: first } = this.#description;
+    const { person, kind, start_frame: start, stop_frame: stop } = concern;
+    this.#concerns = this.#concerns.filter((other) => other !== concern);
+    this.#place -= 1;
+    this.goToConcern(1);
+    editor.add({ action: "accept", person, kind, start_frame: first + start, stop_frame: first + stop });
+  }
+
+  #goToSpot(direction, person) {
     const { start_time_s: startS, frame_rate_hz: rateHz } = this.#description;
     const frame = Math.round((this.#player.timeS - startS) * rateHz);
-    // Spots of several people may begin in the same frame.
     const isNext = (spot) => (direction > 0 ? spot.from > frame : spot.from < frame);
-    const found = direction > 0 ? all.find(isNext) : all.findLast(isNext);
-    if (!found) {
-      this.#announce(direction > 0 ? VIEWER.noLaterSpot : VIEWER.noEarlierSpot);
-      return;
-    }
+    const found = direction > 0 ? this.spots[person].find(isNext) : this.spots[person].findLast(isNext);
+    if (!found) return this.#announce(direction > 0 ? VIEWER.noLaterSpot : VIEWER.noEarlierSpot);
+    this.#goTo(found.from);
+    return this.#announce(VIEWER.spotAt(this.#description.people[person].name, found.from, found.reason));
+  }
+
+  #goTo(frame) {
     this.#player.pause();
-    this.#player.seekTime(startS + found.from / rateHz);
-    const { name } = this.#description.people[found.number];
-    this.#announce(VIEWER.spotAt(name, found.from, found.reason));
+    this.#player.seekTime(this.#description.start_time_s + frame / this.#description.frame_rate_hz);
   }
 
   #row(person, number, onperson, isShown) {
@@ -91,9 +113,9 @@ export class Strips {
     return el("div", { class: "look-line" }, name,
       el("div", { class: "look-track" }, canvas),
       el("div", { class: "look-spots" },
-        iconButton("previous", VIEWER.previousSpot(person.name), () => this.goToSpot(-1, number), { disabled: numSpots === 0 }),
+        iconButton("previous", VIEWER.previousSpot(person.name), () => this.#goToSpot(-1, number), { disabled: numSpots === 0 }),
         el("span", { class: "look-count", title: VIEWER.spots }, String(numSpots)),
-        iconButton("next", VIEWER.nextSpot(person.name), () => this.goToSpot(1, number), { disabled: numSpots === 0 })));
+        iconButton("next", VIEWER.nextSpot(person.name), () => this.#goToSpot(1, number), { disabled: numSpots === 0 })));
   }
 
   #summary(number) {

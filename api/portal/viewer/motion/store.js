@@ -282,8 +282,18 @@ function describe(base, before, after, people) {
     first_frame: after.start_frame,
     first_source_frame: (base.first_source_frame ?? 0) + shift,
     people: people.map(({ person, parts }) => describePerson(base, person, parts, shift)),
+    concerns: leftConcerns(base, after, people, shift),
     strips: { ...base.strips, people: people.map(({ parts }) => encodeStrips(base, parts, shift, numFrames)) },
   };
+}
+
+/** Places to look at of people who are as they were, but for places that were accepted. */
+function leftConcerns(base, { edits, outcomes, first_frame: first, start_frame: start }, people, shift) {
+  const accepted = edits.flatMap((edit, index) => (edit.action === "accept" ? [{ ...edit, person: outcomes[index]?.person ?? edit.person }] : []));
+  const isLeft = ({ person, kind, start_frame: from, stop_frame: to }) => people.some(({ person: { id }, parts }) => id === person && parts.length === 1)
+    && !accepted.some((edit) => edit.person === person && edit.kind === kind && edit.start_frame - first - start < to && from < edit.stop_frame - first - start);
+  return base.concerns.map((concern) => ({ ...concern, start_frame: concern.start_frame - shift, stop_frame: concern.stop_frame - shift }))
+    .filter((concern) => concern.start_frame >= 0 && isLeft(concern));
 }
 
 function describePerson(base, { id, name, color }, parts, shift) {

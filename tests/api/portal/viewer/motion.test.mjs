@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { angleGroups, bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
 import { about, cameraCenter, FrameRecords, chooseOrigin, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
 import { EditedStore, MotionStore } from "../../../../api/portal/viewer/motion/store.js";
-import { badSpots, bucketErrorPx, decodeStrips } from "../../../../api/portal/viewer/motion/strips.js";
+import { bucketErrorPx, decodeStrips, spotsOf } from "../../../../api/portal/viewer/motion/strips.js";
 
 const read = (name) => readFileSync(`${process.env.FIXTURES}/${name}`);
 const description = JSON.parse(read("motion.json"));
@@ -141,9 +141,9 @@ test("strips and spots", () => {
   assert.equal(strips.measured.length, 100);
   assert.equal(bucketErrorPx(description, strips, 45), 2.5);
   assert.ok(Number.isNaN(bucketErrorPx(description, strips, 95)));
-  const spots = badSpots(description, 1);
-  assert.deepEqual(spots[0], { from: 30, to: 61, reason: "doubtful identity" });
-  assert.ok(spots.slice(1).every(({ from }) => from > 60));
+  const concern = (person, kind, start_frame, stop_frame) => ({ person, kind, message: kind, start_frame, stop_frame });
+  const concerns = [concern(4, "sides", 50, 52), concern(1, "error", 3, 9), concern(4, "error", 30, 40)];
+  assert.deepEqual(spotsOf({ ...description, concerns }, 1), [{ from: 30, to: 40, kind: "error", reason: "error" }, { from: 50, to: 52, kind: "sides", reason: "sides" }]);
 });
 
 test("angles and speeds", () => {
@@ -161,7 +161,7 @@ test("angles and speeds", () => {
 const NUM_FRAMES = description.num_frames;
 const piece = (person, start_frame, stop_frame) => ({ person, start_frame, stop_frame });
 const peopleOf = (people, [start_frame, stop_frame] = [0, NUM_FRAMES]) => ({
-  start_frame, stop_frame, people: people.map(([id, name, ...pieces]) => ({ id, name, color: `#00000${id}`, pieces })),
+  start_frame, stop_frame, first_frame: 0, edits: [], outcomes: [], people: people.map(([id, name, ...pieces]) => ({ id, name, color: `#00000${id}`, pieces })),
 });
 const FOUND = peopleOf([[1, "person-1", piece(1, 0, 40)], [4, "person-4", piece(4, 30, 90)]]);
 
@@ -219,6 +219,16 @@ test("a cut numbers the frames anew, and people outside of it are gone", async (
   assert.deepEqual(store.description.people.map(({ id, start_frame: start, num_frames: count }) => [id, start, count]), [[4, 0, 30]]);
   assert.deepEqual(firstJoint(store, 0, 3), firstJoint(base, 1, 53));
   assert.equal(store.description.people[0].identity.doubts.length, 0);
+});
+
+test("places that were accepted, and of people who changed, are left out", async () => {
+  const concern = (person, start_frame) => ({ person, kind: "sides", message: "", start_frame, stop_frame: start_frame + 5 });
+  const base = new MotionStore({ ...description, concerns: [concern(1, 15), concern(4, 40), concern(4, 60), concern(4, 80)] }, new FakeService());
+  const after = { ...peopleOf([[1, "a", piece(1, 0, 20)], [5, "b", piece(1, 20, 40)], [4, "c", piece(4, 30, 90)]], [50, 90]), first_frame: 1000 };
+  after.edits = [{ action: "accept", kind: "sides", person: { frame: 1060, place_m: [0, 0, 0] }, start_frame: 1060, stop_frame: 1065 }, { action: "accept", kind: "error", person: 4, start_frame: 1080, stop_frame: 1085 }];
+  after.outcomes = [{ person: 4 }];
+  const { concerns } = new EditedStore(base, FOUND, after).description;
+  assert.deepEqual(concerns.map(({ person, start_frame: start }) => [person, start]), [[4, 30]]);
 });
 
 test("frames that an earlier cut left out are not waited for", async () => {
