@@ -24,6 +24,8 @@ from celery.signals import (
     worker_ready,
     worker_shutting_down,
 )
+from celery.worker.request import Request
+from kombu.transport.virtual import QoS
 
 from pipeline.core.runtime.resources import limit_memory, lower_priority
 from worker.run import tasks, tracing
@@ -69,7 +71,7 @@ def create_celery(settings: WorkerSettings) -> Celery:
             **transport_options(_BROKER_TIMEOUT_S),
         },
     )
-    celery.task(name=TASK_NAME, bind=True)(_work)
+    celery.task(name=TASK_NAME, bind=True, Request="worker.run.app:WakingRequest")(_work)
     setup_logging.connect(_log)
     celeryd_init.connect(_one_thread_a_process)
     celeryd_init.connect(_lower_priority)
@@ -143,6 +145,22 @@ def _consume(**_: object) -> None:
 def _return_chunks(**_: object) -> None:
     """Tell running tasks to return their chunks: a shutdown waits for them, and a chunk may take long."""
     tasks.shutting_down.set()
+
+
+class WakingRequest(Request):  # type: ignore[misc]  # Celery has no types
+    """Message in work, which never keeps a worker from receiving others.
+
+    kombu 5.7.0 counts a message as held for good if its acknowledgement fails, as while the broker restarts. A worker
+    whose processes all hold such a message would receive no more, and not notice that its connection is lost.
+    """
+
+    message: Any
+
+    def acknowledge(self) -> None:
+        """Acknowledge the message; count it as acknowledged also if the broker does not answer."""
+        super().acknowledge()
+        if not self.message.acknowledged:
+            QoS.ack(self.message.channel.qos, self.message.delivery_tag)  # type: ignore[no-untyped-call]
 
 
 class PromptPool(TaskPool):  # type: ignore[misc]  # Celery has no types

@@ -1,4 +1,4 @@
-"""Children of Celery's pool: what they do not keep of their parent."""
+"""Celery's application: messages in work, and what children of its pool do not keep of their parent."""
 
 import os
 import select
@@ -6,8 +6,11 @@ import socket
 import stat
 
 import pytest
+from kombu.message import Message
 
-from worker.run.app import release_inherited_sockets
+from worker.run.app import WakingRequest, create_celery, release_inherited_sockets
+from worker.run.settings import WorkerSettings
+from worker.store.queue import TASK_NAME
 
 
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs Linux: epoll")
@@ -48,3 +51,28 @@ def test_files_and_pipes_of_parent_stay() -> None:
     assert os.read(read, 4) == b"here"
     os.close(read)
     os.close(write)
+
+
+def test_lost_acknowledgement_lets_worker_receive_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    celery = create_celery(WorkerSettings(broker_url="memory://"))
+    received: list[Message] = []
+    with celery.connection_for_write() as connection, connection.channel() as channel:
+        consumer = celery.amqp.TaskConsumer(channel, on_message=received.append, accept=["json"])
+        consumer.qos(prefetch_count=1)
+        with consumer:
+            celery.send_task(TASK_NAME, connection=connection)
+            celery.send_task(TASK_NAME, connection=connection)
+            connection.drain_events(timeout=5)
+            assert not channel.qos.can_consume()
+
+            def refuse(*_: object, **__: object) -> None:
+                raise ConnectionRefusedError
+
+            monkeypatch.setattr(channel, "basic_ack", refuse)
+            task, (message,) = celery.tasks[TASK_NAME], received
+            WakingRequest(
+                message, app=celery, task=task, on_ack=message.ack_log_error, connection_errors=(OSError,)
+            ).acknowledge()
+            connection.drain_events(timeout=5)
+    assert task.Request == "worker.run.app:WakingRequest"
+    assert len(received) == 2
