@@ -441,10 +441,13 @@ def test_fit_frames_all_people(shown: Shown) -> None:
 @pytest.mark.slow
 def test_strips_lead_to_doubtful_spots(shown: Shown) -> None:
     shown.mount()
-    shown.page.get_by_role("button", name="person-2: next spot to check").click()
+    concerns = shown.page.evaluate("() => globalThis.viewer.description.concerns")
+    (number,) = [number for number, concern in enumerate(concerns) if concern["kind"] == "identity"]
+    for _ in range(number + 1):
+        shown.page.get_by_role("button", name="Next place to look at (N)").click()
     assert shown.frame == 54
-    words = "person-2, frame 54: The person may be another one from frame 60 on."
-    expect(shown.page.locator(".look-status")).to_have_text(words)
+    words = "person-2, frame 54. The person may be another one from frame 60 on."
+    expect(shown.page.locator(".look-status")).to_contain_text(words)
     strip = shown.page.get_by_role("img", name="person-1: 100 % of the joints measured")
     box = strip.bounding_box()
     assert box is not None

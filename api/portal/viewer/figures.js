@@ -57,7 +57,7 @@ function peopleTable(description, player, spots) {
     el("td", {}, figure(person.stature_m, 2, " m")),
     el("td", {}, figure(person.identity.confidence * 100, 0, " %"), doubts(player, person)),
     el("td", {}, String(person.contacts.length)),
-    el("td", {}, spots[number].length === 0 ? FIGURES.none : goTo(player, spots[number][0].from, String(spots[number].length), FIGURES.spotsOf(person.name)))));
+    el("td", {}, spots[number].length === 0 ? FIGURES.none : goTo(player, spots[number][0], String(spots[number].length), FIGURES.spotsOf(person.name)))));
   rows.forEach((row, number) => row.style.setProperty("--tint", description.people[number].color));
   return table(FIGURES.tabs.people, FIGURES.people, rows);
 }

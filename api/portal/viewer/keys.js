@@ -48,6 +48,7 @@ function act(viewer, { key, shiftKey }) {
     n: () => viewer.strips.goToConcern(1),
     p: () => viewer.strips.goToConcern(-1),
     y: () => viewer.strips.accept(viewer.editor),
+    c: () => viewer.correct?.(),
     f: () => (shiftKey ? viewer.fillScreen() : viewer.fit()),
     l: () => player.setLooping(!player.isLooping),
     "-": () => viewer.changeSpeed(-1),

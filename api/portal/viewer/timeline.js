@@ -28,7 +28,7 @@ export class Strips {
   #marked = null; // frame at which the pointer went down
 
   /** `isShown` says whether a person is shown at first; `signal` ends that the strips follow the play head. */
-  constructor(description, player, { announce, onperson, isShown = () => true, signal }) {
+  constructor(description, player, { announce, onperson, editor, isShown = () => true, signal }) {
     this.#description = description;
     this.#player = player;
     this.#announce = announce;
@@ -42,7 +42,9 @@ export class Strips {
     this.#head = el("div", { class: "look-head", "aria-hidden": "true" });
     const rows = description.people.map((person, number) => this.#row(person, number, onperson, isShown(number)));
     this.element = el("div", { class: "look-timeline" },
-      el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#span, this.#range)),
+      el("div", { class: "look-line" }, el("span", { class: "look-line-name" }), el("div", { class: "look-track" }, this.#span, this.#range),
+        el("div", { class: "look-spots" }, iconButton("previous", VIEWER.previousConcern, () => this.goToConcern(-1)), iconButton("next", VIEWER.nextConcern, () => this.goToConcern(1)),
+          editor === null ? null : iconButton("right", VIEWER.accept, () => this.accept(editor)))),
       el("div", { class: "look-rows", role: "group", "aria-label": VIEWER.quality }, rows, this.#head),
       rows.length === 0 ? el("p", { class: "look-quiet" }, VIEWER.empty) : this.#legend());
     for (const type of ["time", "change"]) player.addEventListener(type, () => this.draw(), { signal });
@@ -66,7 +68,8 @@ export class Strips {
     if (count === 0) return this.#announce(VIEWER.noConcern);
     this.#place = (Math.max(this.#place, step < 0 ? 0 : -1) + step + count) % count;
     const { person: id, start_frame: from, message } = this.#concerns[this.#place];
-    this.#goTo(from);
+    this.#player.pause();
+    this.#player.seekTime(this.#description.start_time_s + from / this.#description.frame_rate_hz);
     const { name } = this.#description.people.find((person) => person.id === id);
     return this.#announce(VIEWER.concernAt(name, from, message, this.#place + 1, count));
   }
@@ -83,21 +86,6 @@ export class Strips {
     editor.add({ action: "accept", person, kind, start_frame: first + start, stop_frame: first + stop });
   }
 
-  #goToSpot(direction, person) {
-    const { start_time_s: startS, frame_rate_hz: rateHz } = this.#description;
-    const frame = Math.round((this.#player.timeS - startS) * rateHz);
-    const isNext = (spot) => (direction > 0 ? spot.from > frame : spot.from < frame);
-    const found = direction > 0 ? this.spots[person].find(isNext) : this.spots[person].findLast(isNext);
-    if (!found) return this.#announce(direction > 0 ? VIEWER.noLaterSpot : VIEWER.noEarlierSpot);
-    this.#goTo(found.from);
-    return this.#announce(VIEWER.spotAt(this.#description.people[person].name, found.from, found.reason));
-  }
-
-  #goTo(frame) {
-    this.#player.pause();
-    this.#player.seekTime(this.#description.start_time_s + frame / this.#description.frame_rate_hz);
-  }
-
   #row(person, number, onperson, isShown) {
     const strips = decodeStrips(this.#description, number);
     const canvas = el("canvas", {
@@ -109,13 +97,9 @@ export class Strips {
     const swatch = el("input", { type: "checkbox", checked: isShown, "aria-label": VIEWER.showPerson(person.name), onchange: () => onperson(number, swatch.checked) });
     const name = el("label", { class: "look-line-name" }, swatch, el("span", { class: "look-swatch" }), el("span", { class: "look-ellipsis" }, person.name));
     name.style.setProperty("--tint", person.color);
-    const numSpots = this.spots[number].length;
     return el("div", { class: "look-line" }, name,
       el("div", { class: "look-track" }, canvas),
-      el("div", { class: "look-spots" },
-        iconButton("previous", VIEWER.previousSpot(person.name), () => this.#goToSpot(-1, number), { disabled: numSpots === 0 }),
-        el("span", { class: "look-count", title: VIEWER.spots }, String(numSpots)),
-        iconButton("next", VIEWER.nextSpot(person.name), () => this.#goToSpot(1, number), { disabled: numSpots === 0 })));
+      el("span", { class: "look-count", title: VIEWER.spots }, String(this.spots[number].length)));
   }
 
   #summary(number) {

@@ -264,7 +264,7 @@ export class Viewer {
     this.#figuresEnd = new AbortController();
     const { signal } = this.#figuresEnd;
     const onperson = (person, isShown) => this.#setShown(person, isShown);
-    this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson, isShown: (person) => this.shown[person], signal });
+    this.strips = new Strips(description, player, { announce: (text) => this.say(text), onperson, editor: this.editor, isShown: (person) => this.shown[person], signal });
     this.figures?.close();
     this.figures = this.#makeFigures(this, shown);
   }

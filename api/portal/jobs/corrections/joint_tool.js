@@ -40,7 +40,7 @@ export class JointTool {
     viewer.strips.element.before(this.element);
     const { signal } = this.#ending;
     viewer.player.addEventListener("time", () => this.#moved(), { signal });
-    document.addEventListener("keydown", (event) => this.#key(event), { signal });
+    viewer.correct = () => this.toggle(); // for the viewer's keys
     for (const type of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) {
       viewer.main.addEventListener(type, (event) => this.#pointer(event), { capture: true, signal });
     }
@@ -144,12 +144,6 @@ export class JointTool {
     const joints = this.#joints(this.#chosen.person);
     const number = 3 * this.#viewer.description.joint_names.indexOf(this.#chosen.joint);
     return joints && Number.isFinite(joints[number]) ? [...joints.slice(number, number + 3)] : null;
-  }
-
-  #key(event) {
-    const isText = event.target.matches("input:not([type=range], [type=checkbox]), textarea, select");
-    if (event.key.toLowerCase() !== "c" || isText || event.ctrlKey || event.metaKey || event.altKey || this.#viewer.sheet.open) return;
-    this.toggle();
   }
 
   #pointer(event) {

@@ -26,9 +26,7 @@ export function badErrorPx(description, person) {
   return Math.max(ERROR_FLOOR_PX, ERROR_RATIO * (description.people[person].reprojection_error_px ?? 0));
 }
 
-/** Places of a person to look at, in order: `{ from, to, reason, kind }`; frames `from` up to but without `to`. */
+/** First frames of the places of a person to look at, in order. */
 export function spotsOf({ concerns, people }, person) {
-  return concerns.filter(({ person: id }) => id === people[person].id)
-    .map(({ kind, message, start_frame: from, stop_frame: to }) => ({ from, to, kind, reason: message }))
-    .sort((one, other) => one.from - other.from);
+  return concerns.filter(({ person: id }) => id === people[person].id).map(({ start_frame: from }) => from).sort((one, other) => one - other);
 }
