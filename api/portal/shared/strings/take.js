@@ -108,7 +108,7 @@ export const PEOPLE = {
   behind: "The files show earlier edits of the capture.",
   leftOut: "This run leaves the edits of the capture out.",
   apply: "Apply the edits",
-  gone: "a person who is gone",
+  gone: "a person not in this run",
   undoOf: (label, edit) => `${label}: ${edit}`,
   nothingToUndo: "There is no edit to undo.",
   nothingToRedo: "There is nothing to redo.",
