@@ -68,12 +68,10 @@ class Reconstruction:
         Refinement of the calibration and measured clocks, ``None`` without; check of the session by its people.
     provider
         Execution provider of the networks; ``None`` if there was nothing to detect.
-    layout
-        Layout of keypoints whose files do not name their points, and how it was told; ``None`` for others.
+    layout, subject
+        Layout of keypoints without names, and how it was told, or ``None``; table of segments, sex and mass of people.
     is_emptied
         Whether edits removed everybody who was found.
-    subject
-        Table of segments, sex and mass of the people.
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
 

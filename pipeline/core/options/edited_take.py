@@ -20,7 +20,7 @@ from pipeline.core.options.edits import (
     Correction,
     Cut,
     Exchange,
-    Key,
+    KeyJoint,
     Merge,
     Named,
     PeopleEdit,
@@ -408,7 +408,7 @@ class _Take:
     def _correct(self, edit: Correction | Accept) -> None:
         """Keep a correction with the body that is there in the frame by which the person is named."""
         person = self._person(edit.person)
-        field_name = "frame" if isinstance(edit, Key | PlaceDetection) else "start_frame"
+        field_name = "frame" if isinstance(edit, KeyJoint | PlaceDetection) else "start_frame"
         start, stop = frames_of(edit)
         here = self._range(start, stop)
         if here.stop <= person.start_frame or here.start >= person.stop_frame:
@@ -424,7 +424,7 @@ class _Take:
             anchor = edit.person.frame - self.frames.start
         piece = min(person.pieces, key=lambda piece: max(piece.start_frame - anchor, anchor + 1 - piece.stop_frame, 0))
         anchor = min(max(anchor, piece.start_frame), piece.stop_frame - 1)
-        if isinstance(edit, Key):
+        if isinstance(edit, KeyJoint):
             distance_m = math.dist(edit.place_m, self.found[piece.person].place_m(here.start))
             if MAX_KEY_M < distance_m < math.inf:
                 message = f"The place is {distance_m:.1f} m from the person at frame {start}."

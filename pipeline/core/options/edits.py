@@ -149,7 +149,7 @@ class _Correction(_Edit):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Key(_Correction):
+class KeyJoint(_Correction):
     """Put a joint of a person at a place in the world (metres) in one frame."""
 
     action: Literal["key"] = "key"
@@ -227,7 +227,7 @@ class Accept(_Correction):
     stop_frame: int
 
 
-Correction = Key | IgnoreDetections | PlaceDetection | ExchangeSides | Contact
+Correction = KeyJoint | IgnoreDetections | PlaceDetection | ExchangeSides | Contact
 """A correction of a person's joints."""
 PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut | Correction | Accept
 """An edit of people. All frames are frames of the session."""
@@ -237,7 +237,7 @@ _BY_ACTION: Mapping[str, type[PeopleEdit]] = {str(fields(kind)[0].default): kind
 
 def frames_of(correction: Correction | Accept) -> tuple[int, int]:
     """First frame of a correction, and the frame after the last one."""
-    if isinstance(correction, Key | PlaceDetection):
+    if isinstance(correction, KeyJoint | PlaceDetection):
         return correction.frame, correction.frame + 1
     return correction.start_frame, correction.stop_frame
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import PchipInterpolator
 
-from pipeline.core.options.edits import Correction, Key
+from pipeline.core.options.edits import Correction, KeyJoint
 
 REACH_S = 0.5
 """Time before the first and after the last correction of a range in which the motion passes to the uncorrected one."""
@@ -26,7 +26,7 @@ def keys_by_joint(
     """Places of keys within a track by joint and row, in metres; of two keys of a joint in a frame the later counts."""
     places: dict[str, dict[int, np.ndarray]] = {}
     for correction in corrections:
-        if isinstance(correction, Key) and 0 <= correction.frame - start_frame < num_frames:
+        if isinstance(correction, KeyJoint) and 0 <= correction.frame - start_frame < num_frames:
             of_joint = places.setdefault(correction.joint, {})
             of_joint[correction.frame - start_frame] = np.array(correction.place_m)
     return places

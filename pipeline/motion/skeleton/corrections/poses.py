@@ -10,20 +10,20 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import FINGERS, JointSet
 from pipeline.motion.skeleton.feet.floor import SIDES
 from pipeline.motion.skeleton.fitting.articulation import joint_of_landmark
-from pipeline.motion.skeleton.fitting.fit import Proportions, SkeletonFit
+from pipeline.motion.skeleton.fitting.fit import FittedProportions, SkeletonFit
 from pipeline.motion.skeleton.hands.anatomy import hand_fingers
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics, joint_pose
 from pipeline.motion.skeleton.rigid_parts import landmark_offsets_m
 
 
-def known_proportions(track: Track3D, motion: SkeletonMotion, joints: JointSet) -> Proportions:
+def known_proportions(track: Track3D, motion: SkeletonMotion, joints: JointSet) -> FittedProportions:
     """Proportions with which a person was fitted."""
     offsets_m = {}
     for name in landmark_offsets_m(track, joints, motion.bone_length_m):
         joint_m, world_from_joint = joint_pose(motion, str(joint_of_landmark(name)))
         inside_m = world_from_joint.inv().apply(track.xyz_m[:, joints.index(name)] - joint_m)
         offsets_m[name] = np.nanmedian(inside_m, axis=0)
-    return Proportions(motion.bone_length_m, offsets_m)
+    return FittedProportions(motion.bone_length_m, offsets_m)
 
 
 def rows_of(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:

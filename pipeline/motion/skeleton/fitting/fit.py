@@ -69,7 +69,7 @@ class FitState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Proportions:
+class FittedProportions:
     """What a fit learns of a person once: lengths of bones, and offsets of landmarks in head and feet by name."""
 
     bone_length_m: Float[np.ndarray, " joints"]
@@ -140,7 +140,7 @@ class SkeletonFit:
         is_predicted: Bool[np.ndarray, "frames joints"] | None = None,
         lively: Float[np.ndarray, " frames"] | None = None,
         bone_length_m: Float[np.ndarray, " joints"] | None = None,
-        known: Proportions | None = None,
+        known: FittedProportions | None = None,
     ) -> None:
         self._track, self._joints, self._timebase, self._name, self._rays_of = track, joints, timebase, name, rays_of
         self._is_predicted = np.zeros(track.source.shape, bool) if is_predicted is None else is_predicted
@@ -441,7 +441,7 @@ def fit_to_rays(
     name: str,
     offsets: JointOffsets = MARKED_AT_CENTERS,
     on_share: OnShare = ignore,
-    proportions: Proportions | None = None,
+    proportions: FittedProportions | None = None,
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
 

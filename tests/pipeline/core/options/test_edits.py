@@ -18,7 +18,7 @@ from pipeline.core.options.edits import (
     Cut,
     Exchange,
     IgnoreDetections,
-    Key,
+    KeyJoint,
     Merge,
     PeopleEdit,
     PersonAt,
@@ -54,7 +54,7 @@ edits = st.one_of(
     st.builds(Split, person=named, frame=frames),
     st.builds(Exchange, person=named, other=named, start_frame=frames, stop_frame=st.none() | frames),
     st.builds(Cut, start_frame=frames, stop_frame=frames),
-    st.builds(Key, person=named, joint=st.just("left_wrist"), frame=frames, place_m=st.just((1.0, 0.5, 1.0))),
+    st.builds(KeyJoint, person=named, joint=st.just("left_wrist"), frame=frames, place_m=st.just((1.0, 0.5, 1.0))),
     st.builds(
         IgnoreDetections,
         person=named,
@@ -339,9 +339,9 @@ def test_place_is_taken_where_others_are_far() -> None:
     assert placed == Remove(person=PersonAt(frame=30, place_m=(3.038, 0.0, 1.0)))
 
 
-def key(number: int, named_at: int) -> Key:
+def key(number: int, named_at: int) -> KeyJoint:
     person = at(number, named_at)
-    return Key(person=person, joint="left_wrist", frame=named_at, place_m=person.place_m)
+    return KeyJoint(person=person, joint="left_wrist", frame=named_at, place_m=person.place_m)
 
 
 def test_correction_stays_with_body_whatever_is_exchanged() -> None:
@@ -356,7 +356,7 @@ def test_corrections_have_numbers_of_frames_of_the_run() -> None:
     shorter = (PersonSpan(1, 0, 20, tuple((frame - 10, x, y, z) for frame, x, y, z in FOUND[0].places)),)
     (person,) = apply_edits(shorter, [key(1, 14), ignore], range(10, 30)).people
     first, second = person.corrections
-    assert isinstance(first, Key)
+    assert isinstance(first, KeyJoint)
     assert isinstance(second, IgnoreDetections)
     assert (first.frame, second.start_frame, second.stop_frame) == (4, 2, 6)
 
@@ -386,5 +386,5 @@ def test_correction_that_no_longer_applies_is_told(correction: PeopleEdit, messa
 
 def test_numbers_in_corrections_become_places() -> None:
     (placed,) = place_edits(FOUND, [replace(key(2, 9), person=2)], FRAMES)
-    assert isinstance(placed, Key)
+    assert isinstance(placed, KeyJoint)
     assert placed.person == at(2, 9)

@@ -17,7 +17,7 @@ from pipeline.core.options.edits import (
     Cut,
     Exchange,
     IgnoreDetections,
-    Key,
+    KeyJoint,
     Merge,
     PeopleEdit,
     PersonSpan,
@@ -125,9 +125,9 @@ def test_files_bear_numbers_and_names(session: KeypointSession, cache: Path, tmp
     assert (tracks[0]["id"], tracks[0]["name"]) == (2, "Zoë / 2")
 
 
-def key_of(plain: Reconstruction, number: int, frame: int, up_m: float = 0.1) -> Key:
+def key_of(plain: Reconstruction, number: int, frame: int, up_m: float = 0.1) -> KeyJoint:
     x, y, z = plain.tracks[number].xyz_m[frame, plain.joints.index("left_elbow")]
-    return Key(person=number + 1, joint="left_elbow", frame=frame, place_m=(float(x), float(y), float(z) + up_m))
+    return KeyJoint(person=number + 1, joint="left_elbow", frame=frame, place_m=(float(x), float(y), float(z) + up_m))
 
 
 def test_key_changes_one_person_around_it(session: KeypointSession, cache: Path, plain: Reconstruction) -> None:

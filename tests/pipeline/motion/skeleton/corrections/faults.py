@@ -24,7 +24,7 @@ Person = tuple[Track3D, SkeletonMotion]
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
+class FaultyTake:
     """A simulated take that was reconstructed, and the first of its people."""
 
     simulation: Simulation
@@ -63,21 +63,21 @@ class Take:
         evidence = corrected_evidence(self.located, self.seen, corrections, simulation.cameras, simulation.joints)
         return correct_person(self.fitter, *self.person, evidence, corrections, self.animation.floor)
 
-    def with_fault(self, located: Track3D, seen: Observations) -> "Take":
+    def with_fault(self, located: Track3D, seen: Observations) -> "FaultyTake":
         """The take as it is if association located and saw other joints."""
         simulation = self.simulation
         floor = self.animation.floor
         take = simulation.cameras, simulation.timebase, simulation.joints, CONFIG
-        return Take(simulation, located, seen, animate([located], [seen], *take, floor=floor))
+        return FaultyTake(simulation, located, seen, animate([located], [seen], *take, floor=floor))
 
-    def sides_exchanged(self, rows: slice) -> "Take":
+    def sides_exchanged(self, rows: slice) -> "FaultyTake":
         frames = self.located.frames[rows]
         exchange = ExchangeSides(person=1, part="all", start_frame=frames.start, stop_frame=frames.stop)
         simulation = self.simulation
         evidence = corrected_evidence(self.located, self.seen, [exchange], simulation.cameras, simulation.joints)
         return self.with_fault(evidence.located, evidence.seen)
 
-    def seen_elsewhere(self, joint: str, rows: slice, off_m: np.ndarray, cameras: Sequence[int]) -> "Take":
+    def seen_elsewhere(self, joint: str, rows: slice, off_m: np.ndarray, cameras: Sequence[int]) -> "FaultyTake":
         """The take if some cameras see a joint elsewhere, and the other cameras do not see it."""
         points_px, score = np.array(self.seen.points_px), np.array(self.seen.score)
         column, located_m = self.index(joint), np.array(self.located.xyz_m)
@@ -94,11 +94,11 @@ class Take:
 
 
 @cache
-def taken(joints: Joints = "body", duration_s: float = 6.0, seed: int = 11, scene: str = "room") -> Take:
+def taken(joints: Joints = "body", duration_s: float = 6.0, seed: int = 11, scene: str = "room") -> FaultyTake:
     """Reconstruct the first person of a simulated scene."""
     simulation = record(replace(find_scene(scene), duration_s=duration_s), seed, joints=joints)
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     take = simulation.cameras, simulation.times, simulation.detections, simulation.timebase
     tracks, seen = reconstruct_tracks(*take, parameters)
     animation = animate(tracks, seen, simulation.cameras, simulation.timebase, simulation.joints, CONFIG)
-    return Take(simulation, tracks[0], seen[0], animation)
+    return FaultyTake(simulation, tracks[0], seen[0], animation)

@@ -6,29 +6,29 @@ import numpy as np
 import pytest
 
 from pipeline.core.data.people import Source
-from pipeline.core.options.edits import Contact, Correction, ExchangeSides, IgnoreDetections, Key, PlaceDetection
+from pipeline.core.options.edits import Contact, Correction, ExchangeSides, IgnoreDetections, KeyJoint, PlaceDetection
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
 from pipeline.validation.simulation.scenes import Joints
 from tests.cases import slow_but
-from tests.pipeline.motion.skeleton.corrections.faults import Person, Take, taken
+from tests.pipeline.motion.skeleton.corrections.faults import FaultyTake, Person, taken
 
 # Half a second at the scene's rate of 25 frames a second.
 REACH = 12
 
 
-def key(take: Take, joint: str, row: int, by_m: tuple[float, float, float]) -> Key:
+def key(take: FaultyTake, joint: str, row: int, by_m: tuple[float, float, float]) -> KeyJoint:
     track, _ = take.person
     x, y, z = track.xyz_m[row, take.index(joint)] + by_m
-    return Key(person=1, joint=joint, frame=track.start_frame + row, place_m=(float(x), float(y), float(z)))
+    return KeyJoint(person=1, joint=joint, frame=track.start_frame + row, place_m=(float(x), float(y), float(z)))
 
 
-def true_key(take: Take, joint: str, row: int) -> Key:
+def true_key(take: FaultyTake, joint: str, row: int) -> KeyJoint:
     x, y, z = take.truth_m[row, take.index(joint)]
-    return Key(person=1, joint=joint, frame=take.located.start_frame + row, place_m=(float(x), float(y), float(z)))
+    return KeyJoint(person=1, joint=joint, frame=take.located.start_frame + row, place_m=(float(x), float(y), float(z)))
 
 
-def assert_consistent(take: Take, person: Person) -> None:
+def assert_consistent(take: FaultyTake, person: Person) -> None:
     """Joints are where the skeleton has them, with the bones of the uncorrected person."""
     (track, motion), (_, before) = person, take.person
     posed_m = forward_kinematics(motion)
@@ -229,8 +229,8 @@ def test_corrections_elsewhere_change_nothing() -> None:
     take = taken()
     track, motion = take.corrected(
         [
-            Key(person=1, joint="left_wrist", frame=100_000, place_m=(0.0, 0.0, 1.0)),
-            Key(person=1, joint="left_index_tip", frame=take.located.start_frame, place_m=(0.0, 0.0, 1.0)),
+            KeyJoint(person=1, joint="left_wrist", frame=100_000, place_m=(0.0, 0.0, 1.0)),
+            KeyJoint(person=1, joint="left_index_tip", frame=take.located.start_frame, place_m=(0.0, 0.0, 1.0)),
             IgnoreDetections(person=1, camera="elsewhere", part="all", start_frame=0, stop_frame=50),
         ]
     )
