@@ -198,7 +198,7 @@ export class JointTool {
     if (!this.#choose(event, (place) => (stage.toScreen(out.clone().set(...place), out) ? [out.x, out.y] : null))) return false;
     const start = this.#place();
     const normal = stage.camera.getWorldDirection(out).toArray();
-    const camera = this.#camera(this.#chosen.way);
+    const camera = this.#viewer.description.cameras.find(({ name }) => name === this.#chosen.way);
     const sight = ({ offsetX, offsetY }) => {
       const { origin, direction } = stage.sight(offsetX, offsetY);
       return { origin: origin.toArray(), direction: direction.toArray() };
@@ -235,10 +235,6 @@ export class JointTool {
     };
     this.#drag = { id: event.pointerId, place, end };
     return true;
-  }
-
-  #camera(name) {
-    return this.#viewer.description.cameras.find((camera) => camera.name === name) ?? null;
   }
 
   /** Dots at the joints of the chosen person in the 3D view; the chosen one is yellow. */

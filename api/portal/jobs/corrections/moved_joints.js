@@ -117,23 +117,18 @@ export class Preview {
     }
   }
 
-  /** Offset of a keyed joint at a place: from key to key, and to nothing within the reach. */
+  /** Offset of a keyed joint at a place: from key to key, and from and to nothing within the reach of keys. */
   #offsetAt(keys, place) {
     const reach = REACH_S * this.#store.description.frame_rate_hz;
-    const after = keys.findIndex(({ frame }) => frame >= place);
-    const sides = [after < 0 ? keys.at(-1) : keys[after - 1], after < 0 ? undefined : keys[after]];
-    const offsets = sides.map((key) => (key ? this.#offset(key) : null));
-    const share = (frame) => {
-      const x = Math.min(1, Math.abs(place - frame) / reach);
-      return 1 - x * x * (3 - 2 * x);
-    };
-    const [one, other] = sides;
-    if (one && other && other.frame - one.frame < 2 * reach) {
-      const x = (place - one.frame) / Math.max(1, other.frame - one.frame);
-      return offsets[0] && offsets[1] ? offsets[0].map((value, axis) => value + x * (offsets[1][axis] - value)) : null;
-    }
-    const near = other && (!one || other.frame - place < place - one.frame) ? 1 : 0;
-    return offsets[near]?.map((value) => value * share(sides[near].frame)) ?? null;
+    const rest = (one, other, frame) => (other?.frame - one?.frame < 2 * reach ? [] : [[frame, [0, 0, 0]]]);
+    const knots = keys.flatMap((key, number) => [
+      ...rest(keys[number - 1], key, key.frame - reach), [key.frame, this.#offset(key)], ...rest(key, keys[number + 1], key.frame + reach),
+    ]);
+    const after = knots.findIndex(([frame]) => frame >= place);
+    if (after < 1 || !knots[after - 1][1] || !knots[after][1]) return null;
+    const [[start, one], [stop, other]] = knots.slice(after - 1, after + 1);
+    const share = (place - start) / Math.max(1e-9, stop - start);
+    return one.map((value, axis) => value + share * share * (3 - 2 * share) * (other[axis] - value));
   }
 
   #offset({ person, joint, frame, place_m: placeM }) {
