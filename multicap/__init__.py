@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoint_files.people import KeypointsError
     from pipeline.capture.keypoint_files.points import KeypointReading
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
+    from pipeline.capture.points import PointSession
     from pipeline.capture.session import CaptureSession, open_session
     from pipeline.capture.session_maker import SessionMaker as Session
     from pipeline.core.data.cameras import Camera
@@ -80,6 +81,7 @@ __all__ = [
     "ModelError",
     "PersonContent",
     "PipelineError",
+    "PointSession",
     "Problem",
     "Progress",
     "RawCamera",
@@ -133,6 +135,7 @@ _REFERENCES = {
     "ModelError": "pipeline.core.errors:ModelError",
     "PersonContent": "pipeline.export.writers.registry:PersonContent",
     "PipelineError": "pipeline.core.errors:PipelineError",
+    "PointSession": "pipeline.capture.points:PointSession",
     "Problem": "pipeline.core.errors:Problem",
     "Progress": "pipeline.core.progress:Progress",
     "RawCamera": "pipeline.calibration.validate:RawCamera",

@@ -23,6 +23,7 @@ COMMANDS: Mapping[str, str] = {
     "serve": "Run the service on this machine: web API, workers, broker and database.",
     "check": "Check a capture before its reconstruction: files, calibration, people at some instants.",
     "reconstruct": "Reconstruct videos or keypoints of calibrated cameras, without a service.",
+    "solve": "Solve skeletons of people in 3D from another system: TRC, C3D, BVH, CSV, NetCDF, NPY, JSON.",
     "live": "Capture people live from cameras, streams or files, until Ctrl-C or the end of the files.",
     "batch": "Reconstruct many takes of one rig, and go on after an interruption.",
     "calibrate": "Make a calibration from videos or photographs of a board.",

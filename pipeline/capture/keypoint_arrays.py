@@ -15,6 +15,7 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
+from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES
 from pipeline.core.parsing import TIME_S
 from pipeline.core.paths import StrPath
@@ -24,15 +25,36 @@ from pipeline.core.problems.request_codes import INVALID_VALUE
 _SHAPES = "must be numbers of the shape (frames, people, joints, 2), or (frames, joints, 2) of one person"
 
 
-def keypoints_from_arrays(
-    keypoints_px: Any,
-    scores: Any,
+@checked
+def from_arrays(
+    keypoints_px: Mapping[str, Any] | Sequence[Any] | np.ndarray,
+    scores: Mapping[str, Any] | Sequence[Any] | np.ndarray | None,
     cameras: Sequence[Camera] | StrPath,
-    frame_rate_hz: float | None,
-    times_s: Any,
-    joints: Sequence[str] | str | None,
+    frame_rate_hz: float | None = None,
+    times_s: Mapping[str, Any] | Sequence[float] | np.ndarray | None = None,
+    joints: Sequence[str] | str | None = None,
 ) -> KeypointSession:
-    """See ``SessionMaker.from_arrays``."""
+    """Make a session from 2D joints that another program detected.
+
+    Parameters
+    ----------
+    keypoints_px
+        Distorted pixels (frames, people, joints, 2) by the camera's name or in the cameras' order; NaN where a
+        joint was not detected. Rows of people are in any order.
+    scores
+        Confidences in [0, 1], without the last axis; ``None``: 1 for each finite joint.
+    cameras
+        Calibrated cameras, or the path of a calibration.
+    frame_rate_hz, times_s
+        Rate of all cameras, or seconds of each frame on a common clock, by the camera's name if they differ.
+    joints
+        Names of the points, or a layout such as ``halpe-26``; ``None``: the number of points tells it.
+
+    Raises
+    ------
+    InputError
+        With all problems of all arguments.
+    """
     problems: list[Problem] = []
     findings: list[Finding] = []
     checked = _checked_cameras(cameras, problems)

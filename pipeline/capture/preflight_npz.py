@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.keypoints import KeypointSession
+from pipeline.capture.points import PointSession
 from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
@@ -150,6 +151,17 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         arrays[f"time_s_{k}"] = session.times[camera.name].time_s
         arrays |= {f"{name}_{k}": getattr(found, name) for name in DETECTION_ARRAYS}
     return encode_arrays(arrays)
+
+
+@encode_record.register
+def encode_points(session: PointSession) -> bytes:
+    """Write a session of 3D points."""
+    arrays = {
+        f"{name}_{track.track_id}": getattr(track, name) for track in session.people for name in ("xyz_m", "score")
+    }
+    starts = [track.start_frame for track in session.people]
+    head = {"joints": asdict(session.joints), "timebase": asdict(session.timebase), "starts": starts}
+    return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
 
 
 def decode_keypoints(content: bytes) -> KeypointSession:

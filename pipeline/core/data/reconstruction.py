@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Refinement, Synchronization, Timebase
@@ -48,10 +48,8 @@ class Reconstruction:
     ----------
     cameras, joints, timebase
         Cameras of the session, refined if they were, joints of the tracks, and times of the output frames.
-    located
-        Tracks with joints as association located them, before smoothing and fit.
-    observations
-        Observations behind the located tracks, in the same order.
+    located, observations
+        Tracks with joints as association located them, before smoothing and fit; observations behind them.
     animation
         Final tracks and skeletons, in the same order.
     warnings
@@ -118,6 +116,8 @@ class Reconstruction:
     def to_xarray(self) -> "xr.Dataset":
         """Return everything as named arrays, which the package ``movement`` takes.
 
+        This, tables and plots need Multicap's extra ``notebook``; without it they raise ``PipelineError``.
+
         Returns
         -------
         xarray.Dataset
@@ -125,14 +125,8 @@ class Reconstruction:
             ``uncertainty_m``, ``error_px``, ``views``, ``source``; ``angle_deg`` and ``angle_sigma_deg`` (time, angles,
             individuals); ``contact``, the confidence of a foot's contact, and ``pinned`` (time, feet, individuals).
             NaN where a value is unknown.
-
-        Raises
-        ------
-        PipelineError
-            If xarray, of Multicap's extra ``notebook``, is not installed.
         """
-        dataset: xr.Dataset = resolve_name(_TO_XARRAY)(self)
-        return dataset
+        return cast("xr.Dataset", resolve_name(_TO_XARRAY)(self))
 
     def to_dataframe(self, of: Content = "joints", form: Form = "long") -> "pd.DataFrame":
         """Return joints, angles or contacts of the feet as a table of pandas.
@@ -149,22 +143,12 @@ class Reconstruction:
         ------
         InputError
             If ``of`` or ``form`` is no such name.
-        PipelineError
-            If pandas or xarray, of Multicap's extra ``notebook``, are not installed.
         """
-        frame: pd.DataFrame = resolve_name(_TO_DATAFRAME)(self, of, form)
-        return frame
+        return cast("pd.DataFrame", resolve_name(_TO_DATAFRAME)(self, of, form))
 
     def to_parquet(self, path: StrPath, of: Content = "joints", form: Form = "long") -> Path:
-        """Write a table of ``to_dataframe`` as a Parquet file; return its path.
-
-        Raises
-        ------
-        PipelineError
-            If pyarrow, of Multicap's extra ``notebook``, is not installed, or the file can't be written.
-        """
-        written: Path = resolve_name(_TO_PARQUET)(self, path, of, form)
-        return written
+        """Write a table of ``to_dataframe`` as a Parquet file; return its path."""
+        return cast(Path, resolve_name(_TO_PARQUET)(self, path, of, form))
 
     def plot(
         self,
@@ -190,20 +174,12 @@ class Reconstruction:
         ax
             Axes to draw on, with a 3D projection for people; ``None``: those of a new figure.
 
-        Returns
-        -------
-        matplotlib.axes.Axes
-            Axes with the drawing.
-
         Raises
         ------
         InputError
             If there is no such person, angle, camera or frame.
-        PipelineError
-            If Matplotlib, of Multicap's extra ``notebook``, is not installed.
         """
-        axes: Axes = resolve_name(_PLOT)(self, person, angle, camera, frame, ax)
-        return axes
+        return cast("Axes", resolve_name(_PLOT)(self, person, angle, camera, frame, ax))
 
     def __repr__(self) -> str:
         timebase = self.timebase
@@ -213,5 +189,4 @@ class Reconstruction:
         )
 
     def _repr_html_(self) -> str:
-        text: str = resolve_name(_HTML)(self)
-        return text
+        return str(resolve_name(_HTML)(self))

@@ -59,7 +59,7 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
     is_free = np.zeros(found_rad.shape, bool)
     for start in range(0, num_frames, _BLOCK_FRAMES):
         rows = slice(start, start + _BLOCK_FRAMES)
-        part = _track_rows(track, rows)
+        part = track.part(rows)
         world_from_segment = segments_from(
             replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
         )
@@ -85,20 +85,6 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
             angle_deg[free, column] = angle.sign * turned_deg[free, angle.rotation]
             sigma_deg[free, column] = np.degrees(sigma_rad[number, free, angle.rotation])
     return JointAngles(motion.start_frame, read_only(angle_deg), read_only(sigma_deg))
-
-
-def _track_rows(track: Track3D, rows: slice) -> Track3D:
-    """Some frames of a track."""
-    sigma_m = track.uncertainty_m
-    return replace(
-        track,
-        xyz_m=track.xyz_m[rows],
-        score=track.score[rows],
-        source=track.source[rows],
-        error_px=track.error_px[rows],
-        views=track.views[rows],
-        uncertainty_m=None if sigma_m is None else sigma_m[rows],
-    )
 
 
 def observable_angles(joints: JointSet) -> tuple[str, ...]:

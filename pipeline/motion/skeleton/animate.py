@@ -148,7 +148,7 @@ class PersonFitter:
 
     @property
     def _by_rays(self) -> bool:
-        return self.config.smoothing == "fit"
+        return self.config.smoothing == "fit" and bool(self.cameras)  # 3D points have no rays
 
     def _prepared(self, track: Track3D, seen: Observations, on_share: OnShare) -> SkeletonFit:
         """Prepare the fit of a body, without hands."""

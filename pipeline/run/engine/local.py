@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.capture.points import PointSession
 from pipeline.capture.preflight_npz import encode_record
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.detections import Detections
@@ -244,6 +245,7 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
             for name, times in session.times.items()
         },
         has_videos=bool(session.camera_videos),
+        has_points=isinstance(session, PointSession),
     )
 
 
@@ -256,6 +258,8 @@ def _inputs(session: Session) -> tuple[str, ...]:
 def _check(session: Session, config: ReconstructionConfig) -> None:
     """Find out what is wrong before the work begins."""
     require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
+    if isinstance(session, PointSession):
+        return
     require_cameras(session.cameras, config)
     wanted = session.restricted(config.frames)
     tracking_parameters(wanted.cameras, wanted.timebase, config.tracking)

@@ -23,7 +23,7 @@ from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES, ReconstructionCon
 from pipeline.core.options.edits import edit_document
 from pipeline.core.options.file_formats import FILE_FORMATS
 from pipeline.core.options.job_choices import ProxyChoices
-from pipeline.run.engine.stage import SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
+from pipeline.run.engine.stage import IDENTIFY, SYNCHRONIZE, FrameCut, SessionFacts, Stage, Task
 
 # Modules that declare the stages, in the order of their work.
 _MODULES = (
@@ -128,12 +128,14 @@ def plan(
     whole = range(facts.num_frames)
     cut = FrameCut(config.frames or whole, facts.stretches, _bounded_length(facts, chunk_frames))
     # Cameras that were not synchronised took the wanted frames at other declared times.
-    is_synchronized = STAGE_BY_NAME[SYNCHRONIZE].is_planned(facts, config)
+    is_synchronized = STAGE_BY_NAME[SYNCHRONIZE].is_planned(facts, config) and not facts.has_points
     cut_by_camera = replace(cut, frames=whole) if is_synchronized else cut
     choices = effective_choices(config)
     keys: dict[str, str] = {}
     stages = []
-    for stage in STAGES:
+    # People in 3D are found already.
+    first = STAGES.index(STAGE_BY_NAME[IDENTIFY]) if facts.has_points else 0
+    for stage in STAGES[first:]:
         if stage.is_planned(facts, config):
             inputs = [keys[name] for name in stage.follows if name in keys] or facts.inputs
             keys[stage.name] = _hash([stage.name, codes[stage.name], _stage_choices(stage, choices), inputs])
@@ -196,7 +198,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
 
 def _bounded_length(facts: SessionFacts, chunk_frames: int) -> int:
     """Double the length of ranges until a stage has at most ``MAX_TASKS``; alike for all jobs of a session."""
-    most = max(1, MAX_TASKS // len(facts.camera_rates_hz))
+    most = MAX_TASKS // max(1, len(facts.camera_rates_hz))
     whole = range(facts.num_frames)
     while sum(1 for _ in islice(FrameCut(whole, facts.stretches, chunk_frames), most + 1)) > most:
         chunk_frames *= 2

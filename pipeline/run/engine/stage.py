@@ -62,6 +62,7 @@ class SessionFacts:
     stretches: tuple[range, ...]  # Output frames in which a camera took frames, ascending; pauses lie between them
     camera_rates_hz: Mapping[str, float]  # Frame rate of each camera, by name, in the session's order
     has_videos: bool  # Whether the session consists of videos; else of keypoints
+    has_points: bool = False  # Whether the session consists of people in 3D: nothing is detected or associated
 
 
 @dataclass(frozen=True, slots=True)

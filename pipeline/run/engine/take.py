@@ -54,7 +54,7 @@ def assemble(context: stage.Context) -> Reconstruction:
         offsets=joint_offsets(context),
         refinement=None if refined is None else refined.report,
         synchronization=measured_clocks(context),
-        check=output_record(context, stage.CHECK, SessionCheck),
+        check=SessionCheck() if context.facts.has_points else output_record(context, stage.CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
         layout=None if session.layout is None else asdict(session.layout),
         subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),

@@ -7,13 +7,21 @@ from pipeline.run.steps.redetect import redetects_bodies
 def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.association.hands.attach import has_hands
+    from pipeline.capture.points import PointSession, unseen
     from pipeline.core.data.detections import Detections
+    from pipeline.core.data.people import People
     from pipeline.run.engine.codec import output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in, gathered_bodies
     from pipeline.run.engine.stored_people import found_people, write_people
-    from pipeline.run.engine.wanted_frames import wanted_frames
+    from pipeline.run.engine.wanted_frames import require_kind, wanted_frames
 
+    path = context.scratch / "people.npz"
+    if context.facts.has_points:
+        points = require_kind(context.session(), PointSession).restricted(context.config.frames)
+        write_people(path, People(points.people, [unseen(track) for track in points.people]))
+        context.on_share(task)(1.0)
+        return stage.Output(path.read_bytes())
     session = wanted_frames(context, context.outline())
     association, detections = association_in(context, session), detection_source(context)
     joints = detections.joints(session)
@@ -27,7 +35,6 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):
         people = association.attach(people, gathered_bodies(context)[0], joints)
-    path = context.scratch / "people.npz"
     write_people(path, people, tracked.damaged, joints)
     del people
     context.on_share(task)(1.0)

@@ -33,7 +33,7 @@ _NUM_POSE, _NUM_HOLISTIC = len(_POSE.points), len(_POSE_AND_HANDS.points)
 _MAX_CAMERAS = 1000
 _MAGIC = b"\x93NUMPY"
 _NUMS_FACE = (0, 468, 478)
-_MEDIAPIPE: Mapping[int, KeypointLayout] = {
+MEDIAPIPE: Mapping[int, KeypointLayout] = {
     _NUM_POSE: _POSE,
     **{_NUM_HOLISTIC + num_face: _POSE_AND_HANDS for num_face in _NUMS_FACE},
 }
@@ -102,10 +102,10 @@ def split_frames(content: np.ndarray) -> Mapping[int, np.ndarray]:
         raise KeypointsError(f"The array is {shape or 'a number'}; frames x points x 3 are required.")
     check_frames(len(content))
     num_points = content.shape[1]
-    if num_points not in _MEDIAPIPE and num_points not in CANDIDATES:
-        known = ", ".join(map(str, sorted({*_MEDIAPIPE, *CANDIDATES})))
+    if num_points not in MEDIAPIPE and num_points not in CANDIDATES:
+        known = ", ".join(map(str, sorted({*MEDIAPIPE, *CANDIDATES})))
         raise KeypointsError(f"The array has {num_points} points a frame; known numbers are {known}.")
-    if num_points in _MEDIAPIPE:
+    if num_points in MEDIAPIPE:
         content = content[:, :_NUM_HOLISTIC, :2]
     elif not _has_scores(content):
         content = content[..., :2]
@@ -119,8 +119,8 @@ def read_frame(content: np.ndarray, reading: KeypointReading) -> People:
     points[0, :, : content.shape[1]] = content
     found = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)
     points[~found] = 0.0
-    layout = _MEDIAPIPE.get(len(content)) or reading.layout(len(content), "points")
-    if len(content) in _MEDIAPIPE:
+    layout = MEDIAPIPE.get(len(content)) or reading.layout(len(content), "points")
+    if len(content) in MEDIAPIPE:
         # Shares reach from edge to edge of the image, and pixel 0 has its centre half a pixel from the edge.
         points[found, :2] -= 0.5
     return reading.people(points, layout)

@@ -1,0 +1,1 @@
+"""Readers of 3D points, a module a format."""

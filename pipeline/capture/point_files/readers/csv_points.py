@@ -1,0 +1,42 @@
+"""Reader of CSV files with columns such as ``left_knee_x_m``: ours, FreeMoCap's, and tables of one's own."""
+
+import re
+from io import StringIO
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.capture.keypoint_files.people import KeypointsError
+from pipeline.capture.point_files.point_reader import PointTable, point_reader
+from pipeline.video.frame_rate import measured_rate_hz
+
+_COLUMN = re.compile(r"(?P<name>.*?)[ _.:]?(?P<axis>[xyz])(?:[ _]?\(?(?P<unit>m|cm|mm)\)?)?", re.IGNORECASE)
+_TIMES = ("time_s", "time", "t", "timestamp")
+
+
+@point_reader("CSV", ".csv")
+def read_csv(path: Path) -> PointTable:
+    """Read a file: a line of headers, then a row a frame."""
+    head, _, rest = path.read_text("utf-8-sig").partition("\n")
+    separator = next((mark for mark in (";", "\t") if mark in head), ",")
+    columns = [cell.strip().strip('"') for cell in head.split(separator)]
+    values = np.genfromtxt(StringIO(rest), delimiter=separator, ndmin=2)
+    places: dict[str, dict[str, int]] = {}
+    units = set()
+    for number, column in enumerate(columns):
+        if (found := _COLUMN.fullmatch(column)) and found["name"]:
+            places.setdefault(found["name"], {})[found["axis"].lower()] = number
+            units.add(found["unit"] and found["unit"].lower())
+    whole = {name: [axes[axis] for axis in "xyz"] for name, axes in places.items() if len(axes) == 3}
+    if not whole:
+        raise KeypointsError("The file has no columns such as left_knee_x, left_knee_y and left_knee_z.")
+    time = next((columns.index(name) for name in _TIMES if name in columns), None)
+    time_s = np.zeros(0) if time is None else values[:, time]
+    return PointTable(
+        tuple(whole),
+        values[:, list(chain.from_iterable(whole.values()))].reshape(len(values), -1, 3),
+        measured_rate_hz(time_s) if len(time_s) > 1 else None,
+        units.pop() if len(units) == 1 else None,
+        start_s=float(time_s[0]) if len(time_s) else 0.0,
+    )

@@ -1,0 +1,308 @@
+"""Sessions of 3D points: our own files come back, and names, axes, units and damage of others are understood."""
+
+import contextlib
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import ezc3d
+import h5py
+import numpy as np
+import pytest
+
+from multicap import (
+    InputError,
+    PointSession,
+    ReconstructionConfig,
+    Session,
+    open_keypoints,
+    reconstruct,
+    reconstruct_to_files,
+)
+from pipeline.capture.point_files.point_names import find_joints, hip_centers_m
+from pipeline.capture.point_files.read_points import answer, point_readers
+from pipeline.capture.points import read_names
+from pipeline.core.runtime.npz import decode_arrays
+from pipeline.export.writers.c3d_file import SEGMENT_LABELS
+from pipeline.motion.skeleton.model import INDEX, forward_kinematics
+from pipeline.validation.simulation.scenes import find_scene, record
+from tests.pipeline.simulations import write_simulation
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with our files of two people."""
+    folder = tmp_path_factory.mktemp("capture")
+    write_simulation(record(replace(find_scene("walk"), duration_s=1.0), 0, 3), folder)
+    session = open_keypoints(folder / "keypoints", folder / "calibration.json", frame_rate_hz=25.0)
+    config = ReconstructionConfig(exports=("bvh", "trc", "c3d", "csv"))
+    reconstruct_to_files(session, folder / "take", config)
+    return folder / "take"
+
+
+def positions_m(folder: Path) -> dict[str, np.ndarray]:
+    """Positions of all people in `skeletons.json` by joint: people, frames, 3."""
+    content = json.loads((folder / "skeletons.json").read_text())
+    tracks = [
+        [[joint or [np.nan] * 3 for joint in frame] for frame in track["positions_m"]] for track in content["tracks"]
+    ]
+    return {name: np.array(tracks)[:, :, k] for k, name in enumerate(content["joint_names"])}
+
+
+def located_m(session: PointSession) -> dict[str, np.ndarray]:
+    tracks = np.array([track.xyz_m for track in session.people])
+    return {name: tracks[:, :, k] for k, name in enumerate(session.joints.names) if np.isfinite(tracks[:, :, k]).any()}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("person-1.trc", "person-2.trc"),
+        ("person-1.c3d", "person-2.c3d"),
+        ("person-1.csv", "person-2.csv"),
+        ("skeletons.json",),
+        ("person-1.bvh", "person-2.bvh"),
+    ],
+)
+def test_own_export_comes_back_within_1_mm(take: Path, names: tuple[str, ...]) -> None:
+    session = Session.from_files([take / name for name in names])
+    found, expected = located_m(session), positions_m(take)
+    assert session.timebase.frame_rate_hz == 25.0
+    assert {"left_knee", "right_wrist", "left_hip"} <= found.keys()
+    for joint, places_m in found.items():
+        if joint in expected:
+            known = np.isfinite(expected[joint])
+            np.testing.assert_allclose(places_m[known], expected[joint][known], atol=1e-3, err_msg=joint)
+
+
+def test_solved_points_have_positions_of_source_and_files(take: Path, tmp_path: Path) -> None:
+    session = Session.from_files([take / "person-1.trc"])
+    config = ReconstructionConfig(exports=("bvh", "trc", "glb", "angles"), report=True)
+    paths = {path.name for path in reconstruct_to_files(session, tmp_path, config, cache=tmp_path / "kept").paths}
+    assert {"person-1.bvh", "person-1.trc", "person-1.glb", "person-1.angles.csv", "report.html"} <= paths
+    found, expected = positions_m(tmp_path), positions_m(take)
+    np.testing.assert_allclose(found["left_knee"][0], expected["left_knee"][0], atol=1e-3)
+    solved, skeleton = reconstruct(session).motions[0], np.array(expected["left_knee"][0])
+    np.testing.assert_allclose(forward_kinematics(solved)[:, INDEX["LeftLeg"]], skeleton, atol=0.03)
+
+
+def test_range_of_frames_is_solved_alone(take: Path) -> None:
+    session = Session.from_files([take / "person-1.csv"])
+    part = reconstruct(session, ReconstructionConfig(frame_range=(5, 15)))
+    assert part.timebase.num_frames == part.tracks[0].num_frames == 10
+    np.testing.assert_array_equal(part.tracks[0].xyz_m, session.people[0].xyz_m[5:15])
+
+
+@pytest.mark.parametrize(("up", "unit", "scale"), [("y", "mm", 1000.0), ("-z", "cm", 100.0), ("x", "m", 1.0)])
+def test_standing_person_tells_axis_and_unit(take: Path, up: str, unit: str, scale: float) -> None:
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).all()]
+    world_m = np.stack([expected[name][0] for name in names], axis=1)
+    turned = {"y": world_m[..., [0, 2, 1]] * [1, 1, -1], "-z": world_m * [1, -1, -1], "x": world_m[..., [2, 0, 1]]}[up]
+    session = Session.from_points(scale * turned, names, 25.0)
+    assert session.findings[0].evidence == {"unit": unit, "up": up}
+    heights_m = located_m(session)["left_knee"][0, :, 2]
+    np.testing.assert_allclose(heights_m, expected["left_knee"][0, :, 2], atol=1e-9)
+
+
+def test_theia_c3d_has_joints_at_origins_of_segments(take: Path, tmp_path: Path) -> None:
+    file = ezc3d.c3d(str(take / "person-1.c3d"))
+    origins_mm = file["data"]["rotations"][:3, 3, list(SEGMENT_LABELS).index("left_shank")].T
+    file["parameters"]["POINT"]["LABELS"]["value"] = [
+        f"p{k}" for k in range(len(file["parameters"]["POINT"]["LABELS"]["value"]))
+    ]
+    file.write(str(tmp_path / "theia.c3d"))
+    knee_m = located_m(Session.from_files([tmp_path / "theia.c3d"]))["left_knee"][0]
+    np.testing.assert_allclose(knee_m, origins_mm / 1000, atol=1e-4)
+
+
+def test_markers_of_plug_in_gait_become_joints() -> None:
+    names = [
+        "LFHD",
+        "RFHD",
+        "LBHD",
+        "RBHD",
+        "LSHO",
+        "RSHO",
+        "LELB",
+        "RELB",
+        "LWRA",
+        "LWRB",
+        "RWRA",
+        "RWRB",
+        "LASI",
+        "RASI",
+        "LPSI",
+        "RPSI",
+        "LKNE",
+        "LKNM",
+        "RKNE",
+        "LANK",
+        "RANK",
+        "LTOE",
+        "LHEE",
+    ]
+    joints, markers = find_joints(names, {})
+    assert joints["left_wrist"] == [names.index("LWRA"), names.index("LWRB")]
+    assert joints["left_knee"] == [names.index("LKNE"), names.index("LKNM")]
+    assert joints["right_knee"] == [names.index("RKNE")]
+    assert joints["left_ear"] == [names.index("LFHD"), names.index("LBHD")]
+    assert "right_knee" in markers
+
+
+def test_centres_of_model_come_before_its_markers() -> None:
+    joints, markers = find_joints(["LKNE", "LFEO", "LSHO", "LCLO", "pelvis", "Neck"], {})
+    assert (joints["left_knee"], joints["left_shoulder"], joints["mid_hip"], joints["neck"]) == ([1], [3], [4], [5])
+    assert not markers
+
+
+def test_hip_centres_follow_regression_of_harrington() -> None:
+    front_mm, back_mm, width_mm = 0.0, -150.0, 240.0
+    points_m = (
+        np.array([[[-width_mm / 2, front_mm, 0], [width_mm / 2, front_mm, 0], [-50, back_mm, 0], [50, back_mm, 0]]])
+        / 1000
+    )
+    left_m, right_m = hip_centers_m(points_m)
+    expected_mm = [0.33 * width_mm + 7.3, -(0.24 * 150 + 9.9), -(0.30 * width_mm + 10.9)]
+    np.testing.assert_allclose(right_m[0] * 1000, expected_mm)
+    np.testing.assert_allclose(left_m[0] * 1000, [-expected_mm[0], *expected_mm[1:]])
+
+
+def test_names_of_users_table_come_first(tmp_path: Path) -> None:
+    table = tmp_path / "names.json"
+    table.write_text(json.dumps({"KnieL1": "left_knee", "KnieL2": "left_knee", "LKnee": "right_knee"}))
+    joints, _ = find_joints(["LKnee", "KnieL1", "KnieL2"], read_names(table))
+    assert joints == {"right_knee": [0], "left_knee": [1, 2]}
+    table.write_text('{"KnieL1": "knee"}')
+    with pytest.raises(InputError, match="JSON object of our joints"):
+        read_names(table)
+
+
+def folder_of_frames(
+    folder: Path, person: Callable[[np.ndarray], dict[str, object]], take: Path, key: str
+) -> dict[str, np.ndarray]:
+    """Write a file a frame with a person; return the expected positions."""
+    expected = positions_m(take)
+    xyz_m = np.stack([expected[name][0] for name in expected], axis=1)
+    for number, frame in enumerate(xyz_m):
+        rows = np.column_stack([frame, np.ones(len(frame))])
+        (folder / f"frame_{number:06}.json").write_text(json.dumps({key: [person(rows)]}))
+    return expected
+
+
+@pytest.mark.parametrize("field", ["pose_keypoints_3d", "keypoints3d"])
+def test_folder_of_3d_json_is_a_take(take: Path, tmp_path: Path, field: str) -> None:
+    flat = field == "pose_keypoints_3d"
+    expected = folder_of_frames(
+        tmp_path, lambda rows: {field: rows.ravel().tolist() if flat else rows.tolist()}, take, "people"
+    )
+    found = located_m(Session.from_files([tmp_path], 25.0))
+    np.testing.assert_allclose(found["left_knee"][0], expected["left_knee"][0])
+
+
+def test_array_of_freemocap_is_read_by_its_number_of_points(take: Path, tmp_path: Path) -> None:
+    expected = positions_m(take)
+    array = np.full((len(expected["nose"][0]), 33, 3), np.nan)
+    for joint, point in {
+        "left_shoulder": 11,
+        "right_shoulder": 12,
+        "left_hip": 23,
+        "right_hip": 24,
+        "left_knee": 25,
+    }.items():
+        array[:, point] = 1000 * expected[joint][0]
+    np.save(tmp_path / "mediapipe_skeleton_3d.npy", array)
+    with pytest.raises(InputError, match="no times"):
+        Session.from_files([tmp_path / "mediapipe_skeleton_3d.npy"])
+    session = Session.from_files([tmp_path / "mediapipe_skeleton_3d.npy"], 30.0)
+    assert "the unit is told by the trunk's length" in session.findings[0].message
+    np.testing.assert_allclose(located_m(session)["left_knee"][0], expected["left_knee"][0])
+
+
+def write_netcdf(path: Path, take: Path) -> None:
+    """Write poses as `to_xarray().to_netcdf` does, without its packages."""
+    expected = positions_m(take)
+    with h5py.File(path, "w") as file:
+        xyz = np.stack(list(expected.values()), axis=2)  # people, frames, joints, space
+        scales = {
+            "time": np.arange(xyz.shape[1]) / 25.0,
+            "space": np.array(["x", "y", "z"], h5py.string_dtype()),
+            "keypoints": np.array(list(expected), h5py.string_dtype()),
+            "individuals": np.array([f"p{k}" for k in range(len(xyz))], h5py.string_dtype()),
+        }
+        position = file.create_dataset("position", data=xyz.transpose(1, 3, 2, 0))
+        position.attrs["units"] = "m"
+        for axis, (name, values) in enumerate(scales.items()):
+            file.create_dataset(name, data=values).make_scale(name)
+            position.dims[axis].attach_scale(file[name])
+        file.attrs["time_unit"] = "seconds"
+
+
+def test_netcdf_of_movement_has_its_people(take: Path, tmp_path: Path) -> None:
+    write_netcdf(tmp_path / "take.nc", take)
+    session = Session.from_files([tmp_path / "take.nc"])
+    assert session.timebase.frame_rate_hz == 25.0
+    for joint, places_m in located_m(session).items():
+        np.testing.assert_array_equal(places_m, positions_m(take)[joint])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("a.txt", "", r"Files of 3D points end with \.bvh, \.c3d"),
+        ("a.trc", "hello", "no header of TRC"),
+        ("a.csv", "a,b\n1,2\n", "no columns such as left_knee_x"),
+        ("a.csv", "time,a_x,a_y,a_z\n0,1,2,3\n0.1,1,2,3\n", "No person has shoulders and hips; the points are a"),
+        ("a.bvh", "HIERARCHY", "do not fit the joints' channels"),
+        ("a.json", '{"people": []}', "there is nobody"),
+        ("a.c3d", "x", "damaged, or not in the format C3D"),
+        ("a.nc", "x", "damaged, or not in the format NetCDF"),
+    ],
+)
+def test_unusable_file_gets_sentence(tmp_path: Path, name: str, content: str, sentence: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=sentence):
+        Session.from_files([tmp_path / name], 25.0)
+
+
+def mutated(whole: bytes, random: np.random.Generator, marks: bytes = bytes(range(256))) -> bytes:
+    """Content that ends early, or has 20 other bytes, or both."""
+    content = bytearray(whole[: random.integers(1, len(whole) + 1)] if random.random() < 0.5 else whole)
+    for place in random.integers(0, len(content), 20):
+        content[place] = random.choice(list(marks))
+    return bytes(content)
+
+
+@pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["person-1.trc", "person-1.csv", "person-1.bvh", "skeletons.json", "points.npy"])
+def test_mutated_files_give_points_or_a_problem(take: Path, tmp_path: Path, name: str, number: int) -> None:
+    np.save(take / "points.npy", np.ones((20, 33, 3)))
+    whole, damaged, random = (
+        (take / name).read_bytes(),
+        tmp_path / f"damaged{Path(name).suffix}",
+        np.random.default_rng(3),
+    )
+    reader = next(reader for reader in point_readers() if damaged.suffix in reader.suffixes)
+    problems = 0
+    for _ in range(number):
+        damaged.write_bytes(mutated(whole, random, b"0123456789.,-+e \t\n{}[]naPRJ"))
+        head = json.loads(str(decode_arrays(answer(damaged, reader.name))["head"]))
+        problems += "problem" in head
+    assert problems > 0
+
+
+@pytest.mark.parametrize("number", [3, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["person-1.c3d", "take.nc"])
+def test_mutated_binary_files_give_points_or_a_sentence(take: Path, tmp_path: Path, name: str, number: int) -> None:
+    """In children of their own: the libraries may crash a process, or hang."""
+    write_netcdf(take / "take.nc", take)
+    whole, damaged, random = (
+        (take / name).read_bytes(),
+        tmp_path / f"damaged{Path(name).suffix}",
+        np.random.default_rng(3),
+    )
+    for _ in range(number):
+        damaged.write_bytes(mutated(whole, random))
+        with contextlib.suppress(InputError):  # any other exception fails the test
+            Session.from_files([damaged])
