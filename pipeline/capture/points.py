@@ -54,7 +54,7 @@ class PointSession(KeypointSession):
     --------
     >>> import multicap
     >>> points_m = np.random.default_rng(0).normal(size=(20, 4, 3))
-    >>> session = multicap.Session.from_points(points_m, ["LShoulder", "RShoulder", "LHip", "RHip"], 25.0)
+    >>> session = multicap.Session.from_points(points_m, ["LShoulder", "RShoulder", "LHip", "RHip"], 25.0, "m")
     >>> len(session.people), session.timebase.num_frames
     (1, 20)
     """

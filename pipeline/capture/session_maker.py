@@ -18,11 +18,9 @@ class SessionMaker:
     --------
     >>> import multicap
     >>> import numpy as np
-    >>> keypoints_px = np.full((2, 25, 1, 17, 2), np.nan)  # two cameras, 25 frames, one person, COCO's joints
-    >>> keypoints_px[:] = np.linspace(100, 900, 34).reshape(17, 2)
-    >>> session = multicap.Session.from_arrays(
-    ...     keypoints_px[:, :, 0], None, multicap.read_calibration(folder / "calibration.json")[:2], frame_rate_hz=25.0
-    ... )
+    >>> cameras = multicap.read_calibration(folder / "calibration.json")
+    >>> keypoints_px = np.tile(np.linspace(100, 900, 34).reshape(17, 2), (3, 25, 1, 1))  # a person, 25 frames
+    >>> session = multicap.Session.from_arrays(keypoints_px, None, cameras, 25.0, joints="coco-17")
     >>> session.timebase.num_frames, session.joints.names[0]
     (25, 'nose')
     """
