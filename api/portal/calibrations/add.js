@@ -9,7 +9,8 @@ import { html, nothing, problemBox } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
-import { boardFields, boardSpec, emptyBoard, readStatures, statureField } from "./fields.js";
+import { boardFields, statureField } from "./fields.js";
+import { boardSpec, emptyBoard, readStatures } from "./values.js";
 
 const { add: ADD } = CALIBRATIONS;
 const MOST_SESSIONS = 100;

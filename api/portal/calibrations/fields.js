@@ -2,22 +2,9 @@
 
 import { html, live, nothing, svg, typed } from "../shared/lit.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
+import { readStatures } from "./values.js";
 
 const { add: ADD, board: BOARD_FIELDS } = CALIBRATIONS;
-
-// Metres or centimetres, with a decimal point or comma. A comma between numbers separates them.
-const STATURE = /([0-2](?:[.,]\d{1,3})?(?!\d)|\d{2,3}(?:[.,]\d(?!\d))?)\s*(cm|m)?/gi;
-const [MIN_STATURE_M, MAX_STATURE_M] = [0.5, 2.6];
-
-/** Heights in metres of a text such as "178", "1,78 m; 165 cm"; null if it is none. */
-export function readStatures(text) {
-  const found = [...text.matchAll(STATURE)].map(([, number, unit]) => {
-    const value = Number(number.replace(",", "."));
-    return unit?.toLowerCase() === "cm" || (!unit && value > MAX_STATURE_M) ? Number((value / 100).toFixed(4)) : value;
-  });
-  const isRest = /^[\s,;]*$/.test(text.replace(STATURE, ""));
-  return isRest && found.length && found.every((stature) => stature >= MIN_STATURE_M && stature <= MAX_STATURE_M) ? found : null;
-}
 
 /** Field for the heights of people, which says how it reads them. `hintId` names a paragraph about it. */
 export function statureField({ value = "", isOff = false, hintId = nothing, change = () => {} } = {}) {
@@ -33,16 +20,6 @@ export function statureField({ value = "", isOff = false, hintId = nothing, chan
 
 const DICTIONARIES = ["4X4", "5X5", "6X6", "7X7"].flatMap((bits) => [50, 100, 250, 1000].map((size) => `DICT_${bits}_${size}`)).concat("DICT_ARUCO_ORIGINAL");
 const MOST = 99; // numbers of squares that are drawn
-
-export const emptyBoard = () => ({ kind: "charuco", cols: 7, rows: 5, square_mm: 60, marker_mm: 45, dictionary: "DICT_4X4_50" });
-
-const metres = (millimetres) => Number((millimetres / 1000).toPrecision(9));
-
-// Specification of the board for the service.
-export function boardSpec({ kind, cols, rows, square_mm: square, marker_mm: marker, dictionary }) {
-  const spec = `${kind}:${cols}x${rows}:${metres(square)}`;
-  return kind === "charuco" ? `${spec}:${metres(marker)}:${dictionary}` : spec;
-}
 
 // Numbers of squares along the width and the height; a chessboard is described by its inner corners.
 const countSquares = ({ kind, cols, rows }) => (kind === "chessboard" ? [cols + 1, rows + 1] : [cols, rows]);

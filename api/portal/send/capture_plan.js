@@ -1,6 +1,6 @@
 // The capture that the page shows, and the requests that send it: both come from `planCapture` alone.
 
-import { boardSpec, readStatures } from "../calibrations/fields.js";
+import { boardSpec, readStatures } from "../calibrations/values.js";
 import { dateAndTime, stem } from "../shared/format.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";

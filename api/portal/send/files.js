@@ -1,6 +1,6 @@
 // Files of a capture: what they are, by their names.
 
-import { emptyBoard } from "../calibrations/fields.js";
+import { emptyBoard } from "../calibrations/values.js";
 import { RequestProblem } from "../shared/api.js";
 import { countFrames } from "../shared/mp4.js";
 import { SEND } from "../shared/strings/send.js";

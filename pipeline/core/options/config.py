@@ -117,7 +117,7 @@ Body = (
 )
 
 SegmentTable = (
-    Annotated[Literal["de-leva"], Value("de Leva 1996")] | Annotated[Literal["dumas"], Value("Dumas et al. 2007")]
+    Annotated[Literal["de-leva"], Value("de Leva 1996")] | Annotated[Literal["dumas"], Value("Dumas 2007")]
 )
 Sex = (
     Annotated[Literal["unstated"], Value("Mean of both")]

@@ -229,7 +229,7 @@ CORRECTIONS = [
 ]
 
 
-def test_corrections_of_joints_are_kept(capture: Capture) -> None:
+def test_corrections_of_joints_are_kept(capture: EditedCapture) -> None:
     answer = capture.edit(*CORRECTIONS)
     assert answer.status_code == 200, answer.text
     kept = capture.read()["edits"]
@@ -251,7 +251,7 @@ def test_corrections_of_joints_are_kept(capture: Capture) -> None:
         (4, {"limb": "head"}),
     ],
 )
-def test_wrong_corrections_are_refused(capture: Capture, number: int, wrong: dict[str, object]) -> None:
+def test_wrong_corrections_are_refused(capture: EditedCapture, number: int, wrong: dict[str, object]) -> None:
     answer = capture.edit(CORRECTIONS[number] | wrong)
     assert problem_of(answer, 422, "invalid_request")["errors"][0]["pointer"].startswith("/edits/0")
 

@@ -96,6 +96,7 @@ OPENED = {
         "/v1/jobs/{job_id}/events",
         "/v1/jobs/{job_id}/motion",
         "/v1/jobs/{job_id}/motion/description",
+        "/v1/jobs/{job_id}/motion/first-people",
         "/v1/jobs/{job_id}/results",
         "/v1/jobs/{job_id}/results.zip",
         "/v1/jobs/{job_id}/results/{name}",

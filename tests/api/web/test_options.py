@@ -17,7 +17,9 @@ def test_options_describe_every_choice_of_job(live: Live) -> None:
     listed = {one["name"]: one for one in live.client.get("/v1/options").json()["choices"]}
     properties = live.client.get("/openapi.json").json()["components"]["schemas"]["JobSpec"]["properties"]
     assert list(listed) == [
-        name for name in properties if name not in {"callback_url", "character", "keep_videos", "priority"}
+        name
+        for name in properties
+        if name not in {"apply_edits", "callback_url", "character", "keep_videos", "priority"}
     ]
     for name in (
         "method",
@@ -77,7 +79,7 @@ def test_specs_keep_to_declared_limits(wrong: dict[str, object]) -> None:
 
 
 def test_specs_take_what_is_declared() -> None:
-    assert JobSpec().model_dump(exclude={"callback_url", "character", "keep_videos", "priority"}) == {
+    assert JobSpec().model_dump(exclude={"apply_edits", "callback_url", "character", "keep_videos", "priority"}) == {
         name: one.default for name, one in CHOICES.items()
     }
     spec = JobSpec.model_validate({"people": 2.0, "frame_range": [0, 5], "output_rate_hz": 1})

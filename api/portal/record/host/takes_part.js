@@ -1,6 +1,7 @@
 // Part of the view Record with the takes: start and stop, clips of the phones, and what is made of them.
 
-import { readStatures, statureField } from "../../calibrations/fields.js";
+import { statureField } from "../../calibrations/fields.js";
+import { readStatures } from "../../calibrations/values.js";
 import { choicesForm } from "../../send/choices.js";
 import { sending } from "../../send/sending.js";
 import { feed } from "../../shared/feed.js";

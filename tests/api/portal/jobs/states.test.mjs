@@ -7,8 +7,8 @@ import { hasEnded, jobState } from "../../../../api/portal/shared/jobs.js";
 
 const job = (files) => ({ state: "succeeded", files_state: files, progress: 0.4, warnings: [{ code: "few_views", severity: "warning" }] });
 
-test("job_whose_files_are_updated_says_how_far", () => {
-  assert.deepEqual(jobState(job("updating")), { words: "Done, updating files 40 %", tone: "run" });
+test("job_whose_files_are_updated_stays_done", () => {
+  assert.deepEqual(jobState(job("updating")), { words: "Done, with warnings", tone: "warn" });
   assert.equal(hasEnded(job("updating")), false);
 });
 

@@ -10,10 +10,10 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.options.edits import Accept
 from pipeline.export.quality.concerns import MAX_CONCERNS, Concern, find_concerns
 from pipeline.export.quality.views import person_views
-from tests.pipeline.motion.skeleton.corrections.faults import Take, taken
+from tests.pipeline.motion.skeleton.corrections.faults import FaultyTake, taken
 
 
-def reconstruction(take: Take) -> Reconstruction:
+def reconstruction(take: FaultyTake) -> Reconstruction:
     animation = replace(take.animation, tracks=take.animation.tracks[:1], motions=take.animation.motions[:1])
     simulation = take.simulation
     return Reconstruction(
