@@ -51,7 +51,12 @@ PLACES = """async (frame) => {
   stage.scene.updateMatrixWorld(true);
   const origin = viewer.description.origin_m;
   const world = (point) => point.toArray().map((value, axis) => value + origin[axis]);
-  return stage.scene.children.filter((group) => group.isGroup).map((group) => {
+  const isCharacter = (group) => {
+    let found = false;
+    group.traverse(({ isBone }) => { found ||= isBone; });
+    return found;
+  };
+  return stage.scene.children.filter(isCharacter).map((group) => {
     if (!group.visible) return null;
     const bones = {};
     let vertices = null;

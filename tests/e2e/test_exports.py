@@ -155,15 +155,16 @@ def test_markers(capture: ExportedCapture) -> None:
         expected_m = markers_m(tracks[motion.track_id], joints)
         known = np.isfinite(expected_m).all(-1)
         read = ezc3d.c3d(str(path))
-        assert read["parameters"]["POINT"]["LABELS"]["value"] == list(joints)
+        labels = read["parameters"]["POINT"]["LABELS"]["value"]
+        assert labels == [*joints, "center_of_mass", "extrapolated_center_of_mass"]
         assert read["header"]["points"]["frame_rate"] == pytest.approx(rate_hz)
-        found_m = np.transpose(read["data"]["points"][:3], (2, 1, 0)) / 1e3
+        found_m = np.transpose(read["data"]["points"][:3], (2, 1, 0))[:, : len(joints)] / 1e3
         np.testing.assert_array_equal(np.isfinite(found_m).all(-1), known)
         assert_same(found_m[known], expected_m[known], 1e-4, path)
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a warning that there are no analog channels
             frames = np.array([points for _, points, _ in c3d.Reader(file).read_frames()])
-        assert_same(frames[known][:, :3] / 1e3, expected_m[known], 1e-4, path)
+        assert_same(frames[:, : len(joints)][known][:, :3] / 1e3, expected_m[known], 1e-4, path)
     for path, motion in capture.paths("trc").items():
         expected_m = markers_m(tracks[motion.track_id], joints)
         known = np.isfinite(expected_m).all(-1)

@@ -241,7 +241,7 @@ def test_page_is_small(live: Live) -> None:
     folders = (PORTAL / "live", PORTAL / "record")
     later = {path.relative_to(PORTAL).as_posix() for folder in folders for path in folder.rglob("*.js")}
     later -= {"live/view.js", "record/view.js", "record/room.js"}
-    others = ("vendor/three", "vendor/uPlot", "viewer/", "record/phone", "record/board")
+    others = ("vendor/three", "vendor/uPlot", "viewer/", "jobs/corrections", "record/phone", "record/board")
     later |= {"shared/strings/viewer.js", "shared/strings/phone.js"}
     first = [name for name in sizes if not name.startswith(others)]
-    assert sum(sizes[name] for name in first if name not in later) <= 147_000
+    assert sum(sizes[name] for name in first if name not in later) <= 156_000
