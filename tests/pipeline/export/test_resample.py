@@ -132,4 +132,4 @@ def test_single_frame_keeps_its_rotations() -> None:
 def test_all_formats_hold_it(take: Reconstruction, tmp_path: Path) -> None:
     # Each file is read back and compared as it is written. One of the people walks, with two tables of the steps; each
     # has one of balance.
-    assert len(write_results(take, tmp_path, ("bvh", "glb", "trc", "c3d", "csv"), frame_rate_hz=48.0)) == 22
+    assert len(write_results(take, tmp_path, ("bvh", "glb", "trc", "c3d", "csv"), frame_rate_hz=48.0)) == 23

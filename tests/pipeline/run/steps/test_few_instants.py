@@ -74,9 +74,10 @@ def test_people_are_found_from_one_frame(simulation: Simulation, filmed: Path, t
     assert len(take.tracks) == 3
     assert recall(take, simulation, [40], [0.0]) == 1.0
     paths = write_results(take, tmp_path / "out", FORMATS)
-    # Each person has a file of each format, and the take one of GLB, FBX and USD; then there are skeletons and metrics.
+    # Each person has a file of each format and a table of balance, and the take one of GLB, FBX and USD; then there are
+    # skeletons and metrics.
     of_take = {"glb", "fbx", "usd"} & set(FORMATS)
-    assert len(paths) == 3 * len(FORMATS) + len(of_take) + 2
+    assert len(paths) == 3 * (len(FORMATS) + 1) + len(of_take) + 2
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_bytes())
     assert "nobody_found" not in {check["code"] for check in metrics["capture_checks"]}
 
