@@ -54,7 +54,7 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
     ${rig.isReading ? html`<p class="chosen" role="status"><b>${rig.name ?? ""}</b> <span class="quiet">${TEXT.checking}</span></p>` : nothing}
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${calibrationFacts(chosen)}</span></p>
       ${warningList(chosen.warnings, TEXT.warnings)}` : nothing}
-    ${rig.file ? html`<details ?open=${rig.problem !== null}><summary>${TEXT.unitAndUp}</summary><div class="pair">
+    ${rig.file ? html`<details ?open=${rig.problem !== null || rig.units !== null || rig.up !== null}><summary>${TEXT.unitAndUp}</summary><div class="pair">
       ${choice(TEXT.unit, TEXT.units, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
       ${choice(TEXT.up, AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div></details>` : nothing}`;
 }
