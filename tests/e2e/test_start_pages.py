@@ -253,6 +253,9 @@ class Folder:
     def run(self, command: str) -> str:
         """Run a command as a page has it, where `ID` is the id of the last answer; return what it prints."""
         command = re.sub(r"\bID\b", self.last_id, command)
+        if "/SESSION/" in command:
+            job = self.served.client.get(f"/v1/jobs/{self.served.post(self.sample)}").json()
+            command = command.replace("SESSION", job["session_id"])
         if "/results" in command:
             self.served.wait_for_end(self.last_id)
         command = command.replace(ADDRESS, str(self.served.client.base_url).rstrip("/"))
