@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 from pipeline.core.options.choices import Choice, Value, declared_choices
-from pipeline.core.options.config import CHOICES, PURPOSES, Purpose, ReconstructionConfig
+from pipeline.core.options.config import CHOICES, ReconstructionConfig
+from pipeline.core.options.purposes import PURPOSES, Purpose
 
 _INTRODUCTION = """\
 # Options of a reconstruction

@@ -19,6 +19,7 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditiona
 from pipeline.core.options import config
 from pipeline.core.options.choices import Choice, Group, Kind
 from pipeline.core.options.file_formats import FILE_FORMATS
+from pipeline.core.options.purposes import PURPOSES
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
@@ -215,7 +216,7 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
             ChoiceOut.from_choice(choice, missing if choice.name == "exports" else ())
             for choice in config.CHOICES.values()
         ),
-        purposes=tuple(map(PurposeOut.from_record, config.PURPOSES)),
+        purposes=tuple(map(PurposeOut.from_record, PURPOSES)),
     )
     return conditional(options, if_none_match)
 

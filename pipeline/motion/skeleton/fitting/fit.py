@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
@@ -16,6 +16,7 @@ from pipeline.core.progress import OnShare, ignore
 from pipeline.geometry.tracks import reproject
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine, start_from
+from pipeline.motion.skeleton.fitting.landmark_evidence import LandmarkEvidence
 from pipeline.motion.skeleton.fitting.lengths import learn_lengths
 from pipeline.motion.skeleton.fitting.liveliness import liveliness
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_positions, stretches, usual_step_m
@@ -74,38 +75,6 @@ class FittedProportions:
 
     bone_length_m: Float[np.ndarray, " joints"]
     offsets_m: Mapping[str, Float[np.ndarray, " 3"]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Evidence:
-    """Rays, if available, and target positions of landmarks with a weight (1 / variance) along each axis."""
-
-    rays: Rays | None
-    landmark: Int[np.ndarray, " landmarks"]
-    strength: Float[np.ndarray, "frames landmarks 3"]
-    place_m: Float[np.ndarray, "frames landmarks 3"]
-
-    def normal_equations(
-        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
-    ) -> tuple[Float[np.ndarray, "frames landmarks 3 3"], Float[np.ndarray, "frames landmarks 3"]]:
-        curvature = self.strength[..., None] * np.eye(3)
-        pull = self.strength * (self.place_m - landmark_m)
-        if self.rays is not None:
-            for number, joint in enumerate(self.landmark.tolist()):
-                xyz_m = landmark_m[:, number]
-                normal, right = self.rays.normal_equations(joint, xyz_m, SCALES_M[-1])
-                curvature[:, number] += normal
-                pull[:, number] += right - np.einsum("fab,fb->fa", normal, xyz_m)
-        return curvature, pull
-
-    def precision(
-        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
-    ) -> Float[np.ndarray, "frames landmarks 3 3"]:
-        precision = self.strength[..., None] * np.eye(3)
-        if self.rays is not None:
-            for number, joint in enumerate(self.landmark.tolist()):
-                precision[:, number] += self.rays.precision(joint, landmark_m[:, number], SCALES_M[-1])
-        return np.asarray(precision)
 
 
 class SkeletonFit:
@@ -403,7 +372,7 @@ class SkeletonFit:
 
     def _evidence(
         self, rows: slice, start: JointPoses, places_m: Mapping[str, Float[np.ndarray, "frames 3"]]
-    ) -> _Evidence:
+    ) -> LandmarkEvidence:
         """Evidence for the fit of a window. In gaps, the targets are the positions at the start of the fit."""
         position_m = np.array(self._track.xyz_m[rows])
         landmark = self._skeleton.landmark
@@ -429,7 +398,7 @@ class SkeletonFit:
         rays = self._rays_of(rows) if self._rays_of else None
         if rays is not None:
             rays.exchange_sides(position_m, SCALES_M[-1])
-        return _Evidence(rays, landmark, strength, place_m)
+        return LandmarkEvidence(rays, landmark, strength, place_m)
 
 
 def fit_to_rays(
