@@ -134,7 +134,7 @@ class RunEditsOut(ResponseModel):
 
     @classmethod
     def from_run(cls, job: JobRecord, found: tuple[PersonSpan, ...], edits: tuple[PeopleEdit, ...]) -> Self:
-        """Build the response from a job, the people whom it found, and the edits of its session."""
+        """Build the response from a job, the people that it found, and the edits of its session."""
         frames = _frames(job)
         take = apply_edits(found, edits if job.spec.apply_edits else (), frames)
         kept = take.frames or range(len(frames))

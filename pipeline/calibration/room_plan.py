@@ -101,7 +101,7 @@ def plan_room(
         gradient = np.nan_to_num(np.stack(columns, axis=-1)) / (error_share * size_px)[..., None, None]
         views += seen
         information += seen[..., None, None] * (gradient.swapaxes(-1, -2) @ gradient)
-    # Where rays are parallel the variance is that of the prior.
+    # Parallel rays leave the variance of the prior.
     covariance = np.linalg.inv(information + np.eye(3) / _MAX_SIGMA_M**2)
     variance_m2 = np.trace(covariance, axis1=-2, axis2=-1)
     located = ((views >= _MIN_VIEWS) & (variance_m2 < _MAX_SIGMA_M**2)).all(-1)

@@ -1,4 +1,4 @@
-// What the whole page has: an announcer, its title, and addresses of its views.
+// Parts of the whole page: an announcer, its title, and addresses of its views.
 
 import { FRAME } from "./strings/frame.js";
 

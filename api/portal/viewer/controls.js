@@ -37,7 +37,7 @@ export function transport(player) {
   return element;
 }
 
-/** Controls beside those of the play head: range, frame rate, layout, full screen and keys. */
+/** Controls beside the play head: range, frame rate, layout, full screen and keys. */
 export function viewerTools(viewer) {
   const { player, description: { cameras, frame_rate_hz: rateHz } } = viewer;
   const mark = (label, title, onclick, isHidden = false) => el("button", { type: "button", class: "look-button", title, "aria-label": title, hidden: isHidden, onclick }, label);

@@ -164,7 +164,7 @@ class Reconstruction:
         Parameters
         ----------
         person
-            Number of the person; ``None``: everybody.
+            Number of the person; ``None``: all people.
         angle
             Name of a joint angle in degrees, such as ``left_knee_flexion``, which is drawn over time.
         camera
@@ -172,7 +172,7 @@ class Reconstruction:
         frame
             Output frame of a skeleton or a view; ``None``: the middle frame of the person.
         ax
-            Axes to draw on, with a 3D projection for people; ``None``: those of a new figure.
+            Axes to draw on, with a 3D projection for people; ``None``: axes of a new figure.
 
         Raises
         ------

@@ -444,7 +444,7 @@ def _minutes(time_s: float) -> str:
 
 
 def _accepts_views(take: Reconstruction, number: int) -> bool:
-    """Whether somebody has looked at a person with few views and said that it is right."""
+    """Return whether a person with few views was accepted as right."""
     return any(edit.kind == "few_views" for edit in take.accepted.get(number, ()))
 
 

@@ -1,4 +1,4 @@
-"""Places of a take where somebody should look, worst first: what is probably wrong with whom, and when.
+"""Places of a take to look at, worst first: the probable fault, the person and the frames.
 
 - *error*: a joint is far from its observations, compared with the take.
 - *identity*: the person may be another one from here on, or vanishes.
@@ -41,7 +41,7 @@ _ENDS = ("left_wrist", "right_wrist", "left_ankle", "right_ankle")
 
 
 class Concern(NamedTuple):
-    """Frames of a person that somebody should look at."""
+    """Frames of a person to look at."""
 
     kind: ConcernKind
     person: int  # Number of the track
@@ -53,7 +53,7 @@ class Concern(NamedTuple):
 
 
 def find_concerns(take: Reconstruction, views: Sequence[PersonViews]) -> list[Concern]:
-    """Rank the places of a take where somebody should look, worst first, at most ``MAX_CONCERNS``.
+    """Rank the places of a take to look at, worst first, at most ``MAX_CONCERNS``.
 
     ``views`` are of the tracks, in their order. Places that were accepted are left out.
     """

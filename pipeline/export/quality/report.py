@@ -20,7 +20,7 @@
 - *Angles*: range of each joint angle and its usual standard deviation; see ``pipeline.motion.angles``.
 - *Identity*: probability that a person is one and the same all the time, the product over the moments at which another
   choice was nearly as likely (``doubts``, with a confidence below 0.99 each); see ``pipeline.association.identity``.
-- *Concerns*: places where somebody should look, worst first; see ``export.quality.concerns``.
+- *Concerns*: places to look at, worst first; see ``export.quality.concerns``.
 - *Gait*, *movements*: see ``pipeline.motion.gait``; ``gait`` is null without gait.
 - *Stature*: from the medians of shin, thigh and trunk, which are 0.779 of the stature (Drillis and Contini 1966).
 

@@ -274,7 +274,7 @@ def _doubts(people: People, take: EditedTake, number: int) -> list[Doubt]:
 
 
 def _accepts(person: EditedPerson, start_frame: int, stop_frame: int) -> bool:
-    """Whether somebody has looked at frames of a person and said that it is this one."""
+    """Return whether the identity of a person in frames was accepted as right."""
     return any(
         edit.kind == "identity" and edit.start_frame < stop_frame and start_frame < edit.stop_frame
         for edit in person.accepted

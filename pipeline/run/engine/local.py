@@ -119,7 +119,7 @@ def reconstruct_to_files(
     on_file: OnFile = no_file,
     character: CharacterSource | None = None,
 ) -> WrittenResults:
-    """Reconstruct everybody in a capture session, and write the result files, like the service.
+    """Reconstruct all people in a capture session, and write the result files, like the service.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def reconstruct_to_files(
     on_file
         Called with the path of each file when it is whole and has its name.
     character
-        Character onto which everybody is retargeted as well; ``None``: there is none.
+        Character onto which all people are retargeted as well; ``None``: there is none.
 
     Returns
     -------

@@ -76,7 +76,7 @@ def _is_mendable(error: Finding, config: ReconstructionConfig) -> bool:
 
 
 def _has_results(config: ReconstructionConfig) -> bool:
-    """Whether a job works on results that are there: files that are made again, or rebuilt visuals."""
+    """Return whether a job works on results that are there: files that are made again, or rebuilt visuals."""
     return config.is_remade or config.making is not None
 
 

@@ -43,7 +43,7 @@ def refit(task: stage.Task, context: stage.Context) -> stage.Output:
 
 
 def _is_edited(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Whether a job has edits of frames; names change nobody's frames."""
+    """Return whether a job has edits of frames; names change no frames."""
     return config.is_of_people and bool(config.people_edits)
 
 

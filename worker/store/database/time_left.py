@@ -14,7 +14,7 @@ _TELLING = 0.05
 def time_left_s(stages: Iterable[StageProgress], config: ReconstructionConfig, now: datetime) -> float | None:
     """Estimate the time that is left of a job whose attempt began; ``None`` before a unit is done.
 
-    A stage that has begun goes on at its own rate. Stages that follow take their foreseen work, times the ratio of
+    A stage that has begun continues at its own rate. Stages that follow take their foreseen work, times the ratio of
     measured to foreseen time so far: a busy machine has a large one. A stage uses as many of the job's workers as it
     has chunks. Outputs of an earlier job took no time.
     """

@@ -182,7 +182,7 @@ class JobRecord:
 
     @property
     def has_people(self) -> bool:
-        """Whether it has reconstructed people."""
+        """True if it has reconstructed people."""
         return self.making is None and self.results_revision is not None
 
     @property

@@ -68,7 +68,7 @@ class Remake:
     """Plan of the files of a job that are made again."""
 
     stages: Sequence[StagePlan]
-    # Whether the job that makes its visuals will have something to make, and whether it reads videos
+    # The job that makes its visuals has something to make; it reads videos
     has_visuals: bool
     needs_videos: bool
 

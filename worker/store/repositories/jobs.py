@@ -303,7 +303,7 @@ class Jobs:
                 "revision": job.revision,
                 "character": None if job.character is None else asdict(job.character),
                 "precedence": Precedence.EDITS,
-                # New ones are made as soon as the other files are there, the others when nobody edits any more.
+                # New ones are made as soon as the other files are there, the others when the edits rest.
                 "visuals_old_at": (0.0 if has_new_visuals else now()) if remake.has_visuals else None,
             }
             again = {"attempt": row.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}

@@ -89,7 +89,7 @@ export class JointTool {
     this.#draw();
   }
 
-  /** Edit of a person of the store, in its frames and from its origin; null if it is of nobody here. */
+  /** Edit of a person of the store, in its frames and from its origin; null if that person is not here. */
   #inStore(edit) {
     const { description: { first_frame: first, origin_m: origin, people } } = this.#viewer;
     const local = (place) => place.map((value, axis) => value - origin[axis]);
@@ -132,7 +132,7 @@ export class JointTool {
     this.#add({ action: "key", joint, frame: frame + first, place_m: placeM.map((value, axis) => value + origin[axis]) });
   }
 
-  /** Positions of a person's joints as they are shown; null where nobody is. */
+  /** Positions of a person's joints as they are shown; null where the person is absent. */
   #joints(person) {
     const { store, frame } = this.#viewer;
     const [out, next] = [0, 1].map(() => new Float32Array(3 * store.records.numJoints));

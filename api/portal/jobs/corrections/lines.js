@@ -37,7 +37,7 @@ export function meet(line, other) {
   return one && one.map((value, axis) => (value + two[axis]) / 2);
 }
 
-/** Where a line meets the plane through a point with a normal. */
+/** Point at which a line meets the plane through a point with a normal. */
 export function onPlane(line, point, normal) {
   return at(line, dot(minus(point, line.origin), normal) / dot(line.direction, normal));
 }

@@ -1,4 +1,4 @@
-// Edits of a capture in the run of a job: shown at once, sent one after the other, undone, redone, and told when somebody else has changed them.
+// Edits of a capture in the run of a job: shown at once, sent one after the other, undone, redone, and told when another client has changed them.
 
 import { call, persistently, readTagged } from "../../shared/api.js";
 import { feed } from "../../shared/feed.js";
@@ -9,7 +9,7 @@ import { describe } from "./person_names.js";
 
 const FRAMES = ["frame", "start_frame", "stop_frame"];
 
-// Whether two lists of edits are the same but for how people are named: the service puts places for numbers.
+// Compare two lists of edits, but for the names of people: the service puts places for numbers.
 const areAlike = (one, other) => JSON.stringify(one.map(unnamed)) === JSON.stringify(other.map(unnamed));
 const unnamed = ({ person, other, ...rest }) => rest;
 

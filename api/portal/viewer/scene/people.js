@@ -58,7 +58,7 @@ export class PeopleFigures {
     this.#people[person].isShown = isShown;
   }
 
-  /** Put everybody where they are at a place, a frame or between two frames. */
+  /** Put all people where they are at a place, a frame or between two frames. */
   show(place) {
     const frame = Math.round(place);
     const { body, shape, skeleton, contacts } = this.options;

@@ -55,7 +55,7 @@ export class SceneView {
     this.#fit(OBLIQUE);
   }
 
-  /** Put everybody where they are in a frame, or between two frames; null: nobody is there. */
+  /** Put all people where they are in a frame, or between two frames; null: no person is there. */
   show(frame) {
     this.#frame = frame ?? -1;
     this.people.show(this.#frame);

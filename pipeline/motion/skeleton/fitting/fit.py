@@ -71,7 +71,7 @@ class FitState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedProportions:
-    """What a fit learns of a person once: lengths of bones, and offsets of landmarks in head and feet by name."""
+    """Proportions that a fit learns of a person: lengths of bones; offsets of landmarks in head and feet, by name."""
 
     bone_length_m: Float[np.ndarray, " joints"]
     offsets_m: Mapping[str, Float[np.ndarray, " 3"]]
