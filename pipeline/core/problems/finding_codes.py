@@ -5,7 +5,7 @@ from pipeline.core.problems.code_group import CodeGroup
 FILES = CodeGroup(
     "Findings about files",
     "Codes of `preflight.findings` of a session and of `multicap check`, from the files alone. None refuses a "
-    "session; [findings](findings.md) lists the evidence of each. Findings about the cameras have the "
+    "session; [findings](../lab/findings.md) lists the evidence of each. Findings about the cameras have the "
     "codes of [findings about calibrations](#findings-of-checks).",
 )
 

@@ -1,1 +1,1 @@
-"""Motion for viewers: ``motion.bin`` holds frames, ``motion.json`` describes them (docs/reference/file-contents.md)."""
+"""Motion for viewers: ``motion.bin`` holds frames, ``motion.json`` describes them (docs/lab/format-notes.md)."""
