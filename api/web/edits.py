@@ -173,7 +173,7 @@ router = APIRouter(prefix="/v1/sessions", tags=["sessions"], route_class=SmallBo
     operation_id="getSessionEdits",
     summary="Read the edits of a session's people",
     response_model=EditsOut,
-    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409)},
+    responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 422)},
 )
 def get_session_edits(
     session_id: SessionId,

@@ -258,7 +258,7 @@ class FirstPeopleOut(ResponseModel):
     operation_id="getFirstPeople",
     summary="Look at the first people of a running job",
     response_model=FirstPeopleOut,
-    responses=problems(404),
+    responses=problems(404, 422),
 )
 def get_first_people(
     job_id: JobId,

@@ -179,6 +179,8 @@ def test_every_body_has_example(schema: dict[str, Any]) -> None:
 def test_every_operation_declares_its_errors(schema: dict[str, Any]) -> None:
     for operation in operations(schema):
         assert {"403", "500", "503"} <= operation["responses"].keys()
+        if any(parameter["in"] == "query" for parameter in operation.get("parameters", [])):
+            assert "422" in operation["responses"], operation["operationId"]
         if "{job_id}" in str(operation.get("parameters")) or operation["operationId"].startswith(("get", "delete")):
             assert "404" in operation["responses"] or operation["operationId"] in {
                 "getCaller",
