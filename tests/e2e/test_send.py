@@ -155,7 +155,7 @@ def test_people_calibrate_and_take_is_reconstructed(page: Page, served: Served) 
     expect(page).to_have_url(re.compile("#/jobs/"), timeout=600_000)
     expect(page.get_by_role("heading", name="Without calibration", level=1)).to_be_visible()
     job = served.wait_for_end(page.url.rpartition("/")[2])
-    assert job["state"] == "succeeded"
+    assert job["state"] == "succeeded", job["error"]
     assert len(served.edits(job["id"])["run"]["found"]) >= 2
     page.get_by_role("link", name="New capture").click()
     expect(page.get_by_label("Stored calibration")).not_to_have_value("")

@@ -67,11 +67,11 @@ export class Strips {
     const count = this.#concerns.length;
     if (count === 0) return this.#announce(VIEWER.noConcern);
     this.#place = (Math.max(this.#place, step < 0 ? 0 : -1) + step + count) % count;
-    const { person: id, start_frame: from, message } = this.#concerns[this.#place];
+    const { person: id, camera, start_frame: from, message } = this.#concerns[this.#place];
     this.#player.pause();
     this.#player.seekTime(this.#description.start_time_s + from / this.#description.frame_rate_hz);
-    const { name } = this.#description.people.find((person) => person.id === id);
-    return this.#announce(VIEWER.concernAt(name, from, message, this.#place + 1, count));
+    const name = this.#description.people.find((person) => person.id === id)?.name;
+    return this.#announce(VIEWER.concernAt(name ?? camera, from, message, this.#place + 1, count));
   }
 
   /** Say that the place that is looked at is right: make an edit of it, and go to the next one. */
@@ -79,11 +79,11 @@ export class Strips {
     const concern = this.#concerns[this.#place];
     if (concern === undefined || editor === null) return;
     const { first_frame: first } = this.#description;
-    const { person, kind, start_frame: start, stop_frame: stop } = concern;
+    const { person, camera, kind, start_frame: start, stop_frame: stop } = concern;
     this.#concerns = this.#concerns.filter((other) => other !== concern);
     this.#place -= 1;
     this.goToConcern(1);
-    editor.add({ action: "accept", person, kind, start_frame: first + start, stop_frame: first + stop });
+    editor.add({ action: "accept", person, camera, kind, start_frame: first + start, stop_frame: first + stop });
   }
 
   #row(person, number, onperson, isShown) {

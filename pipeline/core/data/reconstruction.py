@@ -72,6 +72,7 @@ class Reconstruction:
         Whether edits removed everybody who was found.
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
+        Cameras that are right have the number 0.
 
     Examples
     --------
@@ -112,6 +113,14 @@ class Reconstruction:
     def motions(self) -> tuple[SkeletonMotion, ...]:
         """Skeleton motions, in the tracks' order."""
         return self.animation.motions
+
+    def accepts(self, kind: str, person: int = 0, frames: range | None = None, camera: str | None = None) -> bool:
+        """Whether a person or a camera was looked at, and is right; ``None``: in any frames."""
+        return any(
+            (edit.kind, edit.camera) == (kind, camera)
+            and (frames is None or (edit.start_frame < frames.stop and frames.start < edit.stop_frame))
+            for edit in self.accepted.get(person, ())
+        )
 
     def to_xarray(self) -> "xr.Dataset":
         """Return everything as named arrays, which the package ``movement`` takes.

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.edit_pieces import Piece, chained, joined, piece_at, united, within
 from pipeline.core.options.edits import (
+    CAMERA_KINDS,
     MAX_DISTANCE_M,
     MAX_KEY_M,
     MAX_NAME_LENGTH,
@@ -87,12 +88,13 @@ class EditedTake:
     """People after all edits, in the order of their numbers.
 
     ``frames`` are the frames that a cut keeps, numbered from the run's first frame; ``None``: all. ``outcomes`` has one
-    for each edit.
+    for each edit. ``accepted`` are cameras that are right.
     """
 
     people: tuple[EditedPerson, ...]
     frames: range | None = None
     outcomes: tuple[EditOutcome, ...] = ()
+    accepted: tuple[Accept, ...] = ()
 
 
 def apply_edits(
@@ -171,6 +173,7 @@ class _Take:
     known: Known = field(default_factory=dict)
     # Number of a person of the run and frame by which a body is named, with its correction, in the order of the edits
     corrections: list[tuple[int, int, Correction | Accept]] = field(default_factory=list)
+    accepted: list[Any] = field(default_factory=list)  # Accepted places of cameras
 
     @classmethod
     def of(cls, people: Sequence[PersonSpan], frames: range) -> "_Take":
@@ -208,6 +211,7 @@ class _Take:
                 EditOutcome(number_of(edit, "person"), number_of(edit, "other"), self.problems.get(edit))
                 for edit in range(num_edits)
             ),
+            tuple(self.accepted),
         )
 
     def placed(self, edit: PeopleEdit) -> PeopleEdit:
@@ -228,6 +232,11 @@ class _Take:
         if start < 0 or (stop is not None and stop <= start):
             message = f"The frames {start} to {stop} are no frames."
             self._refuse("stop_frame", message, "The first frame is 0, and stop_frame is excluded.")
+        if isinstance(edit, Accept):
+            of_camera = edit.kind in CAMERA_KINDS
+            if (edit.camera is not None, edit.person is not None) != (of_camera, not of_camera):
+                named, other = ("camera", "person") if of_camera else ("person", "camera")
+                self._refuse(named, f"{edit.kind} is about a {named}.", f"Name a {named}, and no {other}.")
         return replace(edit, name=self._normalized(edit.name)) if isinstance(edit, Rename) else edit
 
     def apply(self, edit: PeopleEdit) -> None:
@@ -407,21 +416,23 @@ class _Take:
 
     def _correct(self, edit: Correction | Accept) -> None:
         """Keep a correction with the body that is there in the frame by which the person is named."""
-        person = self._person(edit.person)
+        person = None if edit.person is None else self._person(edit.person)
         field_name = "frame" if isinstance(edit, KeyJoint | PlaceDetection) else "start_frame"
         start, stop = frames_of(edit)
-        here = self._range(start, stop)
-        if here.stop <= person.start_frame or here.start >= person.stop_frame:
-            hint = f"The person is there from frame {self.frames.start + person.start_frame} on."
-            self._refuse(field_name, f"The person is not there at frame {start}.", hint)
+        here, first = self._range(start, stop), self.frames.start
         for name, known in self.known.items():
             value = getattr(edit, name, None)
             if value is not None and value not in known:
                 hint = f"Known are {', '.join(sorted(known))}."
                 self._refuse(name, f"This run has no {name} {value}.", hint)
-        anchor = here.start
-        if isinstance(edit.person, PersonAt):
-            anchor = edit.person.frame - self.frames.start
+        moved = replace(edit, **{name: getattr(edit, name) - first for name in _FRAMES if hasattr(edit, name)})
+        if person is None:
+            self.accepted.append(moved)  # only places of cameras are without a person
+            return
+        if here.stop <= person.start_frame or here.start >= person.stop_frame:
+            hint = f"The person is there from frame {first + person.start_frame} on."
+            self._refuse(field_name, f"The person is not there at frame {start}.", hint)
+        anchor = edit.person.frame - first if isinstance(edit.person, PersonAt) else here.start
         piece = min(person.pieces, key=lambda piece: max(piece.start_frame - anchor, anchor + 1 - piece.stop_frame, 0))
         anchor = min(max(anchor, piece.start_frame), piece.stop_frame - 1)
         if isinstance(edit, KeyJoint):
@@ -429,9 +440,7 @@ class _Take:
             if MAX_KEY_M < distance_m < math.inf:
                 message = f"The place is {distance_m:.1f} m from the person at frame {start}."
                 self._refuse("place_m", message, f"Choose a place within {MAX_KEY_M} m.")
-        first = self.frames.start
-        moved = {name: getattr(edit, name) - first for name in _FRAMES if hasattr(edit, name)}
-        self.corrections.append((piece.person, anchor, replace(edit, **moved)))
+        self.corrections.append((piece.person, anchor, moved))
 
     def _range(self, start: int, stop: int) -> range:
         """Part of frames of the session that is in the run, numbered from the run's first frame."""

@@ -212,16 +212,38 @@ class Contact(_Correction):
     stands: bool
 
 
-ConcernKind = Literal["error", "identity", "sides", "few_views", "acceleration"]
-"""Reason to look at a person."""
+CameraKind = Literal[
+    "camera_disagrees",
+    "camera_without_people",
+    "camera_below_floor",
+    "camera_sees_nobody",
+    "clocks_disagree",
+    "no_common_people",
+]
+"""Code of a finding about a camera."""
+PersonKind = Literal["limb_mismeasured", "person_never_moves", "mirror_image", "stature_out_of_range"]
+"""Code of a finding about a person."""
+ConcernKind = Literal[
+    "error",
+    "identity",
+    "sides",
+    "few_views",
+    "acceleration",
+    PersonKind,
+    CameraKind,
+]
+"""Reason to look at a person or at a camera."""
+PERSON_KINDS: tuple[PersonKind, ...] = get_args(PersonKind)
+CAMERA_KINDS: tuple[CameraKind, ...] = get_args(CameraKind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accept(_Correction):
-    """Say that a person is right where the take suggests to look."""
+    """Say that a person, or else a camera, is right where the take suggests to look."""
 
     action: Literal["accept"] = "accept"
-    person: Named
+    person: Named | None = None
+    camera: str | None = None
     kind: ConcernKind
     start_frame: int
     stop_frame: int

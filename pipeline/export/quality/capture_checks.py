@@ -84,16 +84,28 @@ def capture_checks(
     ``seen`` is whether a camera saw any joint of the person in a frame, by track.
     """
     names = [camera.name for camera in reconstruction.cameras]
-    limbs = mismeasured_limbs(reconstruction, likenesses.others(len(reconstruction.motions)))
+    numbers, accepts = [track.track_id for track in reconstruction.tracks], reconstruction.accepts
+    limbs = [
+        limb
+        for limb in mismeasured_limbs(reconstruction, likenesses.others(len(reconstruction.motions)))
+        if not accepts(finding_codes.LIMB_MISMEASURED, limb.track_id)
+    ]
+    still = [p for p in likenesses.still if not accepts(finding_codes.PERSON_NEVER_MOVES, numbers[p.number])]
+    images = [p for p in likenesses.images if not accepts(finding_codes.MIRROR_IMAGE, numbers[p.number])]
+    likenesses = Likenesses(still, images)
+    used = np.any([frames.any(0) for frames in seen.values()], axis=0) if seen else np.ones(len(names), bool)
+    unused = [
+        name
+        for name, is_used in zip(names, used, strict=True)
+        if not is_used and not accepts(finding_codes.CAMERA_WITHOUT_PEOPLE, camera=name)
+    ]
     checks = (
         _check_rig(names),
         _check_videos(reconstruction.damaged),
         _check_doubled(reconstruction.damaged),
         _check_people(seen, reconstruction),
-        _check_cameras(names, seen),
-        _check_views(
-            names, {number: sees for number, sees in seen.items() if not _accepts_views(reconstruction, number)}
-        ),
+        _check_cameras(unused),
+        _check_views(names, {number: sees for number, sees in seen.items() if not accepts("few_views", number)}),
         _check_association(reconstruction),
         _check_identity(reconstruction),
         _check_losses(reconstruction),
@@ -105,6 +117,7 @@ def capture_checks(
     )
     measured: Mapping[str, Callable[[], dict[str, Any]]] = {
         finding_codes.NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
+        finding_codes.CAMERA_WITHOUT_PEOPLE: lambda: {"cameras": unused},
         finding_codes.PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
         finding_codes.MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
         finding_codes.PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
@@ -204,11 +217,7 @@ def _why_nobody(check: SessionCheck) -> dict[str, Any]:
     }
 
 
-def _check_cameras(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[Code, str]]:
-    if not seen:
-        return
-    used = np.any([frames.any(0) for frames in seen.values()], axis=0)
-    unused = [name for name, is_used in zip(names, used, strict=True) if not is_used]
+def _check_cameras(unused: Sequence[str]) -> Iterator[tuple[Code, str]]:
     if len(unused) == 1:
         yield (
             finding_codes.CAMERA_WITHOUT_PEOPLE,
@@ -441,11 +450,6 @@ def _check_synchronization(synchronization: Synchronization | None) -> Iterator[
 def _minutes(time_s: float) -> str:
     """Minutes and seconds, such as 02:14."""
     return f"{int(time_s) // 60:02d}:{int(time_s) % 60:02d}"
-
-
-def _accepts_views(take: Reconstruction, number: int) -> bool:
-    """Return whether a person with few views was accepted as right."""
-    return any(edit.kind == "few_views" for edit in take.accepted.get(number, ()))
 
 
 def _has_few_views(frames: Bool[np.ndarray, "frames cameras"]) -> bool:

@@ -5,6 +5,7 @@
 - *sides*: left and right change places from one frame to the next.
 - *few_views*: fewer than two cameras see the person, or a wrist or an ankle, for a while.
 - *acceleration*: a joint accelerates far more than people's joints do.
+- Codes of findings: a person or a camera is doubtful in the whole take.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,8 +16,9 @@ from jaxtyping import Bool, Float
 
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
-from pipeline.core.options.edits import ConcernKind
+from pipeline.core.options.edits import CAMERA_KINDS, PERSON_KINDS, ConcernKind
 from pipeline.export.quality.views import PersonViews, without_fingers
 from pipeline.motion.skeleton.feet.floor import find_runs
 from pipeline.motion.skeleton.fitting.positions import usual_step_m
@@ -34,6 +36,8 @@ _EXCHANGED_M, _LONGEST_S = 0.12, 2.0
 _UNSEEN_S, _FULL_S = 0.3, 2.0
 # Acceleration as a multiple of the usual one from which on it is sudden.
 _SUDDEN = 12.0
+# Score of what is doubtful in the whole take.
+_WHOLE = 0.6
 # Places of a person and kind that are so near are one.
 _NEAR_S = 0.3
 _SIDED = {"arms": ("shoulder", "elbow", "wrist"), "legs": ("hip", "knee", "ankle")}
@@ -44,23 +48,26 @@ class Concern(NamedTuple):
     """Frames of a person to look at."""
 
     kind: ConcernKind
-    person: int  # Number of the track
+    person: int | None  # Number of the track; ``None``: it is about a camera
     joint: str | None  # Joint that is concerned most; ``None``: the whole person
     start_frame: int
     stop_frame: int
     message: str  # Sentence that says what is probably wrong
     score: float  # From 0 to 1, which is worst
+    camera: str | None = None
 
 
-def find_concerns(take: Reconstruction, views: Sequence[PersonViews]) -> list[Concern]:
+def find_concerns(
+    take: Reconstruction, views: Sequence[PersonViews], findings: Sequence[Finding] = ()
+) -> list[Concern]:
     """Rank the places of a take to look at, worst first, at most ``MAX_CONCERNS``.
 
-    ``views`` are of the tracks, in their order. Places that were accepted are left out.
+    ``views`` are of the tracks, in their order; ``findings`` are of the whole take. Accepted places are left out.
     """
     errors_px = [np.asarray(_joint_error_px(figures)) for figures in views]
     known_px = np.concatenate([np.zeros(0), *(error_px[np.isfinite(error_px)] for error_px in errors_px)])
     usual_px = float(np.median(known_px)) if len(known_px) else np.nan
-    found: list[Concern] = []
+    found = list(_of_findings(take, findings))
     for number, (track, figures, error_px) in enumerate(zip(take.tracks, views, errors_px, strict=True)):
         body = without_fingers(track, take.joints)
         rate_hz = take.timebase.frame_rate_hz
@@ -69,15 +76,27 @@ def find_concerns(take: Reconstruction, views: Sequence[PersonViews]) -> list[Co
         found += _joined(_exchanged(figures.located, take.joints, rate_hz), rate_hz)
         found += _joined(_unseen(body, figures.sees, take.joints, rate_hz), rate_hz)
         found += _joined(_sudden(body, take), rate_hz)
-    left = [concern for concern in found if not _is_accepted(concern, take)]
-    return sorted(left, key=lambda concern: (-concern.score, concern.start_frame, concern.person))[:MAX_CONCERNS]
+    left = [
+        concern
+        for concern in found
+        if not take.accepts(concern.kind, concern.person or 0, range(concern.start_frame, concern.stop_frame))
+    ]
+    return sorted(left, key=lambda concern: (-concern.score, concern.start_frame, concern.person or 0))[:MAX_CONCERNS]
 
 
-def _is_accepted(concern: Concern, take: Reconstruction) -> bool:
-    return any(
-        edit.kind == concern.kind and edit.start_frame < concern.stop_frame and concern.start_frame < edit.stop_frame
-        for edit in take.accepted.get(concern.person, ())
-    )
+def _of_findings(take: Reconstruction, findings: Sequence[Finding]) -> Iterator[Concern]:
+    """Places of findings about a person or a camera: all frames of the person, or of the take."""
+    frames = {track.track_id: (track.start_frame, track.start_frame + track.num_frames) for track in take.tracks}
+    for finding in findings:
+        for kind in PERSON_KINDS:
+            if finding.code == kind:
+                people = finding.evidence.get("people") or finding.evidence.get("limbs", ())
+                for person in dict.fromkeys(entry["person"] for entry in people):
+                    yield Concern(kind, person, None, *frames[person], finding.message, _WHOLE)
+        for of_camera in CAMERA_KINDS:
+            if finding.code == of_camera:
+                for camera in (finding.camera,) if finding.camera else finding.evidence.get("cameras", ()):
+                    yield Concern(of_camera, None, None, 0, take.timebase.num_frames, finding.message, _WHOLE, camera)
 
 
 def _joint_error_px(figures: PersonViews) -> Float[np.ndarray, "frames joints"]:

@@ -96,7 +96,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     likenesses = find_likenesses(
         reconstruction.located, lambda number: views[number].sees, cameras, joints, frame_rate_hz
     )
-    return {
+    report = {
         "schema_version": SCHEMA_VERSION,
         "num_frames": reconstruction.timebase.num_frames,
         "frame_rate_hz": frame_rate_hz,
@@ -143,12 +143,18 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "sync": None if reconstruction.synchronization is None else sync_document(reconstruction.synchronization),
         "provider": reconstruction.provider,
         "layout": reconstruction.layout,
-        "concerns": [concern._asdict() for concern in find_concerns(reconstruction, views)],
-        "session_checks": [finding.to_json() for finding in reconstruction.check.findings],
+        "concerns": [],
+        "session_checks": [
+            finding.to_json()
+            for finding in reconstruction.check.findings
+            if not reconstruction.accepts(finding.code, camera=finding.camera)
+        ],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         "capture_checks": capture_checks(reconstruction, seen, likenesses),
         "world_checks": world_checks(reconstruction, statures_m, _shifted(reconstruction.cameras, views)),
     }
+    concerns = find_concerns(reconstruction, views, all_checks(report))
+    return report | {"concerns": [concern._asdict() for concern in concerns]}
 
 
 def _shifted(cameras: Sequence[Camera], views: Sequence[PersonViews]) -> Sequence[CameraShift]:

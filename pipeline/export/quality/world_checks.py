@@ -119,21 +119,31 @@ def world_checks(
 
     Statures are by track, NaN where unknown; ``shifted`` are the cameras that ``find_shifted`` finds.
     """
-    tracks, joints = reconstruction.tracks, reconstruction.joints
+    tracks, joints, accepts = reconstruction.tracks, reconstruction.joints, reconstruction.accepts
     floor = reconstruction.animation.floor
     floor_m = _floor_m(tracks, joints, floor)
+    lowest_m, highest_m = STATURE_RANGE_M
+    odd_m = {
+        number: stature_m
+        for number, stature_m in statures_m.items()
+        if (stature_m < lowest_m or stature_m > highest_m) and not accepts(finding_codes.STATURE_OUT_OF_RANGE, number)
+    }
+    cameras, below = reconstruction.cameras, finding_codes.CAMERA_BELOW_FLOOR
     checks = (
-        _check_upright(reconstruction.cameras, tracks, joints),
+        _check_upright(cameras, tracks, joints),
         _check_floor(floor, floor_m),
-        _check_statures(statures_m),
-        _check_cameras(reconstruction.cameras, floor_m),
+        _check_statures(odd_m),
+        _check_cameras([camera for camera in cameras if not accepts(below, camera=camera.name)], floor_m),
         _check_handedness(tracks, joints),
-        _check_shifts(reconstruction.cameras, shifted),
+        _check_shifts(cameras, shifted),
     )
+    people = {"people": [{"person": number, "stature_m": round(stature_m, 3)} for number, stature_m in odd_m.items()]}
+    more: Mapping[str, Mapping[str, Any]] = {finding_codes.STATURE_OUT_OF_RANGE: people}
     return [
-        failed_check(code, message, {_EVIDENCE[code]: round(value, 3)}, camera, hint)
+        failed_check(code, message, {_EVIDENCE[code]: round(value, 3), **more.get(code, {})}, camera, hint)
         for some in checks
         for code, message, camera, value, hint in some
+        if not accepts(code, camera=camera)
     ]
 
 
@@ -196,23 +206,18 @@ def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
         yield finding_codes.FLOOR_TILTED, message, None, floor.tilt_deg, _LEVEL
 
 
-def _check_statures(statures_m: Mapping[int, float]) -> Iterator[_Found]:
-    lowest_m, highest_m = STATURE_RANGE_M
-    odd_m = {
-        f"person-{track_id}": stature_m
-        for track_id, stature_m in statures_m.items()
-        if stature_m < lowest_m or stature_m > highest_m
-    }
+def _check_statures(odd_m: Mapping[int, float]) -> Iterator[_Found]:
     if not odd_m:
         return
+    lowest_m, highest_m = STATURE_RANGE_M
     middle_m = float(np.median(list(odd_m.values())))
     hint = hint_of_unit(middle_m)
     if len(odd_m) == 1:
-        ((person, stature_m),) = odd_m.items()
-        message = f"{person} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
+        ((number, stature_m),) = odd_m.items()
+        message = f"person-{number} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
         yield finding_codes.STATURE_OUT_OF_RANGE, message, None, middle_m, hint
         return
-    people = first_names([f"{person} ({stature_m:.2f} m)" for person, stature_m in odd_m.items()])
+    people = first_names([f"person-{number} ({stature_m:.2f} m)" for number, stature_m in odd_m.items()])
     yield (
         finding_codes.STATURE_OUT_OF_RANGE,
         f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "

@@ -61,7 +61,7 @@ def assemble(context: stage.Context) -> Reconstruction:
     )
     if take is None:
         return reconstruction
-    accepted = {person.id: person.accepted for person in take.people if person.accepted}
+    accepted = {0: take.accepted} | {person.id: person.accepted for person in take.people}
     reconstruction = replace(reconstruction, accepted=accepted)
     edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
     return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)

@@ -226,6 +226,7 @@ CORRECTIONS = [
     {"action": "exchange_sides", "person": 1, "part": "arms", **FRAMES},
     {"action": "contact", "person": 1, "limb": "left_foot", "stands": True, **FRAMES},
     {"action": "accept", "person": 1, "kind": "error", **FRAMES},
+    {"action": "accept", "camera": "cam-1", "kind": "camera_disagrees", **FRAMES},
 ]
 
 
@@ -249,6 +250,10 @@ def test_corrections_of_joints_are_kept(capture: EditedCapture) -> None:
         (1, {"start_frame": 500, "stop_frame": 600}),
         (3, {"part": "left"}),
         (4, {"limb": "head"}),
+        (5, {"kind": "camera_disagrees"}),
+        (5, {"camera": "cam-1"}),
+        (6, {"kind": "error"}),
+        (6, {"person": 1}),
     ],
 )
 def test_wrong_corrections_are_refused(capture: EditedCapture, number: int, wrong: dict[str, object]) -> None:

@@ -148,7 +148,7 @@ export const PEOPLE = {
     placeDetection: (person, joint, camera, frame) => `Put ${words(joint)} of ${person} to its place in ${camera} at frame ${frame}`,
     exchangeSides: (person, part, start, stop) => `Exchange sides (${part}) of ${person} ${during(start, stop)}`,
     contact: (person, limb, stands, start, stop) => `Let ${words(limb)} of ${person} ${stands ? "stand" : "not stand"} ${during(start, stop)}`,
-    accept: (person, start, stop) => `${person} is right ${during(start, stop)}`,
+    accept: (subject, start, stop) => `${subject} is right ${during(start, stop)}`,
     undo: (edit) => `Undo: ${edit}`,
     redo: "Redo",
   },

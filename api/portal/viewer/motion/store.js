@@ -290,8 +290,8 @@ function describe(base, before, after, people) {
 /** Places to look at of people who are as they were, but for places that were accepted. */
 function leftConcerns(base, { edits, outcomes, first_frame: first, start_frame: start }, people, shift) {
   const accepted = edits.flatMap((edit, index) => (edit.action === "accept" ? [{ ...edit, person: outcomes[index]?.person ?? edit.person }] : []));
-  const isLeft = ({ person, kind, start_frame: from, stop_frame: to }) => people.some(({ person: { id }, parts }) => id === person && parts.length === 1)
-    && !accepted.some((edit) => edit.person === person && edit.kind === kind && edit.start_frame - first - start < to && from < edit.stop_frame - first - start);
+  const isLeft = ({ person, camera, kind, start_frame: from, stop_frame: to }) => (person === null || people.some(({ person: { id }, parts }) => id === person && parts.length === 1))
+    && !accepted.some((edit) => edit.person === person && edit.camera === camera && edit.kind === kind && edit.start_frame - first - start < to && from < edit.stop_frame - first - start);
   return base.concerns.map((concern) => ({ ...concern, start_frame: concern.start_frame - shift, stop_frame: concern.stop_frame - shift }))
     .filter((concern) => concern.start_frame >= 0 && isLeft(concern));
 }

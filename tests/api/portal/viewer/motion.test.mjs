@@ -222,13 +222,14 @@ test("a cut numbers the frames anew, and people outside of it are gone", async (
 });
 
 test("places that were accepted, and of people who changed, are left out", async () => {
-  const concern = (person, start_frame) => ({ person, kind: "sides", message: "", start_frame, stop_frame: start_frame + 5 });
-  const base = new MotionStore({ ...description, concerns: [concern(1, 15), concern(4, 40), concern(4, 60), concern(4, 80)] }, new FakeService());
+  const concern = (person, start_frame, camera) => ({ person, camera, kind: "sides", message: "", start_frame, stop_frame: start_frame + 5 });
+  const base = new MotionStore({ ...description, concerns: [concern(1, 15), concern(4, 40), concern(4, 60), concern(4, 80), concern(null, 50, "left"), concern(null, 60, "right")] }, new FakeService());
   const after = { ...peopleOf([[1, "a", piece(1, 0, 20)], [5, "b", piece(1, 20, 40)], [4, "c", piece(4, 30, 90)]], [50, 90]), first_frame: 1000 };
-  after.edits = [{ action: "accept", kind: "sides", person: { frame: 1060, place_m: [0, 0, 0] }, start_frame: 1060, stop_frame: 1065 }, { action: "accept", kind: "error", person: 4, start_frame: 1080, stop_frame: 1085 }];
-  after.outcomes = [{ person: 4 }];
+  after.edits = [{ action: "accept", kind: "sides", person: { frame: 1060, place_m: [0, 0, 0] }, start_frame: 1060, stop_frame: 1065 }, { action: "accept", kind: "error", person: 4, start_frame: 1080, stop_frame: 1085 },
+    { action: "accept", kind: "sides", person: null, camera: "left", start_frame: 1000, stop_frame: 1090 }];
+  after.outcomes = [{ person: 4 }, { person: 4 }, { person: null }];
   const { concerns } = new EditedStore(base, FOUND, after).description;
-  assert.deepEqual(concerns.map(({ person, start_frame: start }) => [person, start]), [[4, 30]]);
+  assert.deepEqual(concerns.map(({ person, camera, start_frame: start }) => [person ?? camera, start]), [[4, 30], ["right", 10]]);
 });
 
 test("frames that an earlier cut left out are not waited for", async () => {

@@ -5,12 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.calibration.adjustment.parameters import move_camera
 from pipeline.core.data.people import Doubt
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.findings import Finding, SessionCheck
+from pipeline.core.joints import COCO_17
 from pipeline.core.options.edits import Accept
+from pipeline.core.problems.code_group import Code
+from pipeline.core.problems.finding_codes import CLOCKS_DISAGREE
 from pipeline.export.quality.concerns import MAX_CONCERNS, Concern, find_concerns
+from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.export.quality.views import person_views
+from pipeline.motion.skeleton.fitting.fit import SkeletonFit
+from tests.pipeline.export.quality.test_report import CAMERAS, camera, observe
+from tests.pipeline.export.quality.test_report import reconstruction as make_reconstruction
 from tests.pipeline.motion.skeleton.corrections.faults import FaultyTake, taken
+from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 
 
 def reconstruction(take: FaultyTake) -> Reconstruction:
@@ -85,3 +95,45 @@ def test_list_is_bounded() -> None:
     found = reconstruction(take)
     doubts = [[Doubt(frame, 0.5, 2) for frame in range(take.located.start_frame, take.located.start_frame + 120)]]
     assert len(find_concerns(replace(found, doubts=doubts), person_views(found))) == MAX_CONCERNS
+
+
+def accepted_one_by_one(take: Reconstruction) -> list[list[Code]]:
+    """Codes of the take's warnings, at first and after each look at its worst place, which is accepted."""
+    warnings = []
+    while True:
+        report = quality_report(take)
+        warnings.append([finding.code for finding in all_checks(report)])
+        if not report["concerns"]:
+            return warnings
+        worst = report["concerns"][0]
+        edit = Accept(**{name: worst[name] for name in ("camera", "kind", "start_frame", "stop_frame")})
+        number = worst["person"] or 0
+        take = replace(take, accepted={**take.accepted, number: (*take.accepted.get(number, ()), edit)})
+
+
+def test_accepted_findings_leave_warnings() -> None:
+    """A camera that disagrees, one without people, a long limb, small people: a look each."""
+    step = np.array([np.radians(2.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    cameras = (CAMERAS[0], move_camera(CAMERAS[1], step), CAMERAS[2], camera("elsewhere", 4.0))
+    xyz_m = walker(100) * 0.5
+    track = track_of(xyz_m)
+    seen = observe(track, (*CAMERAS, cameras[3]))
+    points_px, score = np.array(seen.points_px), np.array(seen.score)
+    points_px += np.random.default_rng(3).normal(0.0, 1.0, points_px.shape)
+    points_px[:, 3], score[:, 3] = np.nan, 0.0
+    take = make_reconstruction(track, observations=(replace(seen, points_px=points_px, score=score),), cameras=cameras)
+    elbow, wrist = COCO_17.indices(("left_elbow", "left_wrist"))
+    xyz_m[:, wrist] = (xyz_m[:, wrist] + xyz_m[:, elbow]) / 2
+    motion = SkeletonFit(track, COCO_17, take.timebase, "person-1").motion()
+    take = replace(take, located=(track_of(xyz_m),), animation=replace(take.animation, motions=(motion,)))
+    clocks = Finding(CLOCKS_DISAGREE, "The clock is late.", "a")
+    warnings = accepted_one_by_one(replace(take, check=SessionCheck((clocks,))))
+    assert {"clocks_disagree", "camera_without_people", "limb_mismeasured", "stature_out_of_range"} < {*warnings[0]}
+    assert "camera_disagrees" in warnings[0]
+    assert [len(codes) for codes in warnings] == list(range(len(warnings[0]), -1, -1))
+
+
+def test_accepted_still_person_leaves_warnings() -> None:
+    still = track_of(np.repeat(walker(1), 100, axis=0))
+    take = make_reconstruction(still, observations=(observe(still),))
+    assert accepted_one_by_one(take) == [["person_never_moves"], []]

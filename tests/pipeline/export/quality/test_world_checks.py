@@ -93,7 +93,7 @@ def test_mirrored_world_is_named() -> None:
 
 def test_units_that_fit_people_are_named() -> None:
     (check,) = world_checks(reconstruction(track_of(WALK_M)), {1: 172.0}, [])
-    assert check["evidence"] == {"stature_m": 172.0}
+    assert check["evidence"] == {"stature_m": 172.0, "people": [{"person": 1, "stature_m": 172.0}]}
     assert "cm" in check["hint"]
 
 
