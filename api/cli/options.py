@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
+import numpy as np
 import typer
 
 from api.cli.console import warn
@@ -18,8 +19,15 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.providers import ProviderChoice, choose_provider
 from pipeline.core.options.requirements import requirement
 from pipeline.core.options.rules import CONFIG_CHOICES, collecting, require, value_problems
+from pipeline.core.parsing import SIDE_PX
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.finding_codes import UNKNOWN_AXIS, UNKNOWN_CLOCK, UNKNOWN_PROVIDER, UNKNOWN_UNITS
+from pipeline.core.problems.finding_codes import (
+    PARAMETER_UNREADABLE,
+    UNKNOWN_AXIS,
+    UNKNOWN_CLOCK,
+    UNKNOWN_PROVIDER,
+    UNKNOWN_UNITS,
+)
 from pipeline.core.problems.request_codes import FRAME_RANGE
 from pipeline.detection.providers.find import current_provider
 
@@ -60,6 +68,13 @@ UnitsOption = Annotated[
 ]
 UpOption = Annotated[
     str, typer.Option(metavar="|".join(get_args(Up)), help="Axis of the calibration that points up: it becomes Z.")
+]
+SizeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="WIDTHxHEIGHT|CAMERA=WIDTHxHEIGHT",
+        help="Size of the pictures, where no file contains it: of all cameras, or of one; repeatable.",
+    ),
 ]
 KeypointsOption = Annotated[
     list[Path] | None,
@@ -180,6 +195,21 @@ def _frame_range(text: str | None) -> tuple[int, int] | None:
     except ValueError:
         message = f"{text!r} is not FIRST:STOP."
         raise InputError([Problem(FRAME_RANGE, message, field="frame_range", hint="Write it as 100:250.")]) from None
+
+
+def stated_sizes(texts: Sequence[str]) -> tuple[dict[str, tuple[int, int]], list[Problem]]:
+    """Sizes of pictures by camera, of all others under an empty name; and problems of texts that are none."""
+    sizes_px: dict[str, tuple[int, int]] = {}
+    problems = []
+    for text in texts:
+        name, _, sides = text.rpartition("=")
+        width, _, height = sides.lower().partition("x")
+        if width.isdecimal() and height.isdecimal() and SIDE_PX.holds(np.array([width, height], float)):
+            sizes_px[name] = (int(width), int(height))
+        else:
+            message = f"{text!r} is not WIDTHxHEIGHT or CAMERA=WIDTHxHEIGHT, of {SIDE_PX}."
+            problems.append(Problem(PARAMETER_UNREADABLE, message, hint="Write it as 1920x1080 or left=1920x1080."))
+    return sizes_px, problems
 
 
 def known_units(name: str | None) -> Units | None:

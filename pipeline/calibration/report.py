@@ -1,6 +1,6 @@
 """Calibrations that were made from a board or from people, and their reports."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import Any
@@ -12,6 +12,15 @@ from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem, listed
 from pipeline.core.findings import from_problem
+
+
+@dataclass(frozen=True, slots=True)
+class PointReport:
+    """Known point in the picture of a camera."""
+
+    name: str
+    error_px: float  # Distance of its projection from its mark
+    projected_px: Sequence[float]  # Projection x, y
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +36,7 @@ class CameraReport:
     focal_sigma_percent: float
     position_sigma_mm: float
     rotation_sigma_deg: float
+    points: Sequence[PointReport] = ()  # Of a calibration from a scene
 
 
 def report_camera(
@@ -76,6 +86,7 @@ def report_document(calibration: CalibrationResult) -> dict[str, Any]:
                 "focal_sigma_percent": _number(camera.focal_sigma_percent),
                 "position_sigma_mm": _number(camera.position_sigma_mm),
                 "rotation_sigma_deg": _number(camera.rotation_sigma_deg),
+                **({"points": list(map(_point, camera.points))} if camera.points else {}),
             }
             for camera in calibration.by_camera
         ],
@@ -84,6 +95,11 @@ def report_document(calibration: CalibrationResult) -> dict[str, Any]:
         "world": calibration.world,
         "warnings": [from_problem(warning, "warning").to_json() for warning in listed(calibration.warnings)],
     }
+
+
+def _point(point: PointReport) -> dict[str, Any]:
+    projected_px = [round(value, 2) for value in point.projected_px]
+    return {"name": point.name, "error_px": round(point.error_px, 2), "projected_px": projected_px}
 
 
 def _number(value: float) -> float | None:

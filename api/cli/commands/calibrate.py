@@ -1,4 +1,4 @@
-"""`multicap calibrate`: make a calibration from a board or from people."""
+"""`multicap calibrate`: make a calibration from a board, from people, or from known points of a scene."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,7 @@ from api.cli.console import (
     warn,
     writing,
 )
-from api.cli.options import checked, with_choices
+from api.cli.options import SizeOption, UpOption, checked, known_up, stated_sizes, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.board.calibrate_board import calibrate_board
 from pipeline.calibration.board.source import (
@@ -34,6 +34,7 @@ from pipeline.calibration.board.source import (
 from pipeline.calibration.board.spec import FORMS, Board, parse_board
 from pipeline.calibration.board.views import BoardViews
 from pipeline.calibration.known_points.fit import COLUMNS, read_known_points
+from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
 from pipeline.calibration.people.calibrate_people import calibrate_people
 from pipeline.calibration.registry import read_intrinsics
 from pipeline.calibration.report import CalibrationResult, report_document
@@ -57,7 +58,7 @@ POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join
 _REPORT = "report.json"
 _PERCENT = 100
 
-app = typer.Typer(help="Calibrations: make one from a board or from people.", no_args_is_help=True)
+app = typer.Typer(help="Calibrations: make one from a board, from people, or from known points.", no_args_is_help=True)
 
 
 @app.callback()
@@ -236,6 +237,56 @@ def from_people(
     show_made(made, out, as_json)
 
 
+@app.command("scene")
+@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up", "offset", "rate"))
+def from_scene(
+    *,
+    points: Annotated[
+        Path, typer.Option(help=f"Known points: CSV with the columns {', '.join(COLUMNS)}, a line for each mark.")
+    ],
+    out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
+    source: SourceOptions,
+    size: SizeOption = None,
+    intrinsics: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibration whose intrinsics are kept; its poses are ignored. Default: lenses are estimated from "
+            "the points."
+        ),
+    ] = None,
+    up: UpOption = "z",
+    report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate cameras from points with known coordinates, marked in one picture of each camera."""
+    with reporting(as_json):
+        require_outputs(out, report)
+        sizes_px, problems = stated_sizes(size or ())
+        if source.videos is not None and size:
+            problems.append(Problem(SOURCES, "Videos contain their sizes.", hint="Omit --size."))
+        if problems:
+            raise InputError(problems)
+        known_points = read_known_points(points)
+        if source.videos is not None:
+            cameras: Sequence[Camera] = source.open_videos(intrinsics, keeps_poses=False).cameras
+        else:
+            lenses = None if intrinsics is None else read_intrinsics(intrinsics).cameras
+            cameras = scene_cameras(known_points, sizes_px, lenses)
+        made = calibrate_scene(cameras, known_points, intrinsics is not None, known_up(up))
+        write_made(made, out, report)
+    if not as_json:
+        errors_px = {(camera.name, point.name): point.error_px for camera in made.by_camera for point in camera.points}
+        names = [camera.name for camera in made.by_camera]
+        print_table(
+            ("point", *(f"{name}, px" for name in names)),
+            (
+                (point.name, *(_shown(errors_px.get((name, point.name)), "", 1) for name in names))
+                for point in known_points
+            ),
+        )
+    show_made(made, out, as_json)
+
+
 def _check_sources(keypoints: Sequence[Path] | None, intrinsics: Path | None, stature_m: list[float]) -> None:
     problems = []
     if keypoints is not None and intrinsics is None:
@@ -299,4 +350,4 @@ def show_made(made: CalibrationResult, out: Path, as_json: bool) -> None:
 
 
 def _shown(value: float | None, unit: str, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f} {unit}"
+    return "-" if value is None else f"{value:.{digits}f} {unit}".strip()

@@ -23,7 +23,16 @@ from api.cli.console import (
     warn,
     writing,
 )
-from api.cli.options import UnitsOption, UpOption, checked, known_units, known_up, with_choices
+from api.cli.options import (
+    SizeOption,
+    UnitsOption,
+    UpOption,
+    checked,
+    known_units,
+    known_up,
+    stated_sizes,
+    with_choices,
+)
 from api.cli.sources import SourceOptions, with_source
 from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
@@ -80,14 +89,7 @@ def convert(
     ] = None,
     units: UnitsOption = None,
     up: UpOption = "z",
-    size: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="WIDTHxHEIGHT|CAMERA=WIDTHxHEIGHT",
-            help="Size of the pictures, where the calibration does not contain it: of all cameras, or of one; "
-            "repeatable.",
-        ),
-    ] = None,
+    size: SizeOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a calibration for Multicap or another program, with Z up where the format has no axes of its own."""
@@ -128,20 +130,11 @@ def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[P
 
 def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[CameraFile, list[Problem]]:
     """Give cameras the stated sizes; report wrong statements, and cameras without a size."""
-    problems = []
-    sizes_px: dict[str, tuple[int, int]] = {}
+    sizes_px, problems = stated_sizes(stated)
     names = {camera.name for camera in contents.cameras}
-    for text in stated:
-        name, _, sides = text.rpartition("=")
-        width, _, height = sides.lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal() and SIDE_PX.holds(np.array([width, height], float))):
-            message = f"{text!r} is not WIDTHxHEIGHT or CAMERA=WIDTHxHEIGHT, of {SIDE_PX}."
-            problems.append(Problem(PARAMETER_UNREADABLE, message, hint="Write it as 1920x1080 or left=1920x1080."))
-        elif name and name not in names:
-            hint = f"The file has {listed_names(sorted(names))}."
-            problems.append(Problem(CAMERA_UNKNOWN, "The file has no camera of this name.", file.name, name, hint=hint))
-        else:
-            sizes_px[name] = (int(width), int(height))
+    for name in sizes_px.keys() - names - {""}:
+        hint = f"The file has {listed_names(sorted(names))}."
+        problems.append(Problem(CAMERA_UNKNOWN, "The file has no camera of this name.", file.name, name, hint=hint))
     cameras = []
     for camera in contents.cameras:
         size_px = sizes_px.get(camera.name, sizes_px.get("", camera.size_px))

@@ -10,6 +10,8 @@ from pipeline.core.options.job_choices import KnownPoint
 from pipeline.core.problems import session_codes
 
 MIN_POINTS = 3
+MIN_POINTS_OF_CAMERA = {True: 4, False: 6}
+"""Fewest points of a scene that place a camera: of a known lens, and of an unknown one."""
 # Points are on a line if no triangle of them is higher than this share of its longest side.
 _MIN_HEIGHT_SHARE = 0.05
 
@@ -32,6 +34,32 @@ def point_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -
         problems.append(
             Problem(session_codes.KNOWN_POINTS_ON_A_LINE, message, field="known_points", hint="Add a point beside it.")
         )
+    return problems
+
+
+def scene_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size], has_intrinsics: bool) -> list[Problem]:
+    """Find everything that is wrong with points that shall place each camera by itself."""
+    problems = [*_repeated(points), *_misplaced(points, sizes_px)]
+    least = MIN_POINTS_OF_CAMERA[has_intrinsics]
+    lens = "" if has_intrinsics else " while its lens is not known"
+    for camera in sizes_px:
+        seen = [point for point in points if any(name == camera for name, _, _ in point.seen_px)]
+        if len(seen) < least:
+            message = f"{len(seen)} points are marked; the camera needs {least}{lens}."
+            hint = "Mark more points, far apart in the picture and not all in one plane."
+            problems.append(Problem(session_codes.KNOWN_POINTS_FEW, message, None, camera, "known_points", hint))
+        elif _are_on_a_line(seen):
+            message = "The points are on a line, about which the camera could turn."
+            problems.append(
+                Problem(
+                    session_codes.KNOWN_POINTS_ON_A_LINE,
+                    message,
+                    None,
+                    camera,
+                    "known_points",
+                    "Add a point beside it.",
+                )
+            )
     return problems
 
 

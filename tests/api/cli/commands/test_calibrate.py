@@ -1,6 +1,7 @@
-"""`multicap calibrate`: from a board, and from people."""
+"""`multicap calibrate`: from a board, from people, and from known points of a scene."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ from api.cli.commands.calibrate import timed
 from api.cli.main import app
 from api.cli.sources import SourceOptions
 from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession
+from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
+from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.camera_errors import camera_errors
 from pipeline.validation.simulation.motion.director import Cast
-from pipeline.validation.simulation.rigs import Layout, Rig
+from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 from pipeline.validation.simulation.scenes import Scene, record
 from tests.pipeline.media import write_video
 from tests.pipeline.simulations import write_simulation
@@ -100,6 +104,55 @@ def test_keypoints_give_calibration_and_report(capture: Path, tmp_path: Path) ->
     assert document["file"] == str(out)
     assert document["world"].startswith("Z up")
     assert json.loads((tmp_path / "report" / "report.json").read_bytes())["cameras"] == document["cameras"]
+
+
+def scene_table(path: Path, cameras: Sequence[Camera], num_points: int = 8) -> list[str]:
+    """Table of the corners of two boxes, and the options that name it."""
+    corners_m = [(x, y, z + 0.2 * x) for x in (0.0, 0.8) for y in (0.0, 0.6) for z in (0.3, 1.2)][:num_points]
+    lines = ["name,x_m,y_m,z_m,camera,x_px,y_px"]
+    for camera in cameras:
+        for number, point_m in enumerate(corners_m):
+            x_px, y_px = project(camera, np.array(point_m)).tolist()
+            lines.append(f"P{number},{','.join(map(str, point_m))},{camera.name},{x_px},{y_px}")
+    path.write_text("\n".join(lines))
+    return ["calibrate", "scene", "--points", str(path)]
+
+
+def test_scene_gives_calibration_and_error_of_each_point(tmp_path: Path) -> None:
+    cameras = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), np.random.default_rng(0))
+    lenses, out = tmp_path / "lenses.json", tmp_path / "rig.toml"
+    lenses.write_bytes(encode(cameras))
+    words = scene_table(tmp_path / "points.csv", cameras)
+    result = runner.invoke(app, [*words, "--intrinsics", str(lenses), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert [line.split() for line in result.stdout.splitlines() if line.startswith("P7")] == [
+        ["P7", "0.0", "0.0", "0.0"]
+    ]
+    assert camera_errors(read_calibration(lenses), read_calibration(out))["translation_mm"] < 0.01
+    result = runner.invoke(app, [*words, "--size=1280x720", "--out", str(out), "--json"])
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert "Lenses are estimated" in document["world"]
+    assert camera_errors(read_calibration(lenses), read_calibration(out))["translation_mm"] < 150.0
+    assert len(document["cameras"][2]["points"]) == 8
+
+
+def test_scene_problems_are_named_at_once(tmp_path: Path) -> None:
+    cameras = build_cameras(Rig(Layout.RING, 2, (3.0, 2.5), 2.0), np.random.default_rng(0))
+    words = [*scene_table(tmp_path / "points.csv", cameras, 5), "--out", str(tmp_path / "rig.json"), "--json"]
+    problems = {
+        size: [
+            (problem["code"], problem["camera"])
+            for problem in json.loads(runner.invoke(app, [*words, *size]).stdout)["problems"]
+        ]
+        for size in ((), ("--size=1280x720",), ("--size=big", "--size=cam_00=0x1"))
+    }
+    assert problems == {
+        (): [("invalid_size", "cam_00"), ("invalid_size", "cam_01")],
+        ("--size=1280x720",): [("known_points_few", "cam_00"), ("known_points_few", "cam_01")],
+        ("--size=big", "--size=cam_00=0x1"): [("parameter_unreadable", None)] * 2,
+    }
+    assert not (tmp_path / "rig.json").exists()
 
 
 @pytest.mark.parametrize(
