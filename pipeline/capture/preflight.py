@@ -9,7 +9,8 @@ itself. ``--record FILE`` stores the opened session, so that the files need not 
 other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as
 ``thumbnail_name`` says.
 
-Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains. ``--videos``
+Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains; with ``--scene``
+it makes the calibration, with the lenses of ``--intrinsics`` if they are given. ``--videos``
 without ``--calibration``, or with ``--intrinsics`` in its place, belong to a calibration that is to be made.
 """
 
@@ -30,7 +31,9 @@ from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
 from pipeline.calibration.contents import UNITS_M, Up
-from pipeline.calibration.registry import read_contents
+from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
+from pipeline.calibration.registry import read_contents, read_intrinsics
+from pipeline.calibration.report import report_document
 from pipeline.calibration.write import encodings
 from pipeline.capture import preflight_record
 from pipeline.capture.camera_files import Recording, find_input
@@ -41,6 +44,7 @@ from pipeline.capture.preflight_npz import encode_keypoints, encode_session
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
+from pipeline.core.options.job_choices import KnownPoint
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE
@@ -213,6 +217,8 @@ def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
 
 def _check(arguments: argparse.Namespace) -> dict[str, Any]:
     """Check the session, or the calibration, and build the answer."""
+    if arguments.scene:
+        return _calibrate_scene(arguments)
     if not arguments.videos and not arguments.keypoints:
         return _check_calibration(arguments)
     preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
@@ -235,6 +241,21 @@ def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _calibrate_scene(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Make the calibration of a scene, which takes less time than the check of a file."""
+    scene = json.loads(arguments.scene.read_bytes())
+    points = [
+        KnownPoint(name, tuple(xyz_m), tuple(tuple(seen) for seen in seen_px))
+        for name, xyz_m, seen_px in scene["known_points"]
+    ]
+    sizes_px = {camera: (width, height) for camera, (width, height) in scene["sizes_px"].items()}
+    lenses = None if arguments.intrinsics is None else read_intrinsics(arguments.intrinsics).cameras
+    made = calibrate_scene(scene_cameras(points, sizes_px, lenses), points, lenses is not None, arguments.up)
+    report = report_document(made)
+    files, axes = encodings(made.cameras), f"{arguments.up.upper()} up"
+    return {"format": "known points", "units": "m", "axes": axes, "warnings": [], "files": files, "report": report}
+
+
 def _write_record(path: Path, record: bytes, content: str) -> None:
     try:
         path.write_bytes(record)
@@ -254,6 +275,7 @@ def main(words: Sequence[str] | None = None) -> int:
     views.add_argument("--keypoints", nargs="+", type=Path)
     parser.add_argument("--calibration", type=Path)
     parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
+    parser.add_argument("--scene", type=Path, help="JSON of known points and sizes of pictures, to calibrate from.")
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
@@ -278,7 +300,7 @@ def main(words: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--thumbnails", type=Path, help="Check cameras and pictures too; folder for small copies.")
     arguments = parser.parse_args(words)
-    if arguments.calibration is None and not arguments.videos:
+    if arguments.calibration is None and not arguments.videos and not arguments.scene:
         parser.error("name a calibration")
     message = "The check of the files needs more memory than the service allows."
     too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several, or lower its resolution.")

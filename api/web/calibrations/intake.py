@@ -1,15 +1,18 @@
 """Intake of calibrations: their form, what each method needs, the check of the files, and the job that makes one."""
 
 import contextlib
+import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
+from typing import Any
 
 from fastapi import Request
+from starlette.concurrency import run_in_threadpool
 
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
 from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
-from api.web.http.bodies.form import Form, ReceivedFile
+from api.web.http.bodies.form import Form
 from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS, FormKind
 from api.web.http.idempotency import Answer
 from api.web.jobs.queueing import installed_on_workers
@@ -32,16 +35,18 @@ from worker.store.model.work import StagePlan
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
-_BOARD, _STATURE, _SESSION, _POINTS = "board", "stature_m", "session_id", "known_points"
+_BOARD, _STATURE, _SESSION, _POINTS, _SIZES = "board", "stature_m", "session_id", "known_points", "sizes_px"
 _NEEDED: Mapping[Method, tuple[str, ...]] = {
     "file": (CALIBRATION,),
     "board": (VIDEOS, _BOARD),
     "people": (VIDEOS, _STATURE),
+    "scene": (_POINTS,),
 }
 _ALLOWED: Mapping[Method, frozenset[str]] = {
     "file": frozenset({CALIBRATION}),
     "board": frozenset({VIDEOS, INTRINSICS, _BOARD, _POINTS}),
     "people": frozenset({VIDEOS, INTRINSICS, _STATURE, _POINTS}),
+    "scene": frozenset({INTRINSICS, _POINTS, _SIZES}),
 }
 # A session takes the place of the files.
 _NEEDED_OF_SESSION, _ALLOWED_OF_SESSION = (_STATURE,), frozenset({_STATURE, _SESSION, _POINTS})
@@ -52,10 +57,16 @@ _IMAGES_RATE_HZ = 25.0
 
 
 @dataclass(frozen=True, slots=True)
-class ReadFile:
-    """Calibration file, and what it contains."""
+class ReadyCalibration:
+    """Calibration without a job: the contents of a file, or made from a scene.
 
-    file: ReceivedFile
+    Parameters
+    ----------
+    source
+        See ``CalibrationOut.source``.
+    """
+
+    source: Mapping[str, Any]
     contents: CalibrationContents
 
 
@@ -77,7 +88,7 @@ class CheckedCalibration:
 
     spec: CalibrationSpec
     name: str
-    content: ReadFile | CheckedSession | Session
+    content: ReadyCalibration | CheckedSession | Session
     has_intrinsics: bool = False
     has_photographs: bool = False
     upload_ids: tuple[str, ...] = ()
@@ -114,10 +125,8 @@ async def check_calibration(
         raise unprocessable(errors)
     if spec.session_id is not None:
         return _of_session(services, records, spec, str(spec.session_id), part)
-    if spec.method == "file":
-        (file,) = form.files[CALIBRATION]
-        contents = await _contents(services, owner, sent, form, spec)
-        return CheckedCalibration(spec, spec.name or file.name, ReadFile(file, contents), upload_ids=upload_ids)
+    if spec.method in {"file", "scene"}:
+        return await _ready(services, owner, sent, form, spec, upload_ids, part)
     footage = await _checked_footage(services, owner, sent, form, spec, upload_ids, part)
     name = spec.name or f"{spec.method}, {len(footage.preflight.cameras)} cameras"
     has_intrinsics, has_photographs = bool(form.files[INTRINSICS]), bool(form.files[IMAGES])
@@ -148,6 +157,7 @@ def _method_errors(spec: CalibrationSpec, form: Form, part: str) -> list[ErrorIt
         (_STATURE, spec.stature_m),
         (_SESSION, spec.session_id),
         (_POINTS, spec.known_points),
+        (_SIZES, spec.sizes_px),
     )
     given = {name for name, value in chosen if value}
     of_session = spec.method == "people" and spec.session_id is not None
@@ -195,18 +205,44 @@ def _pointer(part: str, field: str) -> str:
     return pointer_to(part, field) if part else pointer_to(field)
 
 
-async def _contents(
-    services: Services, owner: str, sent: Sent, form: Form, spec: CalibrationSpec
-) -> CalibrationContents:
-    """Read the calibration file in a child process."""
-    (file,) = form.files[CALIBRATION]
-    arguments = ["--calibration", str(file.path), f"--up={spec.up}"]
+async def _ready(
+    services: Services,
+    owner: str,
+    sent: Sent,
+    form: Form,
+    spec: CalibrationSpec,
+    upload_ids: tuple[str, ...],
+    part: str,
+) -> CheckedCalibration:
+    """Read a calibration file, or make the calibration of a scene, in a child process."""
+    arguments = [f"--up={spec.up}"]
     if spec.units is not None:
         arguments.append(f"--units={spec.units}")
+    if spec.method == "file":
+        (file,) = form.files[CALIBRATION]
+        name, source = file.name, {"file": file.name}
+        arguments += ["--calibration", str(file.path)]
+    else:
+        points = [point.point() for point in spec.known_points]
+        name, source = f"scene, {len(points)} points", {_POINTS: list(map(asdict, points)), _SIZES: spec.sizes_px}
+        path = sent.folder / "scene.json"
+        scene = {_POINTS: list(map(astuple, points)), _SIZES: spec.sizes_px}
+        await run_in_threadpool(path.write_text, json.dumps(scene), "utf-8")
+        arguments += ["--scene", str(path), *(f"--intrinsics={file.path}" for file in form.files[INTRINSICS])]
     try:
-        return await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
+        contents = await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
     except InvalidFilesError as invalid:
-        raise unprocessable([located(item, form, Manifest()) for item in invalid.errors]) from None
+        pointers = {field: _pointer(part, name) for field, name in ((_POINTS, _POINTS), ("size", _SIZES))}
+        raise unprocessable(
+            [
+                item.model_copy(update={"pointer": pointers[item.field], "field": None})
+                if spec.method == "scene" and item.file is None and item.field in pointers
+                else located(item, form, Manifest())
+                for item in invalid.errors
+            ]
+        ) from None
+    source |= contents.model_dump(mode="json", exclude={"files", "report"})
+    return CheckedCalibration(spec, spec.name or name, ReadyCalibration(source, contents), upload_ids=upload_ids)
 
 
 async def _checked_footage(
@@ -263,8 +299,8 @@ def begun_calibration(
     The block gets the open transaction and the job. A worker is woken after it.
     """
     content, making, provider = checked.content, checked.choices(), services.store.workers.provider()
-    if isinstance(content, ReadFile):
-        raise TypeError("a file is a calibration already")
+    if isinstance(content, ReadyCalibration):
+        raise TypeError("the calibration is made already")
     if isinstance(content, Session):
         services.disk.require_room()
         stages = plan_job(content, JobSpec(), making=making, provider=provider)

@@ -34,21 +34,26 @@ _FILE = file_content(("application/toml", "application/yaml", "application/json"
 
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCalibration) -> Answer:
-    """Store a calibration file, or begin the job that makes the calibration."""
+    """Store a calibration that is ready, or begin the job that makes the calibration."""
     content = checked.content
-    if isinstance(content, intake.ReadFile):
-        return _add_file(services, idempotent, checked, content)
+    if isinstance(content, intake.ReadyCalibration):
+        return _add_ready(services, idempotent, checked, content)
     with intake.begun_calibration(services, idempotent.records, checked) as (work, job):
         return idempotent.store(work, intake.accepted(job))
 
 
-def _add_file(
-    services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCalibration, sent: intake.ReadFile
+def _add_ready(
+    services: Services,
+    idempotent: IdempotentRequest,
+    checked: intake.CheckedCalibration,
+    ready: intake.ReadyCalibration,
 ) -> Answer:
-    source = {"file": sent.file.name, **sent.contents.model_dump(mode="json", exclude={"files"})}
+    contents = ready.contents
     with idempotent.records.transaction() as work:
         work.uploads.use(checked.upload_ids)
-        calibration = work.calibrations.add(checked.name, source, sent.contents.files)
+        calibration = work.calibrations.add(
+            checked.name, ready.source, contents.files, checked.spec.method, contents.report
+        )
         headers = {"Location": f"/v1/calibrations/{calibration.id}"}
         answer = idempotent.store(
             work, Answer(201, headers, CalibrationOut.from_calibration(calibration).model_dump_json())
@@ -59,11 +64,12 @@ def _add_file(
 
 
 _CREATE = """\
-Send a calibration file, or have a calibration made from videos of a board, or from people who walk about.
+Send a calibration file, or have a calibration made from videos of a board, from people who walk about, or from known
+points of a scene.
 
-A file is checked and stored at once. Otherwise the answer is a job, with the same id as the calibration. Generated
-clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do the same with one kind of body
-each.
+A file is checked and stored at once, and so is the calibration of a scene. Otherwise the answer is a job, with the same
+id as the calibration. Generated clients use `createCalibrationFromFiles` and `createCalibrationFromUploads`, which do
+the same with one kind of body each.
 """
 add_creation(
     router,

@@ -16,7 +16,7 @@ from pipeline.core.options import job_choices
 from worker.store.model.session_records import Calibration
 from worker.store.model.states import JobState
 
-Method = Literal["file", "board", "people"]
+Method = Literal["file", "board", "people", "scene"]
 Format = Literal["multicap", "anipose", "caliscope", "opencv"]
 LensModel = Literal["standard", "fisheye"]
 MEDIA_TYPES: dict[Format, tuple[str, str]] = {
@@ -34,6 +34,7 @@ _STATES = {None: "failed"} | {state: str(state) for state in JobState} | {JobSta
 
 
 _Coordinate = Annotated[float, Field(ge=-job_choices.MAX_POINT_M, le=job_choices.MAX_POINT_M)]
+_Side = Annotated[int, Field(ge=1, le=100_000)]
 _Pixel = Annotated[float, Field(ge=-1.0, le=100_000.0)]
 
 
@@ -71,7 +72,8 @@ class CalibrationSpec(BaseModel):
         description=(
             "`file`: the part `calibration` in any supported format; `board`: made from `videos` of a board, or "
             "intrinsics from photographs, `images`; `people`: "
-            "made from `videos`, or from a session, of people of known stature who walk about."
+            "made from `videos`, or from a session, of people of known stature who walk about; `scene`: made at once "
+            "from `known_points`, of which each camera sees four, or six if its lens is not given by `intrinsics`."
         ),
         examples=["board"],
     )
@@ -110,15 +112,22 @@ class CalibrationSpec(BaseModel):
     known_points: tuple[KnownPointSpec, ...] = Field(
         default=(),
         max_length=job_choices.MAX_KNOWN_POINTS,
-        description="Points that determine the world in place of the board on the floor, or of the people.",
+        description="Points that determine the world in place of the board on the floor, or of the people; of a "
+        "scene, also the cameras' poses.",
+    )
+    sizes_px: dict[str, tuple[_Side, _Side]] = Field(
+        default={},
+        max_length=256,
+        description="Of a scene: width and height of each camera's picture; `intrinsics` may contain them.",
+        examples=[{"cam_0": [1920, 1080], "cam_1": [1920, 1080]}],
     )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(), max_length=256, description="Names of cameras, and offsets and rates of their videos."
     )
 
     def choices(self, has_intrinsics: bool, has_photographs: bool) -> job_choices.CalibrationChoices | None:
-        """Choices of the job; ``None`` for a file."""
-        if self.method == "file":
+        """Choices of the job; ``None`` for a calibration without a job."""
+        if self.method in {"file", "scene"}:
             return None
         points = tuple(point.point() for point in self.known_points)
         return job_choices.CalibrationChoices(self.board, has_intrinsics, self.stature_m, points, has_photographs)
@@ -201,7 +210,7 @@ class CalibrationOut(ResponseModel):
     )
     created_at: AwareDatetime = Field(description="Time of the creation.")
     source: dict[str, Any] = Field(
-        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices of the job.",
+        description="Of a file: its name `file`, `format`, `units` and `axes`; else the choices with which it is made.",
         examples=[{"file": "Calib.toml", "format": "TOML", "units": "m"}],
     )
     warnings: tuple[FindingOut, ...] = Field(description="Warnings about the file, or of the report.")

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -136,6 +136,8 @@ class CalibrationContents(BaseModel):
         Findings about the file.
     files
         The calibration in metres: text by format.
+    report
+        Report of a calibration that was made, see ``pipeline.calibration.report``; ``None`` of a file.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -145,6 +147,7 @@ class CalibrationContents(BaseModel):
     axes: str
     warnings: tuple[Finding, ...]
     files: dict[str, str]
+    report: dict[str, Any] | None = None
 
 
 def run_program(

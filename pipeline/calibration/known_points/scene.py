@@ -8,18 +8,26 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.calibration.checks.places import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE, Up
 from pipeline.calibration.known_points.point_checks import Size, scene_problems
 from pipeline.calibration.known_points.scene_pose import Marks, PoseFit, locate, locate_by_all
 from pipeline.calibration.report import CalibrationResult, CameraReport, PointReport
 from pipeline.calibration.sizes import fit_to_picture, guessed_camera
+from pipeline.calibration.validate import MAX_CAMERAS
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.options.job_choices import KnownPoint
 from pipeline.core.problems.finding_codes import KNOWN_POINTS_DOUBTFUL
-from pipeline.core.problems.session_codes import CAMERA_UNKNOWN, INVALID_SIZE, KNOWN_POINTS_MISFIT
+from pipeline.core.problems.session_codes import (
+    CAMERA_UNKNOWN,
+    INVALID_NAME,
+    INVALID_SIZE,
+    KNOWN_POINTS_MISFIT,
+    TOO_MANY_CAMERAS,
+)
 from pipeline.geometry.camera import project, projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
@@ -29,6 +37,7 @@ from pipeline.geometry.undistortion import undistort_views
 _DOUBTFUL, _VAGUE_PLACE, _VAGUE_FOCAL_PERCENT = 0.003, 0.05, 5.0
 # Another pose is possible if its error is at most so many times the error, and one pixel, higher.
 _RIVAL = 2.0
+_FIELD = "known_points"
 
 
 def scene_cameras(
@@ -41,11 +50,18 @@ def scene_cameras(
     """
     lenses = {lens.name: lens for lens in intrinsics or ()}
     names = dict.fromkeys([*filter(None, sizes_px), *(name for point in points for name, _, _ in point.seen_px)])
-    cameras, problems = [], []
+    cameras: list[Camera] = []
+    problems = []
+    if len(names) > MAX_CAMERAS:
+        raise InputError([Problem(TOO_MANY_CAMERAS, f"A scene has at most {MAX_CAMERAS} cameras.", field=_FIELD)])
     for name in names:
         lens = lenses.get(name)
         size_px = sizes_px.get(name) or sizes_px.get("") or (UNKNOWN_SIZE if lens is None else lens.size_px)
-        if lens is None and intrinsics is not None:
+        if wrong := name_problem(name):
+            problems.append(
+                Problem(INVALID_NAME, f"The name of a camera {wrong}", None, name[:MAX_NAME_LENGTH], _FIELD)
+            )
+        elif lens is None and intrinsics is not None:
             hint = f"It has {listed_names(sorted(lenses))}."
             problems.append(
                 Problem(CAMERA_UNKNOWN, "The calibration has no camera of this name.", None, name, hint=hint)
@@ -166,18 +182,18 @@ def _misplaced(fits: Sequence[PoseFit], marks: Sequence[Marks], points: Sequence
             names = ", ".join(camera.name for camera in cameras)
             message = f"The coordinates of the point {point.name} are wrong: {names} see it at another place."
             hint = f"They see it at {', '.join(f'{value:.3f}' for value in place_m)} m. Measure it again."
-            problems[point.name] = Problem(KNOWN_POINTS_MISFIT, message, field="known_points", hint=hint)
+            problems[point.name] = Problem(KNOWN_POINTS_MISFIT, message, field=_FIELD, hint=hint)
     return problems
 
 
 def _misfits(fit: PoseFit, marks: Marks, has_intrinsics: bool, misplaced: Container[str]) -> Iterator[Problem]:
     """Report points of a camera that are errors, except the misplaced ones."""
-    camera, wrong = fit.camera, np.flatnonzero(fit.is_wrong)
+    camera, wrong = fit.camera, np.flatnonzero(fit.is_wrong).tolist()
 
     def problem(message: str, hint: str) -> Problem:
-        return Problem(KNOWN_POINTS_MISFIT, message, camera=camera.name, field="known_points", hint=hint)
+        return Problem(KNOWN_POINTS_MISFIT, message, camera=camera.name, field=_FIELD, hint=hint)
 
-    if len(wrong) and not fit.is_agreed:
+    if wrong and not fit.is_agreed:
         yield problem(*_reason(fit, marks, has_intrinsics))
         return
     projected_px = project(camera, marks.xyz_m)
@@ -213,7 +229,7 @@ def _doubts(fit: PoseFit, marks: Marks) -> Iterator[Problem]:
     camera, worst = fit.camera, int(np.argmax(fit.error_px))
 
     def doubt(message: str, hint: str) -> Problem:
-        return Problem(KNOWN_POINTS_DOUBTFUL, message, camera=camera.name, field="known_points", hint=hint)
+        return Problem(KNOWN_POINTS_DOUBTFUL, message, camera=camera.name, field=_FIELD, hint=hint)
 
     if fit.rms_px > _DOUBTFUL * max(camera.size_px):
         message = f"The points are {fit.rms_px:.1f} px off, {marks.names[worst]} {fit.error_px[worst]:.1f} px."

@@ -292,8 +292,8 @@ BOARD_FLOOR_UNCERTAIN = WARNINGS.code("board_floor_uncertain", "warning")
 """The board never lies still on the floor, so that the floor of the world is a guess. | Lay it flat on the floor for a
 second, or state the time (`--floor-time`)."""
 KNOWN_POINTS_DOUBTFUL = WARNINGS.code("known_points_doubtful", "warning")
-"""A known point is far from where the cameras see it, or all cameras are below the points. | Check its coordinates and
-its marked pixels, and that Z points up."""
+"""A known point is far from where the cameras see it, all cameras are below the points, or the points of a scene leave
+a camera uncertain. | Check its coordinates and its marked pixels, and that Z points up; mark more points."""
 UPSIDE_DOWN = WARNINGS.code("upside_down", "warning", "finding", "job", "command")
 """Heads are below feet. | Turn the calibration: state by `up` which axis points up."""
 NOT_UPRIGHT = WARNINGS.code("not_upright", "warning", "finding", "job", "command")

@@ -36,11 +36,11 @@ KNOWN_POINTS_INVALID = CALIBRATIONS.code("known_points_invalid", 422, "job", "co
 """A known point is malformed, is named twice, or is not in the picture. | Correct it as
 [calibration](../guide/calibration.md#known-points) says."""
 KNOWN_POINTS_FEW = CALIBRATIONS.code("known_points_few", 422, "job", "command")
-"""Fewer than three known points are seen by two cameras. | Mark each point in the pictures of two cameras or more,
-under the same name."""
+"""Fewer than three known points are seen by two cameras, or too few by a camera of a scene. | Mark each point in the
+pictures of two cameras or more, under the same name; of a scene, four in each picture, or six."""
 KNOWN_POINTS_ON_A_LINE = CALIBRATIONS.code("known_points_on_a_line", 422, "job", "command")
-"""The known points are on a line, about which the world could turn. | Add a point beside the line."""
-KNOWN_POINTS_MISFIT = CALIBRATIONS.code("known_points_misfit", "job", "command")
+"""The known points are on a line, about which the world or a camera could turn. | Add a point beside the line."""
+KNOWN_POINTS_MISFIT = CALIBRATIONS.code("known_points_misfit", 422, "job", "command")
 """The known points don't fit to where the cameras see them: a wrong unit, mirrored axes, or a wrong point. | `hint` has
 the reason if it was found."""
 PEOPLE_ONE_CAMERA = CALIBRATIONS.code("people_one_camera", 422, "command")

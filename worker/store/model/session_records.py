@@ -110,11 +110,11 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A calibration: sent as a file, or made by the job of the same id."""
+    """A calibration: sent as a file, made from a scene at once, or made by the job of the same id."""
 
     id: str
     name: str
-    method: str  # ``file``, ``board`` or ``people``
+    method: str  # ``file``, ``board``, ``people`` or ``scene``
     created_at: datetime
     # Of a file its name, format, units, axes and notes; else the choices with which it is made
     source: Mapping[str, Any]

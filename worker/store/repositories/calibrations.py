@@ -28,12 +28,19 @@ class Calibrations:
     def __init__(self, access: Access) -> None:
         self._access = access
 
-    def add(self, name: str, source: Mapping[str, Any], files: Mapping[str, str]) -> Calibration:
-        """Add a calibration that was sent as a file.
+    def add(
+        self,
+        name: str,
+        source: Mapping[str, Any],
+        files: Mapping[str, str],
+        method: str = "file",
+        report: Mapping[str, Any] | None = None,
+    ) -> Calibration:
+        """Add a calibration without a job: sent as a file, or made from a scene.
 
-        ``source`` and ``files`` are like in ``session_records.Calibration``. Raises ``QuotaExceeded``.
+        The arguments are like in ``session_records.Calibration``. Raises ``QuotaExceeded``.
         """
-        return self._insert(str(uuid7()), name, "file", source, files)
+        return self._insert(str(uuid7()), name, method, source, files, report=report)
 
     def begin(self, job: JobRecord, name: str) -> Calibration:
         """Add the calibration that a job will make, in the transaction that adds the job."""
@@ -99,9 +106,10 @@ class Calibrations:
         source: Mapping[str, Any],
         files: Mapping[str, str] | None,
         session_id: str | None = None,
+        report: Mapping[str, Any] | None = None,
     ) -> Calibration:
         access = self._access
-        num_bytes = _num_bytes(files)
+        num_bytes = _num_bytes(files) + _num_bytes(report)
         with access.writing() as connection:
             access.require_room(connection, stored_bytes=num_bytes)
             connection.execute(
@@ -113,6 +121,7 @@ class Calibrations:
                     created_at=now(),
                     source=dict(source),
                     files=None if files is None else dict(files),
+                    report=None if report is None else dict(report),
                     num_bytes=num_bytes,
                     session_id=session_id,
                 )
