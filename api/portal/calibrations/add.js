@@ -6,7 +6,7 @@ import { call, jsonPart } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { size } from "../shared/format.js";
 import { html, nothing, problemBox } from "../shared/lit.js";
-import { announce } from "../shared/page.js";
+import { address, announce } from "../shared/page.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
 import { boardFields, statureField } from "./fields.js";
@@ -142,13 +142,15 @@ export class AddForm {
 
   form() {
     const fields = { file: () => this.#fileFields(), board: () => this.#boardFields(), people: () => this.#peopleFields(), session: () => this.#sessionFields() };
+    const isScene = this.#source === "scene";
     return html`<form class="panel add" aria-labelledby="add-title" @submit=${(event) => this.#submit(event)}>
       <h2 id="add-title">${ADD.title}</h2>
       <label class="field"><span>${ADD.from}</span><select name="source" @change=${(event) => this.#choose(event.target.value)}>
         ${ADD.sources.map(([value, label]) => html`<option value=${value} .selected=${value === this.#source}>${label}</option>`)}</select></label>
-      <label class="field"><span>${ADD.name}</span><input name="title" maxlength="200" placeholder=${ADD.namePlaceholder} autocomplete="off"></label>
-      ${fields[this.#source]()}
-      <div class="actions"><button class="button primary" aria-disabled=${this.#isBusy ? "true" : nothing}>${ADD.submit}</button></div>
+      ${isScene ? html`<p class="quiet">${ADD.sceneHint}</p><div class="actions"><a class="button primary" href=${address("scene")}>${ADD.scene}</a></div>` : html`
+        <label class="field"><span>${ADD.name}</span><input name="title" maxlength="200" placeholder=${ADD.namePlaceholder} autocomplete="off"></label>
+        ${fields[this.#source]()}
+        <div class="actions"><button class="button primary" aria-disabled=${this.#isBusy ? "true" : nothing}>${ADD.submit}</button></div>`}
       ${this.#text ? html`<p class="quiet" role="status">${this.#text}</p>` : nothing}
       ${problemBox(this.#problem)}
     </form>`;

@@ -215,7 +215,7 @@ async def _ready(
     part: str,
 ) -> CheckedCalibration:
     """Read a calibration file, or make the calibration of a scene, in a child process."""
-    arguments = [f"--up={spec.up}"]
+    arguments, source = [f"--up={spec.up}"], dict[str, Any]()
     if spec.units is not None:
         arguments.append(f"--units={spec.units}")
     if spec.method == "file":
