@@ -23,6 +23,8 @@ CAMERAS = build_cameras(Rig(Layout.RING, 2, (3.0, 2.5), 2.0, distortion=(0.0,) *
 CORNERS_M = [(x, y, z + 0.2 * x) for x in (0.0, 0.8) for y in (0.0, 0.6) for z in (0.3, 1.2)]
 TABLE = "name; x; y; z\n" + "\n".join(f"P{k}; {x}; {y:.1f}; {z:.2f}" for k, (x, y, z) in enumerate(CORNERS_M))
 PHONE: ViewportSize = {"width": 390, "height": 800}
+# The check is a program of its own, which waits for a processor.
+WAIT_MS = 180_000
 # A folder for pictures of the page, to look at.
 LOOK = os.environ.get("MULTICAP_LOOK")
 
@@ -107,12 +109,12 @@ def test_clicked_points_calibrate_cameras(page: Page, served: Served, files: lis
     page.get_by_label("Name", exact=True).fill("Hall")
     page.get_by_role("button", name="Calibrate").click()
     alert = page.get_by_role("alert")
-    expect(alert).to_contain_text("The point P7 is 30 px off; without it the error is")
+    expect(alert).to_contain_text("The point P7 is 30 px off; without it the error is", timeout=WAIT_MS)
     expect(alert).to_contain_text("cam_01")
     look(page, "refused")
     page.get_by_role("button", name="Undo").click()
     page.get_by_role("button", name="Calibrate").click()
-    expect(page.get_by_role("heading", name="Stored: Hall")).to_be_visible()
+    expect(page.get_by_role("heading", name="Stored: Hall")).to_be_visible(timeout=WAIT_MS)
     expect(alert).to_be_hidden()
     expect(page.get_by_role("list", name="Points").get_by_role("listitem").first).to_contain_text("px off")
     look(page, "stored")
@@ -132,7 +134,7 @@ def test_clicked_points_calibrate_cameras(page: Page, served: Served, files: lis
     page.get_by_label("Lens values").select_option(stored["id"])
     page.get_by_label("Name", exact=True).fill("Hall again")
     page.get_by_role("button", name="Calibrate").click()
-    expect(page.get_by_role("heading", name="Stored: Hall again")).to_be_visible()
+    expect(page.get_by_role("heading", name="Stored: Hall again")).to_be_visible(timeout=WAIT_MS)
     names = [each["name"] for each in served.client.get("/v1/calibrations").json()["calibrations"]]
     assert "Hall" not in names
     again = served.client.get("/v1/calibrations").json()["calibrations"][names.index("Hall again")]
