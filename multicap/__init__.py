@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoint_files.points import KeypointReading
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.points import PointSession
+    from pipeline.capture.points import SessionMaker as Session
     from pipeline.capture.session import CaptureSession, open_session
-    from pipeline.capture.session_maker import SessionMaker as Session
     from pipeline.core.data.cameras import Camera
     from pipeline.core.data.detections import Detections
     from pipeline.core.data.reconstruction import Reconstruction
@@ -144,7 +144,7 @@ _REFERENCES = {
     "Recording": "pipeline.capture.camera_files:Recording",
     "Rigid3": "pipeline.core.data.rigid:Rigid3",
     "ServiceError": "api.cli.client:ServiceError",
-    "Session": "pipeline.capture.session_maker:SessionMaker",
+    "Session": "pipeline.capture.points:SessionMaker",
     "SessionRefused": "pipeline.core.errors:SessionRefused",
     "VmcSender": "pipeline.run.live.vmc:VmcSender",
     "Writer": "pipeline.export.writers.registry:Writer",

@@ -204,13 +204,43 @@ class Client:
         OSError
             If a file can't be read.
         """
-        texts = {"manifest": {"name": name, **(manifest or {})}, **({} if spec is None else {"spec": spec})}
+        texts = _texts(name, spec, manifest)
         if any(str(video).startswith(("https://", "http://")) for video in videos):
             return self._submit_links([*map(str, videos)], Path(calibration), texts)
+        return self._submit_files([*(("videos", path) for path in videos), ("calibration", calibration)], texts)
+
+    def submit_points(
+        self,
+        name: str,
+        files: Sequence[StrPath],
+        spec: Mapping[str, Any] | None = None,
+        manifest: Mapping[str, Any] | None = None,
+    ) -> Job:
+        """Send 3D points that another system has located, and have skeletons solved.
+
+        Parameters
+        ----------
+        files
+            TRC, C3D, BVH, CSV, NetCDF, NPY or 3D JSON, of people at one time; or a zip of a JSON file a frame.
+        spec, manifest
+            See ``submit``. The manifest may have ``frame_rate_hz``, ``units``, ``up`` and ``names``.
+
+        Returns
+        -------
+            Queued or running job.
+
+        Raises
+        ------
+        ServiceError, OSError
+            See ``submit``.
+        """
+        return self._submit_files([("points", path) for path in files], _texts(name, spec, manifest))
+
+    def _submit_files(self, parts: Sequence[tuple[str, StrPath]], texts: Mapping[str, Json]) -> Job:
         described = [(part, (None, json.dumps(text), "application/json")) for part, text in texts.items()]
         with contextlib.ExitStack() as opened:
-            parts = [*(("videos", Path(path)) for path in videos), ("calibration", Path(calibration))]
-            files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in parts]
+            paths = [(part, Path(path)) for part, path in parts]
+            files = [(part, (path.name, opened.enter_context(path.open("rb")))) for part, path in paths]
             return _job(self._call("POST", "/v1/jobs", files=[*described, *files]))
 
     def _submit_links(self, urls: Sequence[str], calibration: Path, texts: Mapping[str, Json]) -> Job:
@@ -399,6 +429,11 @@ class Client:
         if document is None:
             raise ServiceError(f"The server at {self.url} is not a Multicap service.")
         return document
+
+
+def _texts(name: str, spec: Json | None, manifest: Json | None) -> dict[str, Json]:
+    """JSON parts of a form."""
+    return {"manifest": {"name": name, **(manifest or {})}, **({} if spec is None else {"spec": spec})}
 
 
 def _job(answer: Json) -> Job:

@@ -1,4 +1,4 @@
-"""Open a session of 3D points of people, which another system has located: it has no cameras."""
+"""Sessions from arrays, and from 3D points of people, which another system has located: these have no cameras."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNITS_M, Units, Up
 from pipeline.calibration.vertical import AXES
+from pipeline.capture.keypoint_arrays import from_arrays
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoint_files.points import REQUIRED
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession
@@ -29,6 +30,7 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.core.problems.request_codes import INVALID_VALUE, SESSION_TOO_LARGE
+from pipeline.motion.angles.definitions import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.timeline import cut_timebase, require_frames
 
@@ -156,15 +158,49 @@ def open_points(
     return session_of_tables(tables, frame_rate_hz, units, up, joint_of or {}, problems)
 
 
+class SessionMaker:
+    """Makers of capture sessions from arrays; ``multicap.Session`` is its public name.
+
+    Methods
+    -------
+    from_arrays
+        2D joints of calibrated cameras.
+    from_points, from_files
+        3D points of people, in memory or in files of other systems.
+
+    Examples
+    --------
+    >>> import multicap
+    >>> import numpy as np
+    >>> cameras = multicap.read_calibration(folder / "calibration.json")
+    >>> keypoints_px = np.tile(np.linspace(100, 900, 34).reshape(17, 2), (3, 25, 1, 1))  # a person, 25 frames
+    >>> session = multicap.Session.from_arrays(keypoints_px, None, cameras, 25.0, joints="coco-17")
+    >>> session.timebase.num_frames, session.joints.names[0]
+    (25, 'nose')
+    """
+
+    from_arrays = staticmethod(from_arrays)
+    from_points = staticmethod(from_points)
+    from_files = staticmethod(open_points)
+
+
 def read_names(path: Path) -> dict[str, str]:
     """Table of a user's names: our joints by names of points, a JSON object; raises ``InputError``."""
     try:
-        table = read_unique_json(path.read_bytes()[: 2**20])
-    except (OSError, UnreadableError):
+        return parse_names(path.read_bytes()[: 2**20])
+    except OSError:
+        return parse_names(b"")
+
+
+def parse_names(content: bytes) -> dict[str, str]:
+    """Table of ``read_names`` from its content."""
+    try:
+        table = read_unique_json(content)
+    except UnreadableError:
         table = None
     if not isinstance(table, dict) or any(str(joint) not in OWN_NAMES for joint in table.values()):
-        message = "The table must be a JSON object of our joints, such as left_knee, by names of points."
-        raise InputError([Problem(session_codes.KEYPOINTS_LAYOUT, message, file=path.name)])
+        message = "The table of names must be a JSON object of our joints, such as left_knee, by names of points."
+        raise InputError([Problem(session_codes.KEYPOINTS_LAYOUT, message, field="names")])
     return table
 
 
@@ -185,29 +221,32 @@ def session_of_tables(
     elif rates and not (FRAME_RATE_HZ.holds(np.array(rates), _TOLERANCE) and rates[0] > rates[-1] * (1 - _TOLERANCE)):
         message = f"The frame rates of the files must be one, of {FRAME_RATE_HZ}."
         problems.append(Problem(session_codes.FRAME_RATE, message, field="frame_rate_hz"))
-    people: list[tuple[float, dict[str, Float[np.ndarray, "frames 3"]]]] = []
+    people: list[tuple[float, Mapping[str, np.ndarray], np.ndarray | None]] = []
     for file, form, table in tables:
         read = _people(file, form, table, units, up, names, findings, problems)
-        people += [(table.start_s, joints_m) for joints_m in read]
+        people += [(table.start_s, *person) for person in read]
     if len(people) > MAX_PEOPLE:
         problems.append(Problem(SESSION_TOO_LARGE, f"There are {len(people)} people; at most {MAX_PEOPLE} are read."))
     if problems:
         raise InputError(problems)
     rate_hz = float(without_rounding(rates[-1]))
-    start_s = min(start for start, _ in people)
-    starts = [round((start - start_s) * rate_hz) for start, _ in people]
-    num_frames = max(start + len(next(iter(of.values()))) for start, (_, of) in zip(starts, people, strict=True))
-    joints = joint_set(dict.fromkeys(name for _, of in people for name in of))
+    start_s = min(start for start, *_ in people)
+    starts = [round((start - start_s) * rate_hz) for start, *_ in people]
+    num_frames = max(start + len(next(iter(of.values()))) for start, (_, of, _) in zip(starts, people, strict=True))
+    joints = joint_set(dict.fromkeys(name for _, of, _ in people for name in of))
     if num_frames > MAX_OUTPUT_FRAMES or num_frames * len(people) * len(joints.names) > MAX_JOINTS * 4:
         raise InputError([Problem(SESSION_TOO_LARGE, "The take is too long.", hint="Cut it into several captures.")])
     tracks = tuple(
-        _track(k + 1, start, of, joints.names) for k, (start, (_, of)) in enumerate(zip(starts, people, strict=True))
+        _track(k + 1, start, of, turns, joints.names)
+        for k, (start, (_, of, turns)) in enumerate(zip(starts, people, strict=True))
     )
     timebase = Timebase(start_s, rate_hz, num_frames)
     return PointSession((), {}, timebase, {}, joints, {}, tuple(findings), people=tracks)
 
 
-def _track(number: int, start: int, places: Mapping[str, np.ndarray], names: Sequence[str]) -> Track3D:
+def _track(
+    number: int, start: int, places: Mapping[str, np.ndarray], turns: np.ndarray | None, names: Sequence[str]
+) -> Track3D:
     unknown = np.full((len(next(iter(places.values()))), 3), np.nan)
     xyz_m = np.stack([places.get(name, unknown) for name in names], axis=1)
     known = np.isfinite(xyz_m).all(-1)
@@ -216,8 +255,10 @@ def _track(number: int, start: int, places: Mapping[str, np.ndarray], names: Seq
     xyz_m, known = np.where(known[..., None], xyz_m, np.nan)[inside], known[inside]
     source = np.where(known, Source.MEASURED, Source.ABSENT).astype(np.int8)
     error_px = np.full(known.shape, np.nan)
-    arrays = (xyz_m, known * 1.0, source, error_px, np.zeros(known.shape, int))
-    return Track3D(number, start + int(rows[0]), *map(read_only, arrays))
+    score, views = read_only(known * 1.0), read_only(np.zeros(known.shape, int))
+    stated = None if turns is None else read_only(turns[inside])
+    figures = read_only(source), read_only(error_px), views, None, stated
+    return Track3D(number, start + int(rows[0]), read_only(xyz_m), score, *figures)
 
 
 def _people(
@@ -229,8 +270,8 @@ def _people(
     names: Mapping[str, str],
     findings: list[Finding],
     problems: list[Problem],
-) -> list[dict[str, Float[np.ndarray, "frames 3"]]]:
-    """Joints of the people of a table, in metres with Z up."""
+) -> list[tuple[dict[str, Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames segments 3 3"] | None]]:
+    """Joints of the people of a table, in metres with Z up, and the orientations of segments that it states."""
     if not TRANSLATION.holds(table.xyz[np.isfinite(table.xyz)]):
         message = f"A place is not within {TRANSLATION} of the file's unit."
         problems.append(Problem(session_codes.KEYPOINTS_UNREADABLE, message, file=file))
@@ -250,7 +291,7 @@ def _people(
             known.append((places, xyz[:, pelvis] if needs_hips else None))
             marks += [f"{person or file}: markers on the skin stand for {', '.join(of_skin)}"] * bool(of_skin)
     if not known:
-        hint = "Name the points by a table: --names FILE, JSON with our joint by your name."
+        hint = "Name the points by a table, JSON with our joint by your name: --names FILE, or names of the manifest."
         message = f"No person has shoulders and hips; the points are {', '.join(table.names[:8])}."
         problems.append(Problem(session_codes.KEYPOINTS_LAYOUT, message, file=file, hint=hint))
         return []
@@ -273,12 +314,19 @@ def _people(
     evidence = {"unit": unit, "up": chosen}
     findings.append(Finding(KEYPOINTS_FORM, f"{'; '.join(told)}.", severity="info", evidence=evidence))
     world = UNITS_M[unit] * upright(chosen)
+    turns = None
+    if table.world_from_segment and len(known) == 1:
+        turns = np.full((len(table.xyz), len(SEGMENTS), 3, 3), np.nan)
+        for number, segment in enumerate(SEGMENTS):
+            stated = table.world_from_segment.get(SEGMENT_LABELS[segment])
+            if stated is not None:
+                turns[:, number][..., RIGHT_FRONT_UP] = upright(chosen) @ stated
     people = []
     for places, pelvis_xyz in known:
         in_world = {joint: place @ world.T for joint, place in places.items()}
         if pelvis_xyz is not None:
             in_world |= dict(zip(_HIPS, hip_centers_m(pelvis_xyz @ world.T), strict=True))
-        people.append(in_world)
+        people.append((in_world, turns))
     return people
 
 

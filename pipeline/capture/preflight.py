@@ -2,16 +2,16 @@
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--clock CLOCK] [--frame-rate HZ] | --keypoints ZIP...
 [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--recordings JSON] [--units UNITS] [--up AXIS]
-[--layout LAYOUT] [--pair-by-order]`` prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit
-code 2. So a caller can check a session without loading the numeric libraries, and without opening untrusted files
-itself. ``--record FILE`` stores the opened session, so that the files need not be examined again.
-``--thumbnails FOLDER`` also checks the cameras against each
-other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored in the folder as
-``thumbnail_name`` says.
+[--layout LAYOUT] [--pair-by-order]``, or ``--points FILE... [--names JSON] [--frame-rate HZ] [--units UNITS]
+[--up AXIS]``, prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a
+caller can check a session without loading the numeric libraries, and without opening untrusted files itself. ``--record
+FILE`` stores the opened session, so that the files need not be examined again. ``--thumbnails FOLDER`` also checks the
+cameras against each other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored
+in the folder as ``thumbnail_name`` says.
 
-Without ``--videos`` and ``--keypoints`` it checks the calibration alone, and prints what it contains; with ``--scene``
-it makes the calibration, with the lenses of ``--intrinsics`` if they are given. ``--videos``
-without ``--calibration``, or with ``--intrinsics`` in its place, belong to a calibration that is to be made.
+With a calibration alone it checks that, and prints what it contains; with ``--scene`` it makes the calibration, with
+the lenses of ``--intrinsics`` if they are given. ``--videos`` without ``--calibration``, or with ``--intrinsics`` in its
+place, belong to a calibration that is to be made.
 """
 
 import argparse
@@ -40,7 +40,8 @@ from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
-from pipeline.capture.preflight_npz import encode_keypoints, encode_session
+from pipeline.capture.points import open_points, parse_names
+from pipeline.capture.preflight_npz import encode_keypoints, encode_points, encode_session
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
@@ -209,6 +210,18 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Pr
     return preflight, encode_keypoints(session)
 
 
+def _check_points(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
+    names = parse_names(arguments.names.encode())
+    with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
+        zips = [path for path in arguments.points if path.suffix.lower() == ".zip"]
+        if zips:
+            unpack_keypoints(zips, Path(folder))
+        files = [Path(folder) / path.stem if path in zips else path for path in arguments.points]
+        session = open_points(files, arguments.frame_rate, arguments.units, arguments.up, names)
+    checked = report(session, [], arguments.units, up=arguments.up or "z")
+    return replace(checked, names=names), encode_points(session)
+
+
 def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
     """Recording that names the folder into which its archive is unpacked."""
     archive = None if recording.file is None else find_input(recording.file, archives)
@@ -219,11 +232,18 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
     """Check the session, or the calibration, and build the answer."""
     if arguments.scene:
         return _calibrate_scene(arguments)
-    if not arguments.videos and not arguments.keypoints:
+    if arguments.points:
+        preflight, record = _check_points(arguments)
+    elif not arguments.videos and not arguments.keypoints:
         return _check_calibration(arguments)
-    preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+    else:
+        preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
     if arguments.record:
-        _write_record(arguments.record, record, "keypoints" if arguments.keypoints else "frame times")
+        _write_record(
+            arguments.record,
+            record,
+            "keypoints" if arguments.keypoints else "points" if arguments.points else "frame times",
+        )
     return preflight.to_json()
 
 
@@ -273,6 +293,8 @@ def main(words: Sequence[str] | None = None) -> int:
     views = parser.add_mutually_exclusive_group()
     views.add_argument("--videos", nargs="+", type=Path)
     views.add_argument("--keypoints", nargs="+", type=Path)
+    views.add_argument("--points", nargs="+", type=Path, help="Files of 3D points, or zips of a JSON file a frame.")
+    parser.add_argument("--names", default="{}", help="JSON object: joints by names of 3D points.")
     parser.add_argument("--calibration", type=Path)
     parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
     parser.add_argument("--scene", type=Path, help="JSON of known points and sizes of pictures, to calibrate from.")
@@ -284,7 +306,9 @@ def main(words: Sequence[str] | None = None) -> int:
         "--clock", choices=get_args(preflight_record.Clock), default="declared", help="Clock of the videos' starts."
     )
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
-    parser.add_argument("--up", choices=get_args(Up), default="z", help="Axis of the calibration that points up.")
+    parser.add_argument(
+        "--up", choices=get_args(Up), help="Axis that points up: z, or told by the people of 3D points."
+    )
     parser.add_argument(
         "--max-joints", type=int, default=MAX_JOINTS, help="Limit on the joints of all people in all keypoint files."
     )
@@ -300,7 +324,9 @@ def main(words: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--thumbnails", type=Path, help="Check cameras and pictures too; folder for small copies.")
     arguments = parser.parse_args(words)
-    if arguments.calibration is None and not arguments.videos and not arguments.scene:
+    if not arguments.points:
+        arguments.up = arguments.up or "z"
+    if not (arguments.calibration or arguments.videos or arguments.points or arguments.scene):
         parser.error("name a calibration")
     message = "The check of the files needs more memory than the service allows."
     too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several, or lower its resolution.")

@@ -6,7 +6,7 @@ A NumPy archive without pickles, byte-identical for equal sessions.
 import functools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
+from pipeline.core.data.people import Track3D
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
@@ -157,11 +158,32 @@ def encode_keypoints(session: KeypointSession) -> bytes:
 def encode_points(session: PointSession) -> bytes:
     """Write a session of 3D points."""
     arrays = {
-        f"{name}_{track.track_id}": getattr(track, name) for track in session.people for name in ("xyz_m", "score")
+        f"{name}_{k}": array for k, track in enumerate(session.people) for name, array in track.joint_arrays.items()
     }
-    starts = [track.start_frame for track in session.people]
-    head = {"joints": asdict(session.joints), "timebase": asdict(session.timebase), "starts": starts}
+    head = {
+        "joints": asdict(session.joints),
+        "timebase": asdict(session.timebase),
+        "starts": [track.start_frame for track in session.people],
+        "findings": [finding.to_json() for finding in session.findings],
+    }
     return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
+
+
+def decode_points(content: bytes) -> PointSession:
+    """Read what ``encode_points`` wrote."""
+    arrays = decode_arrays(content)
+    head = json.loads(str(arrays["head"]))
+    names = [each.name for each in fields(Track3D)]
+    people = tuple(
+        Track3D(k + 1, start, **{name: arrays[f"{name}_{k}"] for name in names if f"{name}_{k}" in arrays})
+        for k, start in enumerate(head["starts"])
+    )
+    findings, timebase = tuple(map(Finding.from_json, head["findings"])), Timebase(**head["timebase"])
+    return PointSession((), {}, timebase, {}, _joint_set(head["joints"]), {}, findings, people=people)
+
+
+def _joint_set(head: Mapping[str, Any]) -> JointSet:
+    return JointSet(tuple(head["names"]), tuple((first, second) for first, second in head["bones"]))
 
 
 def decode_keypoints(content: bytes) -> KeypointSession:
@@ -177,9 +199,7 @@ def decode_keypoints(content: bytes) -> KeypointSession:
             camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in DETECTION_ARRAYS))
             for k, camera in enumerate(cameras)
         },
-        joints=JointSet(
-            tuple(head["joints"]["names"]), tuple((first, second) for first, second in head["joints"]["bones"])
-        ),
+        joints=_joint_set(head["joints"]),
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),
         layout=LayoutRead(**head["layout"]) if head.get("layout") else None,

@@ -4,8 +4,8 @@
 workers read it. So this module needs nothing but the standard library.
 """
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from pipeline.core.findings import Finding
@@ -132,6 +132,7 @@ class Preflight:
     sync: Sync = "declared"
     timeline: Timeline = "take"
     layout: LayoutRead | None = None  # Layout of keypoints whose files do not name their points
+    names: Mapping[str, str] = field(default_factory=dict)  # Joints by names of 3D points that the client stated
 
     @property
     def duration_s(self) -> float:
@@ -168,6 +169,7 @@ class Preflight:
                 sync=document.get("sync", "declared"),
                 timeline=document.get("timeline", "take"),
                 layout=LayoutRead(**document["layout"]) if document.get("layout") else None,
+                names=document.get("names", {}),
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -186,6 +188,7 @@ class Preflight:
             "timeline": self.timeline,
             "up": self.up,
             **({} if self.layout is None else {"layout": asdict(self.layout)}),
+            **({"names": dict(self.names)} if self.names else {}),
         }
 
 

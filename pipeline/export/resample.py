@@ -77,6 +77,7 @@ def _track_at(track: Track3D, frames: range, ratio: float) -> Track3D:
         uncertainty_m=None
         if track.uncertainty_m is None
         else read_only(np.where(known, track.uncertainty_m[nearest], np.nan)),
+        world_from_segment=None if track.world_from_segment is None else track.world_from_segment[nearest],
     )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import uuid_utils
 
-from pipeline.capture.preflight_npz import decode_keypoints, decode_session
+from pipeline.capture.preflight_npz import decode_keypoints, decode_points, decode_session
 from pipeline.capture.session import Session as OpenedSession
 from pipeline.core.errors import InputError, ModelError, PipelineError, Problem
 from pipeline.core.options.config import ReconstructionConfig
@@ -28,7 +28,7 @@ from pipeline.run.engine.stage import Context, Origin, Output, SessionFacts, Tak
 from pipeline.run.warm_up import JOINT_SETS
 from pipeline.run.warm_up import warm_up as compile_kernels
 from worker.run.chunk import Work
-from worker.run.planning import claimed_task, has_videos, session_facts
+from worker.run.planning import claimed_task, has_points, has_videos, session_facts
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.artifacts import ArtifactStore, read_artifact
 from worker.store.files.checksums import require_file
@@ -83,7 +83,11 @@ class KeptSession:
         self.close()
         with _undamaged("The record of the session's check"):
             content = read_artifact(artifacts, record_key(session.id), session.record_sha256)
-        opened = decode_session(content, self._new_folder()) if has_videos(session) else decode_keypoints(content)
+        opened: OpenedSession
+        if has_videos(session):
+            opened = decode_session(content, self._new_folder())
+        else:
+            opened = (decode_points if has_points(session) else decode_keypoints)(content)
         self._session, self._id = opened, session.id
         return opened
 

@@ -117,12 +117,18 @@ def session_facts(session: PlannableSession) -> SessionFacts:
         stretches=preflight.stretches,
         camera_rates_hz={camera.name: camera.frame_rate_hz for camera in preflight.cameras},
         has_videos=has_videos(session),
+        has_points=has_points(session),
     )
 
 
 def has_videos(session: PlannableSession) -> bool:
-    """Return whether the client sent videos; else keypoints."""
-    return not any(file.kind == "keypoints" for file in session.files)
+    """Return whether the client sent videos; else keypoints or 3D points."""
+    return not any(file.kind in ("keypoints", "points") for file in session.files)
+
+
+def has_points(session: PlannableSession) -> bool:
+    """Return whether the client sent 3D points."""
+    return any(file.kind == "points" for file in session.files)
 
 
 def claimed_task(claim: Claim) -> Task:
@@ -172,6 +178,8 @@ def _inputs(session: PlannableSession) -> tuple[str, ...]:
         files.append(f"up {up}")
     if (layout := session.preflight.layout) is not None:
         files.append(f"layout {layout.name}")
+    if names := session.preflight.names:
+        files.append(f"names {json.dumps(names, sort_keys=True)}")
     if not has_videos(session):
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":

@@ -11,26 +11,38 @@ import { naturalOrder, groupRecordings } from "./matching.js";
 // Start of the cameras that nobody knows: the service measures their clocks.
 export const MEASURED = "measured";
 
+// Choices of a job that are about cameras, and have no effect on 3D points.
+export const OF_CAMERAS = [
+  "sync", "method", "profile", "joints", "detector", "follow_s", "appearance", "joint_centers", "refine_calibration", "people", "overlay",
+  "blur_faces", "keep_videos", "force",
+];
+
 // Description of a draft with its calibration and the choices that the service offers. What the page does not ask for
 // has no value here, whatever the draft keeps for the next capture.
 export function planCapture({ draft, rig, options }) {
   const files = draft.rows.filter(({ isUsed }) => isUsed);
   const has = (kind) => files.some((row) => row.kind === kind);
   const hasPoints = has("keypoints") || has("array");
-  const isMeasured = draft.clock === MEASURED;
+  const is3d = has("points");
+  const isMeasured = draft.clock === MEASURED && !is3d;
+  const choices = options ? shownSpec(draft.spec, options) : {};
+  if (is3d) for (const name of OF_CAMERAS) delete choices[name];
   return {
     name: draft.name,
     files,
     views: files.filter(({ kind }) => kind !== "timestamps"),
-    calibration: rig.record,
-    calibrate: draft.calibrateFrom && { method: draft.calibrateFrom, ...(draft.calibrateFrom === "board" ? { board: boardSpec(draft.board) } : { stature_m: readStatures(draft.stature) }) },
+    is3d,
+    calibration: is3d ? null : rig.record,
+    calibrate: !is3d && draft.calibrateFrom && { method: draft.calibrateFrom, ...(draft.calibrateFrom === "board" ? { board: boardSpec(draft.board) } : { stature_m: readStatures(draft.stature) }) },
     start: draft.clock,
     clock: has("video") ? (isMeasured ? "declared" : draft.clock) : null,
     needsFrameRate: hasPoints && !has("timestamps"),
-    frameRate_hz: hasPoints && !has("timestamps") ? draft.frameRate_hz : null,
+    frameRate_hz: is3d || (hasPoints && !has("timestamps")) ? draft.frameRate_hz : null,
+    units: is3d ? draft.units : null,
+    up: is3d ? draft.up : null,
     hasPoints,
     layout: hasPoints ? draft.layout : null,
-    spec: options ? { ...shownSpec(draft.spec, options), sync: isMeasured ? "auto" : "declared" } : null,
+    spec: options ? { ...choices, sync: isMeasured ? "auto" : "declared" } : null,
   };
 }
 
@@ -78,7 +90,11 @@ export const calibratedBody = ({ name, spec }, calibrationId, sessionId) => (
   { session_id: sessionId, calibration_id: calibrationId, manifest: { name: captureName(name), sync: spec.sync } });
 
 // Request that makes a session of a capture whose files are sent.
-export function sessionBody({ name, files, calibration, clock, frameRate_hz, layout, spec }) {
+export function sessionBody({ name, files, is3d, calibration, clock, frameRate_hz, layout, units, up, spec }) {
+  if (is3d) {
+    const stated = { ...(frameRate_hz && { frame_rate_hz: frameRate_hz }), ...(units && { units }), ...(up && { up }) };
+    return { points: uploadIds(files, "points"), manifest: { name: captureName(name), ...stated } };
+  }
   const ids = (kind) => uploadIds(files, kind);
   const cameras = [...videosByCamera(files)].map(([name, rows]) => cameraManifest(name, orderParts(rows) ?? rows));
   const [timestamps] = ids("timestamps");
@@ -109,9 +125,13 @@ export function findDoubled(views) {
 
 const listed = (rows) => rows.map(({ name }) => name).join(", ");
 
-export function findFaults({ files, views, calibration, calibrate, start, needsFrameRate, frameRate_hz }, rig) {
+export function findFaults({ files, views, is3d, calibration, calibrate, start, needsFrameRate, frameRate_hz }, rig) {
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
+  if (is3d) {
+    const others = files.filter(({ kind }) => kind !== "points");
+    return [...(others.length ? [SEND.faults.points(listed(others))] : []), ...(missing.length ? [SEND.faults.missing(listed(missing))] : [])];
+  }
   const arrays = views.filter(({ kind }) => kind === "array");
   if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));
   if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(SEND.faults.fewCameras(MIN_CAMERAS));

@@ -10,6 +10,10 @@ const KINDS = {
   timestamps: ["csv"],
   calibration: ["toml", "json", "yml", "yaml", "xml", "txt", "npz", "pickle", "pkl"],
 };
+// Files of 3D points by their endings, and what tells others: columns of a table, fields of a document.
+const POINTS = ["trc", "c3d", "bvh", "nc"];
+const POINT_HEADS = { csv: /^[^\n]*[ _.:]x([ _]?\(?(m|cm|mm)\)?)?"?\s*[,;\t]/i, json: /"(joint_names|pose_keypoints_3d|keypoints3d|joints19)"/ };
+const HEAD_BYTES = 1 << 16;
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
 const KEYPOINTS = ["json", "csv", "npy", "h5", "hdf5"];
 // FreeMoCap's array of the 2D points of all cameras.
@@ -21,7 +25,7 @@ const TAIL_BYTES = 1 << 16;
 const ENTRY = "PK\u0001\u0002";
 const [NAME_LENGTH_AT, NAME_AT] = [28, 46];
 
-export const ACCEPTED = ["zip", "npy", ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
+export const ACCEPTED = ["zip", "npy", ...POINTS, ...Object.values(KINDS).flat()].map((ending) => `.${ending}`).concat("video/*").join(",");
 // Axes of a calibration's world that may point up.
 export const AXES = [["", SEND.calibration.upAuto], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
@@ -57,6 +61,8 @@ export async function detectKind(file) {
   const ending = fileEnding(file.name);
   if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
   if (ARRAY.test(file.name)) return "array";
+  if (POINTS.includes(ending) || /3d.*\.npy$/i.test(file.name)) return "points";
+  if (POINT_HEADS[ending]?.test(await file.slice(0, HEAD_BYTES).text())) return "points";
   const found = Object.entries(KINDS).find(([, endings]) => endings.includes(ending));
   return found?.[0] ?? (file.type.startsWith("video/") ? "video" : null);
 }
@@ -176,7 +182,7 @@ export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera",
 
 export function emptyDraft(kept = {}) {
   return {
-    name: "", calibrationId: null, calibrateFrom: null, stature: "", board: emptyBoard(), clock: "declared", frameRate_hz: null, layout: null, spec: {}, rows: [],
+    name: "", calibrationId: null, calibrateFrom: null, stature: "", board: emptyBoard(), clock: "declared", frameRate_hz: null, layout: null, units: null, up: null, spec: {}, rows: [],
     wasSending: false, calibrating: null, request: null, sessionId: null, ...kept,
   };
 }

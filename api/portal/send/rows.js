@@ -24,6 +24,7 @@ function timing(row, name, { label, empty, change, isLocked }) {
 
 function cameraField(row, sending, change, isLocked) {
   if (row.kind === "timestamps") return html`<span class="quiet">${SEND.timestamps}</span>`;
+  if (row.kind === "points") return html`<span class="quiet">${SEND.points}</span>`;
   if (row.kind === "array") return html`<span class="quiet">${SEND.allCameras}</span>`;
   if (sending.draft.calibrateFrom) return html`<span class="quiet">${stem(row.name)}</span>`;
   const names = sending.cameraNames;

@@ -10,9 +10,9 @@ import { characters, readCalibrations } from "../shared/resources.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
 import { calibrationPart } from "./calibration.js";
-import { MEASURED, findDoubled } from "./capture_plan.js";
+import { MEASURED, OF_CAMERAS, findDoubled } from "./capture_plan.js";
 import { choicesForm } from "./choices.js";
-import { ACCEPTED, droppedFiles } from "./files.js";
+import { ACCEPTED, AXES, droppedFiles } from "./files.js";
 import { fileTable, goPanel } from "./rows.js";
 import { sending } from "./sending.js";
 import { takes } from "./takes.js";
@@ -83,21 +83,31 @@ export function open(place) {
 
   // What the files do not say about their times.
   function timePart(isLocked) {
-    const { start, views, needsFrameRate, frameRate_hz: rate, hasPoints, layout } = sending.capture;
+    const { start, views, is3d, needsFrameRate, frameRate_hz: rate, hasPoints, layout, units, up } = sending.capture;
     if (views.length === 0) return nothing;
+    const rateField = (label, hint, isRequired) => html`<label class="field clock"><span>${label}</span>
+        <input type="number" class="number" min="1" max="1000" step="any" ?required=${isRequired} .value=${typed(rate)} ?disabled=${isLocked}
+          @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
+        <span class="quiet">${hint}</span></label>`;
+    const select = (label, name, chosen, values) => html`<label class="field clock"><span>${label}</span>
+        <select ?disabled=${isLocked} @change=${(event) => sending.assignDraft({ [name]: event.target.value || null })}>
+          ${values.map(([value, text]) => html`<option value=${value} .selected=${live(value === (chosen ?? ""))}>${text}</option>`)}</select></label>`;
+    if (is3d) {
+      const told = [["", SEND.pointsTell]];
+      return [
+        rateField(SEND.pointsRate, SEND.pointsRateHint, false),
+        select(SEND.calibration.unit, "units", units, [...told, ...SEND.calibration.units.slice(1)]),
+        select(SEND.calibration.up, "up", up, [...told, ["z", "Z"], ...AXES.slice(1)]),
+      ];
+    }
     const isVideo = views.some(({ kind }) => kind === "video");
     const [kind, label] = isVideo ? ["video", SEND.videosStart] : ["keypoints", SEND.camerasStart];
     const starts = [...SEND.starts[kind], [MEASURED, SEND.startUnknown[kind]]];
     return html`<div class="field clock"><span class="with-help"><label for="start">${label}</label>${helpLink("synchronization", label)}</span>
         <select id="start" ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
           ${starts.map(([name, label]) => html`<option value=${name} .selected=${live(name === start)}>${label}</option>`)}</select></div>
-      ${needsFrameRate ? html`<label class="field clock"><span>${SEND.rate}</span>
-        <input type="number" class="number" min="1" max="1000" step="any" required .value=${typed(rate)} ?disabled=${isLocked}
-          @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
-        <span class="quiet">${SEND.rateHint}</span></label>` : nothing}
-      ${hasPoints ? html`<label class="field clock"><span>${SEND.layout}</span>
-        <select ?disabled=${isLocked} @change=${(event) => { sending.draft.layout = event.target.value || null; sending.changed(); }}>
-          ${[null, ...LAYOUTS].map((name) => html`<option value=${name ?? ""} .selected=${live(name === layout)}>${name ?? SEND.layoutAuto}</option>`)}</select></label>` : nothing}`;
+      ${needsFrameRate ? rateField(SEND.rate, SEND.rateHint, true) : nothing}
+      ${hasPoints ? select(SEND.layout, "layout", layout, [["", SEND.layoutAuto], ...LAYOUTS.map((name) => [name, name])]) : nothing}`;
   }
 
   function filesPart(isLocked) {
@@ -133,6 +143,7 @@ export function open(place) {
 
   function page() {
     const { isLocked } = sending;
+    const { is3d, spec: chosenSpec } = sending.capture;
     return html`<form class="send" novalidate @submit=${(event) => { event.preventDefault(); send(); }}
         @dragover=${(event) => { event.preventDefault(); if (!isOver) { isOver = true; draw(); } }}
         @dragleave=${(event) => { if (!place.contains(event.relatedTarget)) { isOver = false; draw(); } }}
@@ -144,14 +155,14 @@ export function open(place) {
       <div class="steps">
         ${takesPanel(takes, failed)}
         ${filesPart(isLocked)}
-        <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
+        ${is3d ? nothing : html`<section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
           ${calibrationPart({ sending, stored, away, isLocked, choose: (id, name) => sending.chooseCalibration(id, name), readFile: (...chosen) => sending.readCalibration(...chosen) })}
-        </section>
+        </section>`}
         ${recentJobs(feed)}
       </div>
       <div class="side">
         <section class="panel" aria-label=${SEND.options}>
-          ${choicesForm({ id: "send", options: sending.options, spec: sending.capture.spec, onChange: spec, hidden: HIDDEN, valueNote })}
+          ${choicesForm({ id: "send", options: sending.options, spec: chosenSpec, onChange: spec, hidden: is3d ? OF_CAMERAS : HIDDEN, valueNote })}
         </section>
         ${goPanel({ sending, numTakes: takes.waiting.length, send, failed, change: () => place.querySelector("#choose-files").focus() })}
       </div>

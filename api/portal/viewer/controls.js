@@ -55,7 +55,7 @@ export function viewerTools(viewer) {
     el("div", { class: "look-bar", role: "group", "aria-label": VIEWER.range },
       mark(VIEWER.from, VIEWER.rangeFrom, () => player.setSpan({ from: player.frame })), mark(VIEWER.to, VIEWER.rangeTo, () => player.setSpan({ to: player.frame })), all, trim),
     viewer.fileRateHz === null || viewer.fileRateHz === rateHz ? null : rate,
-    viewer.wall === null ? null : layout,
+    viewer.wall === null || cameras.length === 0 ? null : layout,
     document.fullscreenEnabled ? iconButton("fill", VIEWER.fill, () => viewer.fillScreen()) : null,
     mark("?", VIEWER.keys, () => viewer.sheet.showModal()));
   return { element, showLayout: (value) => { layout.value = value; } };

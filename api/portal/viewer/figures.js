@@ -21,7 +21,7 @@ export class FigureTabs {
       { id: "people", label: FIGURES.tabs.people, element: peopleTable(description, player, strips.spots) },
       { id: "plots", label: FIGURES.tabs.plots, element: this.#plots.element, onshow: () => this.#plots.draw(true) },
       ...(gait ? [{ id: "gait", label: FIGURES.tabs.gait, element: gait }] : []),
-      { id: "cameras", label: FIGURES.tabs.cameras, element: camerasTable(description) },
+      ...(description.cameras.length ? [{ id: "cameras", label: FIGURES.tabs.cameras, element: camerasTable(description) }] : []),
       ...(clocks ? [{ id: "clocks", label: FIGURES.tabs.clocks, element: clocks }] : []),
       ...(warnings.length > 0 ? [{ id: "warnings", label: FIGURES.warnings(warnings.length), element: el("ul", { class: "look-warnings" }, warnings.map(({ message, code }) => el("li", {}, `${message} `, code ? moreLink(code) : null))) }] : []),
     ], tab);

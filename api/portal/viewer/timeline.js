@@ -127,7 +127,7 @@ export class Strips {
   }
 
   #legend() {
-    return el("ul", { class: "look-legend", "aria-label": VIEWER.colours }, LEGEND.map(([name, color]) => {
+    return el("ul", { class: "look-legend", "aria-label": VIEWER.colours }, LEGEND.filter(([name]) => name !== "cameras" || this.#description.cameras.length).map(([name, color]) => {
       const item = el("li", {}, el("span", { class: "look-swatch" }), VIEWER.legend[name]);
       item.style.setProperty("--tint", color);
       return item;
@@ -155,7 +155,7 @@ function paint(context, description, strips, person, limitPx) {
     const errorPx = bucketErrorPx(description, strips, bucket);
     if (!Number.isNaN(errorPx)) fill(context, bucket, top, BANDS.error, ramp("#2b4a45", "#f0e14a", errorPx / limitPx));
     top += BANDS.error + GAP;
-    fill(context, bucket, top, BANDS.cameras, ramp("#5b3f8f", "#4c9bd6", (strips.cameras[bucket] - 1) / Math.max(1, numCameras - 1)));
+    if (description.cameras.length) fill(context, bucket, top, BANDS.cameras, ramp("#5b3f8f", "#4c9bd6", (strips.cameras[bucket] - 1) / Math.max(1, numCameras - 1)));
     top += BANDS.cameras + GAP;
     fill(context, bucket, top, BANDS.identity, ramp("#e0529c", "#33403d", strips.identity[bucket] / 255));
   }

@@ -140,11 +140,11 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
     arrival = await run_in_threadpool(_with_calibration, records, arrival, sent.folder)
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if arrival.manifest:
-        errors.extend((_facts_of_videos if form.keypoints else _facts_of_keypoints)(arrival.manifest))
+        errors.extend(_misplaced_facts(arrival.manifest, form))
     preflight: Preflight | None = None
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
-    if not form.errors and form.files[form_kinds.CALIBRATION]:
+    if not form.errors and (form.points or form.files[form_kinds.CALIBRATION]):
         try:
             with _tracer.start_as_current_span("preflight"):
                 preflight = await services.checks.run(
@@ -161,7 +161,7 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
     if preflight:
         errors.extend(error_item(problem) for problem in limit_problems(preflight, services.settings))
     if arrival.spec and sent.kind.has_job:
-        limits = await run_in_threadpool(spec_limits, services, records, has_videos=not form.keypoints)
+        limits = await run_in_threadpool(spec_limits, services, records, has_videos=bool(form.videos))
         problems = await run_in_threadpool(check_spec, arrival.spec, preflight, limits)
         errors.extend(error_item(problem, (form_kinds.SPEC,)) for problem in problems)
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
@@ -365,15 +365,25 @@ def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
                 )
 
 
-def _facts_of_keypoints(manifest: Manifest) -> Iterator[ErrorItem]:
-    """Find what a manifest of videos states that is of keypoints alone."""
-    if manifest.layout is not None:
+def _misplaced_facts(manifest: Manifest, form: Form) -> Iterator[ErrorItem]:
+    """Find what a manifest states that belongs to other kinds of sessions."""
+    if form.keypoints:
+        yield from _facts_of_videos(manifest)
+    elif form.points:
+        for field in ("cameras", "layout", "pair_by_order"):
+            if getattr(manifest, field):
+                message, pointer = f"3D points have no cameras: omit {field}.", pointer_to(form_kinds.MANIFEST, field)
+                yield ErrorItem(code=request_codes.CAMERAS_OF_KEYPOINTS, message=message, pointer=pointer)
+    elif manifest.layout is not None:
         yield ErrorItem(
             code=KEYPOINTS_LAYOUT,
             message="A layout belongs to keypoints; detectors of videos have their own.",
             pointer=pointer_to(form_kinds.MANIFEST, "layout"),
             hint="Omit layout.",
         )
+    if manifest.names and not form.points:
+        pointer = pointer_to(form_kinds.MANIFEST, "names")
+        yield ErrorItem(code=KEYPOINTS_LAYOUT, message="A table of names belongs to 3D points.", pointer=pointer)
 
 
 def record_path_in(folder: Path) -> Path:
@@ -389,10 +399,12 @@ def preflight_arguments(form: Form, manifest: Manifest, max_joints: int) -> list
     arguments = [word for part, names in paths.items() for word in (f"--{part}", *names)]
     if manifest.units is not None:
         arguments.append(f"--units={manifest.units}")
-    if manifest.up != "z":
+    if manifest.up != "z" or (form.points and "up" in manifest.model_fields_set):
         arguments.append(f"--up={manifest.up}")
     if manifest.layout is not None:
         arguments.append(f"--layout={manifest.layout}")
+    if form.points and manifest.names:
+        arguments.append(f"--names={json.dumps(manifest.names)}")
     if manifest.clock != "declared":
         arguments.append(f"--clock={manifest.clock}")
     if manifest.cameras:
@@ -422,7 +434,9 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
 
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
-    if item.code == KEYPOINTS_LAYOUT:
+    if form.points and item.field in Manifest.model_fields:
+        return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, item.field)})
+    if item.code == KEYPOINTS_LAYOUT and not form.points:
         return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, "layout")})
     of_camera = [index for index, camera in enumerate(manifest.cameras) if camera.name == item.camera]
     if of_camera and ("recording" in item.code or item.field in _OF_CAMERA):

@@ -50,15 +50,15 @@ _S_PER_SENT_BYTE = 60 / 2**30
 
 def allowance_s(form: Form) -> float:
     """Time that the check of a form's files may take in addition to ``PreflightProgram.timeout_s``."""
-    views = (*form.videos, *form.keypoints)
+    views = (*form.videos, *form.keypoints, *form.points)
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
-    of_keypoints = sum(file.num_bytes for file in form.keypoints) * _S_PER_KEYPOINTS_BYTE
+    of_keypoints = sum(file.num_bytes for file in (*form.keypoints, *form.points)) * _S_PER_KEYPOINTS_BYTE
     return len(views) * _S_PER_FILE + of_videos + of_keypoints
 
 
 def further_wait_s(form: Form) -> float:
     """Further time that a form's files may wait for their check: about the time of sending them again."""
-    return sum(file.num_bytes for file in (*form.videos, *form.keypoints)) * _S_PER_SENT_BYTE
+    return sum(file.num_bytes for file in (*form.videos, *form.keypoints, *form.points)) * _S_PER_SENT_BYTE
 
 
 def character_wait_s(num_bytes: int) -> float:

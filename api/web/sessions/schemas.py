@@ -125,8 +125,8 @@ class Manifest(BaseModel):
         ge=1.0,
         le=1000.0,
         allow_inf_nan=False,
-        description="Frame rate of keypoints without timestamps, which need one; or of images in place of videos, "
-        "which need one unless their cameras have a `rate`.",
+        description="Frame rate of keypoints without timestamps, or of 3D points without times, which need one; or of "
+        "images in place of videos, which need one unless their cameras have a `rate`.",
     )
     cameras: tuple[CameraManifest, ...] = Field(
         default=(),
@@ -150,7 +150,13 @@ class Manifest(BaseModel):
     up: Up = Field(
         default="z",
         description="Axis of the calibration that points up, after the turn that its format needs by itself: the world "
-        "is turned so that it becomes Z.",
+        "is turned so that it becomes Z. Of 3D points the people tell it unless it is stated.",
+    )
+    names: dict[str, str] = Field(
+        default={},
+        max_length=1000,
+        description="Of 3D points: joints, such as `left_knee`, by names of points that the formats do not define.",
+        examples=[{"Knie links": "left_knee"}],
     )
     layout: Layout | None = Field(
         default=None,
@@ -187,6 +193,9 @@ class UploadedSession(form_kinds.UploadedFootage):
         description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
         "the camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras.",
     )
+    points: tuple[UUID, ...] = Field(
+        default=(), description="Uploads of 3D points of people at one time, in place of all other files."
+    )
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
     calibration_id: UUID | None = Field(
         default=None, description="Id of a stored calibration, in place of `calibration`.", examples=[ID]
@@ -206,8 +215,8 @@ class UploadedSession(form_kinds.UploadedFootage):
     def uploads(self) -> list[tuple[str, UUID]]:
         """Part of the form and id of each upload."""
         single = (("calibration", self.calibration), ("timestamps", self.timestamps))
-        keypoints = [("keypoints", upload) for upload in self.keypoints]
-        return [*super().uploads(), *keypoints, *((part, upload) for part, upload in single if upload is not None)]
+        several = [(part, upload) for part in ("keypoints", "points") for upload in getattr(self, part)]
+        return [*super().uploads(), *several, *((part, upload) for part, upload in single if upload is not None)]
 
     def named(self) -> Iterable[str]:
         """Names of the form's documents that the fields stand for."""
@@ -229,7 +238,8 @@ class FileOut(ResponseModel):
 
     name: str = Field(description="Name of the file.", examples=["cam_0.mp4"])
     kind: str = Field(
-        description="Kind of the file: `video`, `keypoints`, `calibration` or `timestamps`.", examples=["video"]
+        description="Kind of the file: `video`, `keypoints`, `points`, `calibration` or `timestamps`.",
+        examples=["video"],
     )
     num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.", examples=[SHA256])
@@ -436,6 +446,10 @@ class SessionPage(ResponseModel):
 
 
 def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]]:
+    if counts[form_kinds.POINTS]:
+        for part in counts.keys() - {form_kinds.POINTS, form_kinds.MANIFEST, form_kinds.SPEC}:
+            yield PART_NOT_ALLOWED, "A session of 3D points has no such part.", part
+        return
     if not any(counts[part] for part in form_kinds.VIEWS):
         yield MISSING_PART, "There are no videos and no keypoints: a session needs either.", form_kinds.VIDEOS
     if not counts[form_kinds.CALIBRATION] and not counts[form_kinds.CALIBRATION_ID]:
@@ -454,6 +468,8 @@ _PARTS: Mapping[str, str] = {
     form_kinds.KEYPOINTS: "Keypoints in place of videos: for each camera a zip of its keypoint files, named as the "
     "camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras, which `pair_by_order` of the "
     "manifest pairs with the cameras.",
+    form_kinds.POINTS: "3D points of people at one time, in place of all other files: TRC, C3D, BVH, CSV, NetCDF, NPY "
+    "or JSON; or a zip of a JSON file a frame.",
     form_kinds.CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
     form_kinds.TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
 }

@@ -115,7 +115,7 @@ def _proxy(records: TenantRecords, session: Session, number: int) -> Download:
 def _copy(session: Session, number: int, copy: Result | None, message: str, *, hint: str, remedy: str) -> Download:
     """Copy of the video of a camera for players; raises ``ApiError`` with the message and the hint without one."""
     if not has_videos(session):
-        raise NotFound("The capture has keypoints, and no videos.")
+        raise NotFound("The capture has no videos.")
     if copy is None:
         raise ApiError(NOT_FINISHED, message, hint=hint)
     file = session.preflight.cameras[number].file

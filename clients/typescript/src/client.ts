@@ -22,6 +22,8 @@ export type Result = Schemas["ResultOut"];
 /** Job, or its id alone. */
 export type JobReference = Pick<Job, "id">;
 
+type Files = Pick<Schemas["UploadedCapture"], "videos" | "calibration" | "points">;
+
 export interface SubmitOptions {
   /** Facts about the capture beside its name. */
   manifest?: Omit<Manifest, "name">;
@@ -89,13 +91,31 @@ export class Client {
    * @throws {@link ServiceError} with all problems of all files if the service refuses them.
    */
   async submit(name: string, videos: readonly Source[], calibration: Source, spec: JobSpec = {}, options: SubmitOptions = {}): Promise<Job> {
+    const isLink = (source: Source) => typeof source === "string" && /^https?:\/\//.test(source);
+    const sources = [...videos, calibration];
+    return this.#submit(name, sources.filter((source) => !isLink(source)), spec, options, (ids) => {
+      const uploads = ids.values();
+      const all = sources.map((source) => (isLink(source) ? (source as string) : uploads.next().value!));
+      return { videos: all.slice(0, -1), calibration: all.at(-1)! };
+    });
+  }
+
+  /**
+   * Send 3D points that another system has located, and have skeletons solved.
+   *
+   * @param points - TRC, C3D, BVH, CSV, NetCDF, NPY or 3D JSON, of people at one time.
+   * @param options - The manifest may have `frame_rate_hz`, `units`, `up` and `names`.
+   * @throws {@link ServiceError} with all problems of all files if the service refuses them.
+   */
+  async submitPoints(name: string, points: readonly Source[], spec: JobSpec = {}, options: SubmitOptions = {}): Promise<Job> {
+    return this.#submit(name, points, spec, options, (ids) => ({ points: [...ids] }));
+  }
+
+  async #submit(name: string, sources: readonly Source[], spec: JobSpec, options: SubmitOptions, files: (ids: string[]) => Files): Promise<Job> {
     const { manifest, signal } = options;
     const request = { ...this.#uploads, ...options };
-    const isLink = (source: Source) => typeof source === "string" && /^https?:\/\//.test(source);
-    const ids = await uploadAll([...videos.filter((video) => !isLink(video)), calibration], request);
-    const uploads = ids.values();
-    const all = [...videos, calibration].map((source) => (isLink(source) ? (source as string) : uploads.next().value!));
-    const body = { videos: all.slice(0, -1), calibration: all.at(-1)!, manifest: { ...manifest, name }, spec };
+    const ids = await uploadAll(sources, request);
+    const body = { ...files(ids), manifest: { ...manifest, name }, spec };
     try {
       const { data } = await this.api.POST("/v1/jobs/from-uploads", { body, ...(signal && { signal }) });
       return data!;

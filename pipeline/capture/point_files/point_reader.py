@@ -1,7 +1,7 @@
 """Declaration of a reader of 3D points, and the table that it gives."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ class PointTable:
     unit: str | None = None  # m, cm or mm; for others the people tell it
     up: Up = "z"  # Axis that usually points up, which standing people confirm
     start_s: float = 0.0
+    # Orientations of segments by label (``SEGMENT_LABELS`` of the joint angles) in the file's axes; NaN where unknown
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,6 +55,9 @@ class Track3D:
     # Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
     # uncertainty was computed.
     uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
+    # Orientations of the segments of ``pipeline.motion.angles.definitions`` that a file of 3D points states, NaN where
+    # it states none. ``None``: no orientation is stated.
+    world_from_segment: Float[np.ndarray, "frames segments 3 3"] | None = None
 
     __repr__ = short_text
 
@@ -71,7 +74,7 @@ class Track3D:
     @property
     def joint_arrays(self) -> dict[str, np.ndarray]:
         """All arrays by name, a row a frame."""
-        names = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m")
+        names = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m", "world_from_segment")
         return {name: array for name in names if (array := getattr(self, name)) is not None}
 
     def part(self, rows: slice) -> "Track3D":

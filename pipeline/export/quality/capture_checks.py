@@ -132,7 +132,7 @@ def capture_checks(
 
 
 def _check_rig(names: list[str]) -> Iterator[tuple[Code, str]]:
-    if len(names) < _MIN_VIEWS:
+    if 0 < len(names) < _MIN_VIEWS:
         yield (
             finding_codes.TOO_FEW_CAMERAS,
             f"The capture has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",

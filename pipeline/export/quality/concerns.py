@@ -159,7 +159,7 @@ def _exchanged(located: Track3D, joints: JointSet, rate_hz: float) -> Iterator[C
 def _unseen(
     track: Track3D, sees: Bool[np.ndarray, "frames cameras"], joints: JointSet, rate_hz: float
 ) -> Iterator[Concern]:
-    is_alone = sees.sum(1) < 2
+    is_alone = (sees.sum(1) < 2) & (sees.shape[1] > 0)  # 3D points have no cameras
     ends: list[tuple[str | None, np.ndarray, float]] = [(None, is_alone, 0.7)]
     for name in _ENDS:
         if name in joints.names:

@@ -21,7 +21,6 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -34,26 +33,9 @@ from pipeline.core.joints import JointSet
 from pipeline.export.timelines import frame_blocks, unknown_outside
 from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
 from pipeline.motion.angles.compute import observed
-from pipeline.motion.angles.definitions import SEGMENTS
+from pipeline.motion.angles.definitions import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
 from pipeline.motion.skeleton.model import INDEX, posed_joints
-
-_TRUNK = {"pelvis": "pelvis", "thorax": "torso", "head": "head"}
-_LIMBS = {
-    "thigh": "thigh",
-    "shank": "shank",
-    "foot": "foot",
-    "upper_arm": "uarm",
-    "forearm": "larm",
-    "hand": "hand",
-}
-SEGMENT_LABELS: Mapping[str, str] = MappingProxyType(
-    {name: f"{label}_4X4" for name, label in _TRUNK.items()}
-    | {f"{side}_{name}": f"{side[0]}_{label}_4X4" for side in ("left", "right") for name, label in _LIMBS.items()}
-)
-"""Labels of the segments by their names in ``pipeline.motion.angles.definitions``."""
-# Columns of Visual3D's axes among ISB's axes: right, front, up.
-_RIGHT_FRONT_UP = [2, 0, 1]
 
 
 def segment_poses(motion: SkeletonMotion, rows: slice) -> Float[np.ndarray, "frames segments 4 4"]:
@@ -64,7 +46,7 @@ def segment_poses(motion: SkeletonMotion, rows: slice) -> Float[np.ndarray, "fra
     for number, name in enumerate(SEGMENT_LABELS):
         segment = SEGMENTS[name]
         joint = INDEX[segment.joint]
-        poses[:, number, :3, :3] = (world_from_joint[joint] @ segment.rest_from_segment)[..., _RIGHT_FRONT_UP]
+        poses[:, number, :3, :3] = (world_from_joint[joint] @ segment.rest_from_segment)[..., RIGHT_FRONT_UP]
         poses[:, number, :3, 3] = positions_m[:, joint]
     poses[..., 3, 3] = 1.0
     return poses

@@ -154,7 +154,16 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
         if fingers:
             source = track.source[:, joints.indices(tuple(fingers))]
             by_segment[name] &= np.isin(source, (Source.MEASURED, Source.INTERPOLATED)).any(1)
+    for name in definitions.SEGMENTS:
+        by_segment[name] |= is_stated(name, track)
     return by_segment
+
+
+def is_stated(name: str, track: Track3D) -> Bool[np.ndarray, " frames"]:
+    """Frames in which the file of a track states the orientation of a segment."""
+    if track.world_from_segment is None:
+        return np.zeros(track.num_frames, bool)
+    return np.isfinite(track.world_from_segment[:, list(definitions.SEGMENTS).index(name)]).all((-1, -2))
 
 
 def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " frames"]:
@@ -164,9 +173,10 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
     """
     segment = definitions.SEGMENTS[name]
     if not _has_landmarks(segment, joints):
-        return np.zeros(track.num_frames, bool)
+        return is_stated(name, track)
     along, aside = (unit(vector_m(weights, track, joints)) for weights in (segment.primary, segment.secondary))
-    return np.linalg.norm(np.cross(along, aside), axis=-1) > _STRAIGHT_SINE
+    is_seen = np.linalg.norm(np.cross(along, aside), axis=-1) > _STRAIGHT_SINE
+    return np.asarray(is_seen | is_stated(name, track))
 
 
 def _proximal_from_distal(

@@ -225,6 +225,23 @@ SEGMENTS: Mapping[str, BodySegment] = MappingProxyType(
 )
 """Segments by name; names of limbs begin with the side."""
 
+_TRUNK = {"pelvis": "pelvis", "thorax": "torso", "head": "head"}
+_LIMBS = {
+    "thigh": "thigh",
+    "shank": "shank",
+    "foot": "foot",
+    "upper_arm": "uarm",
+    "forearm": "larm",
+    "hand": "hand",
+}
+SEGMENT_LABELS: Mapping[str, str] = MappingProxyType(
+    {name: f"{label}_4X4" for name, label in _TRUNK.items()}
+    | {f"{side}_{name}": f"{side[0]}_{label}_4X4" for side in ("left", "right") for name, label in _LIMBS.items()}
+)
+"""Labels of the segments in the group ROTATION of C3D files, as Theia3D writes them, by name."""
+RIGHT_FRONT_UP = [2, 0, 1]
+"""Columns of the axes in such files among a segment's axes: right, front, up."""
+
 
 def joint_sides(joint: AngleJoint) -> tuple[str | None, ...]:
     """Sides on which there is a joint; ``None`` for a joint of the trunk."""

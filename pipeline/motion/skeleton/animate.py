@@ -15,6 +15,7 @@ from pipeline.motion.skeleton.feet.floor import shared_floor
 from pipeline.motion.skeleton.feet.stances import FootPoints, foot_contacts, foot_points, hold_feet
 from pipeline.motion.skeleton.fitting.fit import FitState, SkeletonFit, fit_to_rays, follow
 from pipeline.motion.skeleton.hands import whole
+from pipeline.motion.skeleton.stated_turns import turned_as_stated
 from pipeline.motion.skeleton.time_series import smooth_track
 
 # Shares of the computing time: of the fit, positions and skeleton motion; then holding feet, positions from the motion.
@@ -140,7 +141,7 @@ class PersonFitter:
         followed = follow(fit, motion, body_seen, self.cameras, on_followed) if self._by_rays else fit.track
         if whole.has_fingers(self.joints):
             motion, followed = self._with_hands(motion, followed, track, seen, fit.has_torso)
-        return followed, motion
+        return followed, turned_as_stated(motion, followed)
 
     @property
     def _body(self) -> JointSet:

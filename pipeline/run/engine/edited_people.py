@@ -231,7 +231,6 @@ def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
     (num_joints,) = {part.xyz_m.shape[1] for part in parts}
     num_frames = person.stop_frame - person.start_frame
     shape = num_frames, num_joints
-    has_uncertainty = any(part.uncertainty_m is not None for part in parts)
     arrays: dict[str, np.ndarray] = {
         "xyz_m": np.full((*shape, 3), np.nan),
         "score": np.zeros(shape),
@@ -239,8 +238,10 @@ def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
         "error_px": np.full(shape, np.nan),
         "views": np.zeros(shape, parts[0].views.dtype),
     }
-    if has_uncertainty:
-        arrays["uncertainty_m"] = np.full(shape, np.nan)
+    for name in ("uncertainty_m", "world_from_segment"):
+        stated = next((values for part in parts if (values := getattr(part, name)) is not None), None)
+        if stated is not None:
+            arrays[name] = np.full((num_frames, *stated.shape[1:]), np.nan)
     for rows, own_rows, part in _places(person, parts):
         for name, array in arrays.items():
             values = getattr(part, name)

@@ -17,7 +17,7 @@ from typing import BinaryIO, Literal
 
 from api.web.errors import ApiError, ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
-from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, VIDEOS, VIEWS, FormKind
+from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, POINTS, VIDEOS, VIEWS, FormKind
 from pipeline.capture.parts import group_parts
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
@@ -33,6 +33,7 @@ _TOO_MANY = {
     VIDEOS: request_codes.TOO_MANY_VIDEOS,
     IMAGES: request_codes.TOO_MANY_IMAGES,
     KEYPOINTS: request_codes.TOO_MANY_KEYPOINTS,
+    POINTS: request_codes.TOO_MANY_KEYPOINTS,
 }
 _TOO_LARGE = {
     "file": request_codes.FILE_TOO_LARGE,
@@ -97,6 +98,11 @@ class Form:
         """Archives of keypoints, one for each camera."""
         return self.files.get(KEYPOINTS, ())
 
+    @property
+    def points(self) -> tuple[ReceivedFile, ...]:
+        """Files of 3D points."""
+        return self.files.get(POINTS, ())
+
     def pointers(self) -> dict[str, ReceivedFile]:
         """Files by their JSON pointers."""
         return {
@@ -134,7 +140,7 @@ class Parts:
         self._kind = kind
         self._places = places
         limit_of = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
-        limit_of |= {CHARACTER: limits.max_character_bytes}
+        limit_of |= {CHARACTER: limits.max_character_bytes, POINTS: limits.max_keypoints_bytes}
         self._max_file_bytes = {part: limit_of.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)

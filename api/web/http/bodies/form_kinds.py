@@ -11,9 +11,9 @@ from api.web.contract.schemas import SourceUrl
 from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
-INTRINSICS, IMAGES, CHARACTER = "intrinsics", "images", "character"
-VIEWS = (VIDEOS, KEYPOINTS, IMAGES)
-"""Parts with a file for each camera; the other parts have one file."""
+INTRINSICS, IMAGES, CHARACTER, POINTS = "intrinsics", "images", "character", "points"
+VIEWS = (VIDEOS, KEYPOINTS, IMAGES, POINTS)
+"""Parts with a file for each camera, or several of 3D points; the other parts have one file."""
 
 MANIFEST, SPEC = "manifest", "spec"
 

@@ -1,4 +1,4 @@
-"""Reader of C3D files by ezc3d: points, and origins of segments in the group ROTATION, as Theia and we write them."""
+"""Reader of C3D files by ezc3d: points, and poses of segments in the group ROTATION, as Theia and we write them."""
 
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,14 @@ def read_c3d(path: Path) -> PointTable:
     names = [label for key in sorted(points) if key.startswith("LABELS") for label in points[key]["value"]]
     rate_hz = float(facts["frame_rate"])
     rotations = data.get("rotations", np.zeros((4, 4, 0, 0)))
+    turns: dict[str, np.ndarray] = {}
     if rotations.size:
         origins = rotations[:3, 3].transpose(2, 1, 0)
         labels = file["parameters"]["ROTATION"]["LABELS"]["value"]
         ratio = max(1, len(origins) // max(1, len(xyz)))
+        turns = dict(zip(labels, rotations[:3, :3, :, ::ratio].transpose(2, 3, 0, 1), strict=False))
         xyz = np.concatenate([xyz, origins[::ratio]], axis=1) if len(xyz) else origins
         names = [*names[: xyz.shape[1] - len(labels)], *labels]
     unit = next(iter(points.get("UNITS", {}).get("value", [])), "mm").strip().lower()
     start_s = facts["first_frame"] / rate_hz
-    return PointTable(tuple(names[: xyz.shape[1]]), xyz, rate_hz, unit, "z", start_s)
+    return PointTable(tuple(names[: xyz.shape[1]]), xyz, rate_hz, unit, "z", start_s, turns)

@@ -10,6 +10,7 @@ import ezc3d
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from multicap import (
     InputError,
@@ -21,10 +22,12 @@ from multicap import (
     reconstruct_to_files,
 )
 from pipeline.capture.point_files.point_names import find_joints, hip_centers_m
-from pipeline.capture.point_files.read_points import answer, point_readers
+from pipeline.capture.point_files.read_points import answer, nearest_rotations, point_readers
 from pipeline.capture.points import read_names
+from pipeline.capture.preflight_npz import decode_points, encode_points
 from pipeline.core.runtime.npz import decode_arrays
-from pipeline.export.writers.c3d_file import SEGMENT_LABELS
+from pipeline.motion.angles.compute import joint_angles, segments_from
+from pipeline.motion.angles.definitions import ANGLE_NAMES, RIGHT_FRONT_UP, SEGMENT_LABELS
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
@@ -306,3 +309,43 @@ def test_mutated_binary_files_give_points_or_a_sentence(take: Path, tmp_path: Pa
         damaged.write_bytes(mutated(whole, random))
         with contextlib.suppress(InputError):  # any other exception fails the test
             Session.from_files([damaged])
+
+
+def test_rotations_of_c3d_are_the_skeletons(take: Path, tmp_path: Path) -> None:
+    """Bones have the orientations that the file states, within 0.1 degrees, also where points alone tell others."""
+    file = ezc3d.c3d(str(take / "person-1.c3d"))
+    turn = Rotation.from_euler("XYZ", [5.0, -4.0, 3.0], degrees=True).as_matrix()
+    rotations = file["data"]["rotations"]
+    rotations[:3, :3] = np.einsum("ijsf,jk->iksf", rotations[:3, :3], turn)
+    rotations[:, :, list(SEGMENT_LABELS).index("head")] = 0.0
+    file.write(str(tmp_path / "turned.c3d"))
+    session = Session.from_files([tmp_path / "turned.c3d"])
+    solved = reconstruct(session)
+    found = segments_from(solved.motions[0])
+    for number, name in enumerate(SEGMENT_LABELS):
+        if name != "head":
+            stated = rotations[:3, :3, number].transpose(2, 0, 1)[..., np.argsort(RIGHT_FRONT_UP)]
+            between = Rotation.from_matrix(np.swapaxes(found[name], 1, 2) @ stated).magnitude()
+            assert np.degrees(between).max() < 0.1, name
+    angles = joint_angles(solved.motions[0], solved.tracks[0], session.joints, has_sigmas=False).angle_deg
+    assert np.isfinite(angles[:, ANGLE_NAMES.index("left_hip_rotation")]).all()
+    hips_m = forward_kinematics(solved.motions[0])[:, INDEX["Hips"]]
+    middle_m = np.mean([located_m(session)[f"{side}_hip"][0] for side in ("left", "right")], axis=0)
+    np.testing.assert_allclose(hips_m, middle_m, atol=0.05)
+
+
+def test_record_of_service_keeps_the_session(take: Path) -> None:
+    session = Session.from_files([take / "person-1.c3d"])
+    again = decode_points(encode_points(session))
+    assert (again.timebase, again.joints, again.findings) == (session.timebase, session.joints, session.findings)
+    for name, array in session.people[0].joint_arrays.items():
+        np.testing.assert_array_equal(getattr(again.people[0], name), array, err_msg=name)
+    assert "world_from_segment" in session.people[0].joint_arrays
+
+
+def test_matrices_that_are_no_rotations_are_unknown() -> None:
+    matrices = np.stack(
+        [np.eye(3), np.diag([1.0, 1.0, -1.0]), 1.1 * np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan)]
+    )
+    known = np.isfinite(nearest_rotations(matrices, 6)).all((1, 2))
+    assert known.tolist() == [True, False, False, False, False, False]
