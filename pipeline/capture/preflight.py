@@ -10,8 +10,8 @@ cameras against each other and a few pictures of each video, for ``--pictures-s 
 in the folder as ``thumbnail_name`` says.
 
 With a calibration alone it checks that, and prints what it contains; with ``--scene`` it makes the calibration, with
-the lenses of ``--intrinsics`` if they are given. ``--videos`` without ``--calibration``, or with ``--intrinsics`` in its
-place, belong to a calibration that is to be made.
+the lenses of ``--intrinsics`` if they are given. ``--videos`` without ``--calibration``, or with ``--intrinsics`` in
+its place, belong to a calibration that is to be made.
 """
 
 import argparse
