@@ -18,7 +18,7 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, require_tag
 from pipeline.core.errors import InputError
 from pipeline.core.options.edited_take import EditedPerson, EditOutcome, apply_edits, place_edits, require_places
-from pipeline.core.options.edits import MAX_EDITS, PeopleEdit, PersonSpan
+from pipeline.core.options.edits import MAX_EDITS, PeopleEdit, PersonSpan, Sex
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
 from worker.run.planning import plan_remake
@@ -82,6 +82,8 @@ class EditedPersonOut(ResponseModel):
     id: int = Field(description="Number of the person, as in the names of the result files.")
     name: str = Field(description="Name of the person.", examples=["Anna"])
     pieces: tuple[PieceOut, ...] = Field(description="Frames of the people before any edit.")
+    sex: Sex | None = Field(default=None, description="Sex that was stated; null: as the choices of the job.")
+    mass_kg: float | None = Field(default=None, description="Mass that was stated; null: as the choices of the job.")
 
     @classmethod
     def from_person(cls, person: EditedPerson, first_frame: int) -> Self:
@@ -94,7 +96,10 @@ class EditedPersonOut(ResponseModel):
             )
             for piece in person.pieces
         )
-        return cls(id=person.id, name=person.name or f"person-{person.id}", pieces=pieces)
+        stated = person.described
+        sex, mass_kg = (None, None) if stated is None else (stated.sex, stated.mass_kg)
+        name = person.name or f"person-{person.id}"
+        return cls(id=person.id, name=name, pieces=pieces, sex=sex, mass_kg=mass_kg)
 
 
 class EditProblemOut(ResponseModel):

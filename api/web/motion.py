@@ -97,6 +97,9 @@ class MotionPerson(ResponseModel):
         default=(),
         description="Jumps, squats, sitting down and standing up, as `people[].movements` of `metrics.json`.",
     )
+    mass_weights: tuple[float, ...] | None = Field(
+        default=None, description="Weights of the joints in the centre of mass; null if joints of the body are missing."
+    )
 
 
 class MotionPose(ResponseModel):
@@ -179,9 +182,6 @@ class MotionDescription(ResponseModel):
     )
     bones: tuple[tuple[str, str], ...] = Field(
         description="Pairs of joints, for drawing.", examples=[[["nose", "left_eye"]]]
-    )
-    mass_weights: tuple[float, ...] | None = Field(
-        default=None, description="Weights of the joints in the centre of mass; null if joints of the body are missing."
     )
     skeleton: MotionSkeleton
     angle_names: tuple[str, ...] = Field(

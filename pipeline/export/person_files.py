@@ -61,7 +61,8 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
     for track, motion in zip(take.tracks, take.motions, strict=True):
         frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
-        of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, take.subject
+        subject = take.subject_of(track.track_id)
+        of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
         yield PersonOfTake(track, motion, *of_take)
 
 

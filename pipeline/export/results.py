@@ -300,7 +300,7 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
     for track, motion in zip(take.tracks, take.motions, strict=True):
         gait = analyse_gait(track, take.joints, take.timebase.frame_rate_hz)
         tables = [(kind, [content]) for kind, content in gait_tables(gait, take.timebase)]
-        if (balance := balance_of(motion, track, take.joints, take.subject)) is not None:
+        if (balance := balance_of(motion, track, take.joints, take.subject_of(track.track_id))) is not None:
             tables.append((BALANCE, list(balance_table(balance, take.timebase))))
         yield from ((folder / f"person-{track.track_id}.{kind}.csv", pieces) for kind, pieces in tables)
 

@@ -64,7 +64,7 @@ export function viewerTools(viewer) {
 // Controls over the 3D view: what is shown, from where, and the keys.
 
 const DIRECTIONS = [["fit", null], ["top", "top"], ["front", "front"], ["side", "side"]];
-const LAYERS = [["body", true], ["skeleton", false], ["trails", true], ["contacts", true], ["cameras", true], ["names", true]];
+const LAYERS = [["body", true], ["skeleton", false], ["trails", true], ["contacts", true], ["mass", false], ["cameras", true], ["names", true]];
 
 /** `onoptions` is called with what is to be shown whenever that changes; `shapes` is the choice of what people look like. */
 export function viewControls(viewer, shapes, onoptions) {

@@ -73,6 +73,8 @@ class Reconstruction:
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
         Cameras that are right have the number 0.
+    subjects
+        Table of segments, sex and mass of people, by number, of whom others are stated than in ``subject``.
 
     Examples
     --------
@@ -103,6 +105,11 @@ class Reconstruction:
     is_emptied: bool = False
     subject: Subject = field(default_factory=Subject)
     accepted: Mapping[int, Sequence[Accept]] = field(default_factory=dict)
+    subjects: Mapping[int, Subject] = field(default_factory=dict)
+
+    def subject_of(self, person: int) -> Subject:
+        """Sex and mass of a person, by number, and the table of segments."""
+        return self.subjects.get(person, self.subject)
 
     @property
     def tracks(self) -> tuple[Track3D, ...]:

@@ -13,13 +13,16 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.edit_pieces import Piece, chained, joined, piece_at, united, within
 from pipeline.core.options.edits import (
     CAMERA_KINDS,
+    LEAST_MASS_KG,
     MAX_DISTANCE_M,
     MAX_KEY_M,
     MAX_NAME_LENGTH,
     MAX_PIECES,
+    MOST_MASS_KG,
     Accept,
     Correction,
     Cut,
+    Describe,
     Exchange,
     KeyJoint,
     Merge,
@@ -55,6 +58,7 @@ class EditedPerson:
     id: int
     pieces: tuple[Piece, ...]  # Frames of people of the run, ascending, without overlaps, at least one
     name: str | None = None  # Name that was given; ``None``: none was
+    described: Describe | None = None  # Sex and mass that were stated; its ``person`` is 0
     # Corrections of the person, and places that are right; frames are numbered from the run's first frame
     corrections: tuple[Correction, ...] = ()
     accepted: tuple[Accept, ...] = ()
@@ -237,6 +241,9 @@ class _Take:
             if (edit.camera is not None, edit.person is not None) != (of_camera, not of_camera):
                 named, other = ("camera", "person") if of_camera else ("person", "camera")
                 self._refuse(named, f"{edit.kind} is about a {named}.", f"Name a {named}, and no {other}.")
+        if isinstance(edit, Describe) and not LEAST_MASS_KG <= (edit.mass_kg or LEAST_MASS_KG) <= MOST_MASS_KG:
+            message = f"A mass is {LEAST_MASS_KG:g} to {MOST_MASS_KG:g} kg."
+            self._refuse("mass_kg", message, "State it in kilograms, or null.")
         return replace(edit, name=self._normalized(edit.name)) if isinstance(edit, Rename) else edit
 
     def apply(self, edit: PeopleEdit) -> None:
@@ -246,6 +253,9 @@ class _Take:
                 renamed = self._person(person)
                 self._require_free(renamed, name)
                 self.people[renamed.id] = replace(renamed, name=name)
+            case Describe(person=person) as description:
+                described = self._person(person)
+                self.people[described.id] = replace(described, described=replace(description, person=0))
             case Remove(person=person):
                 del self.people[self._person(person).id]
             case Merge(person=person, other=other):
@@ -379,7 +389,9 @@ class _Take:
         pieces = joined(united(kept.pieces, added.pieces))
         self._limit_pieces(len(pieces) - len(kept.pieces) - len(added.pieces))
         del self.people[added.id]
-        self.people[kept.id] = replace(kept, pieces=pieces, name=kept.name or added.name)
+        self.people[kept.id] = replace(
+            kept, pieces=pieces, name=kept.name or added.name, described=kept.described or added.described
+        )
 
     def _split(self, person: EditedPerson, session_frame: int, is_placed: bool) -> None:
         frame = session_frame - self.frames.start

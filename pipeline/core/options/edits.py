@@ -24,6 +24,7 @@ MAX_PIECES = 2000
 MAX_DISTANCE_M = 0.5
 """Largest distance between the place in an edit and the person who is meant."""
 
+LEAST_MASS_KG, MOST_MASS_KG = 1.0, 500.0
 MAX_KEY_M = 2.0
 """Largest distance of a key from the middle of the person."""
 
@@ -185,6 +186,8 @@ class PlaceDetection(_Correction):
 
 Sides = Literal["arms", "legs", "all"]
 """Joints of both sides that are exchanged."""
+Sex = Literal["female", "male", "unstated"]
+"""Sex whose masses of segments a person has; unstated: the mean of both."""
 Limb = Literal["left_hand", "right_hand", "left_foot", "right_foot"]
 """Hand or foot that touches the floor."""
 
@@ -249,9 +252,19 @@ class Accept(_Correction):
     stop_frame: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Describe(_Correction):
+    """State a person's sex and mass, for masses of segments and momenta; null: as the choices of the job."""
+
+    action: Literal["describe"] = "describe"
+    person: Named
+    sex: Sex | None = None
+    mass_kg: float | None = None
+
+
 Correction = KeyJoint | IgnoreDetections | PlaceDetection | ExchangeSides | Contact
 """A correction of a person's joints."""
-PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut | Correction | Accept
+PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut | Correction | Accept | Describe
 """An edit of people. All frames are frames of the session."""
 
 _BY_ACTION: Mapping[str, type[PeopleEdit]] = {str(fields(kind)[0].default): kind for kind in get_args(PeopleEdit)}
@@ -265,8 +278,8 @@ def frames_of(correction: Correction | Accept) -> tuple[int, int]:
 
 
 def of_motion(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
-    """Edits that say who is where, and corrections of joints; not people's names, and not what was looked at."""
-    return tuple(edit for edit in edits if not isinstance(edit, Rename | Accept))
+    """Edits that say who is where, and corrections of joints; not people's names, masses, and what was looked at."""
+    return tuple(edit for edit in edits if not isinstance(edit, Rename | Accept | Describe))
 
 
 def without_names(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:

@@ -85,7 +85,7 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
     }
     balances = {
         motion.track_id: balance_document(
-            balance_of(motion, whole_tracks[motion.track_id], joints, reconstruction.subject)
+            balance_of(motion, whole_tracks[motion.track_id], joints, reconstruction.subject_of(motion.track_id))
         )
         for motion in reconstruction.motions
     }

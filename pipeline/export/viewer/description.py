@@ -163,7 +163,6 @@ class ViewerMotion:
         """Encode ``motion.json`` as strict JSON. All pieces of ``encode`` must have been taken before."""
         take = self._take
         places = [joint.name for joint in self._skeleton]
-        masses = segment_masses(take.subject, take.joints)
         document = {
             "schema_version": SCHEMA_VERSION,
             "frame_rate_hz": take.timebase.frame_rate_hz,
@@ -173,8 +172,6 @@ class ViewerMotion:
             "first_source_frame": take.timebase.first_source_frame,
             "joint_names": take.joints.names,
             "bones": take.joints.bones,
-            # Weights of the joints in the centre of mass; offsets of segments' centres beside their lines are left out.
-            "mass_weights": None if masses is None else masses.weights.round(5).tolist(),
             "skeleton": {
                 "names": places,
                 "parents": [None if joint.parent is None else places.index(joint.parent) for joint in self._skeleton],
@@ -225,6 +222,7 @@ class ViewerMotion:
         for track, motion, step_m in zip(self._take.tracks, self._take.motions, self._steps_m, strict=True):
             red, green, blue = color_rgb(track.track_id)
             of_person = figures[track.track_id]
+            masses = segment_masses(self._take.subject_of(track.track_id), self._take.joints)
             yield {
                 "id": track.track_id,
                 "name": motion.name,
@@ -247,6 +245,8 @@ class ViewerMotion:
                     ]
                     for contact in motion.contacts
                 ],
+                # Weights of the joints in the centre of mass, without offsets of segments' centres from their lines.
+                "mass_weights": None if masses is None else masses.weights.round(5).tolist(),
                 "gait": of_person["gait"],
                 "movements": of_person["movements"],
                 "body": None if self._shapes is None else describe_shape(self._shapes, motion, floor),

@@ -10,6 +10,7 @@ from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.findings import SessionCheck
+from pipeline.core.options.edited_take import EditedPerson
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
@@ -62,9 +63,15 @@ def assemble(context: stage.Context) -> Reconstruction:
     if take is None:
         return reconstruction
     accepted = {0: take.accepted} | {person.id: person.accepted for person in take.people}
-    reconstruction = replace(reconstruction, accepted=accepted)
+    subjects = {person.id: _subject(reconstruction.subject, person) for person in take.people if person.described}
+    reconstruction = replace(reconstruction, accepted=accepted, subjects=subjects)
     edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
     return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
+
+
+def _subject(usual: Subject, person: EditedPerson) -> Subject:
+    stated = person.described
+    return usual if stated is None else Subject(usual.table, stated.sex or usual.sex, stated.mass_kg or usual.mass_kg)
 
 
 def found_animation(context: stage.Context) -> Animation:

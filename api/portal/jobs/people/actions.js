@@ -40,6 +40,7 @@ function personActions(panel) {
         <input name="name" maxlength=${MAX_NAME} required autocomplete="off" .value=${typed(name)}></label>
       <button class="button small" aria-label=${COMMON.renameOf(name)}>${COMMON.rename}</button>
     </form>
+    ${massForm(panel, people.people.find(({ id }) => id === person), name)}
     <div class="actions">
       ${panel.button(PEOPLE.splitHere, () => split(panel))}
       ${panel.button(PEOPLE.actions.remove(name), () => panel.add({ action: "remove", person }), { style: "danger-quiet" })}
@@ -51,6 +52,24 @@ function personActions(panel) {
       ${panel.button(PEOPLE.exchangeWith(panel.personName(other)), () => exchange(panel))}
     </div>`}
   </fieldset>`;
+}
+
+// Sex and mass of a person, for the centre of mass and momenta.
+function massForm(panel, { id, sex, mass_kg: mass }, name) {
+  const describe = (event) => {
+    event.preventDefault();
+    const fields = event.target.elements;
+    const stated = { sex: fields.sex.value || null, mass_kg: fields.mass.value === "" ? null : fields.mass.valueAsNumber };
+    if (stated.sex === sex && stated.mass_kg === mass) return announce(PEOPLE.sameMass(name));
+    return panel.add({ action: "describe", person: id, ...stated });
+  };
+  return html`<form class="actions" @submit=${describe}>
+    <label class="with"><span>${PEOPLE.sex}</span> <select name="sex">
+      ${Object.entries(PEOPLE.sexes).map(([value, label]) => html`<option value=${value} .selected=${value === (sex ?? "")}>${label}</option>`)}</select></label>
+    <label class="with"><span>${PEOPLE.mass}</span> <input class="number" name="mass" type="number" min="1" max="500" step="any"
+      placeholder=${PEOPLE.asOptions} .value=${typed(mass)}></label>
+    <button class="button small" aria-label=${PEOPLE.setMassOf(name)}>${PEOPLE.setMass}</button>
+  </form>`;
 }
 
 function rename(panel, event) {

@@ -40,6 +40,7 @@ export function describe(edit, document, { outcome = edit, first = 0 } = {}) {
     place_detection: () => PEOPLE.actions.placeDetection(person, edit.joint, edit.camera, inRun(edit.frame)),
     exchange_sides: () => PEOPLE.actions.exchangeSides(person, edit.part, inRun(start), inRun(stop)),
     contact: () => PEOPLE.actions.contact(person, edit.limb, edit.stands, inRun(start), inRun(stop)),
+    describe: () => PEOPLE.actions.describe(person, edit.sex, edit.mass_kg),
     accept: () => PEOPLE.actions.accept(edit.camera ?? person, inRun(start), inRun(stop)),
   };
   return words[edit.action]();

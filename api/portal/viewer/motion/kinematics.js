@@ -68,6 +68,29 @@ export function positionsAt(store, person, place, field, out, next) {
   return true;
 }
 
+// Time of the line that gives a velocity, and the gravity of the pendulum that a standing person is (Hof et al. 2005).
+const SLOPE_S = 0.12;
+const GRAVITY_M_S2 = 9.81;
+
+/** Centre of mass of a set of joints' positions; NaN where a joint with a weight is unknown. */
+export function massCentre(weights, joints, out = [0, 0, 0]) {
+  for (let axis = 0; axis < 3; axis++) out[axis] = weights.reduce((sum, weight, joint) => (weight ? sum + weight * joints[3 * joint + axis] : sum), 0);
+  return out;
+}
+
+/** Extrapolated centre of mass at a frame, as x and y; `centreAt` gives the centre in a frame, `ankles` their middle. */
+export function extrapolated(centreAt, frame, ankles, rateHz) {
+  const half = Math.max(2, Math.round((SLOPE_S * rateHz) / 2));
+  const centre = centreAt(frame);
+  const [slope, squares] = [[0, 0], (half * (half + 1) * (2 * half + 1)) / 3];
+  for (let step = 1; step <= half; step++) {
+    const [before, after] = [centreAt(frame - step), centreAt(frame + step)];
+    for (const axis of [0, 1]) slope[axis] += (step * (after[axis] - before[axis]) * rateHz) / squares;
+  }
+  const time = Math.sqrt(Math.hypot(...centre.map((value, axis) => value - ankles[axis])) / GRAVITY_M_S2);
+  return [centre[0] + time * slope[0], centre[1] + time * slope[1]];
+}
+
 /** Whether a foot stands on the floor in a frame; `contacts` are the rows of a person's description. */
 export function standing(contacts, side, frame) {
   return contacts.some(([ofSide, , first, count]) => ofSide === side && frame >= first && frame < first + count);

@@ -1,7 +1,7 @@
 // People in 3D: bodies of humans, capsules or characters, skeletons of lines, trails and contacts of feet. One draw call for each.
 
 import * as THREE from "../../vendor/three/three.module.js";
-import { positionsAt, standing } from "../motion/kinematics.js";
+import { extrapolated, massCentre, positionsAt, standing } from "../motion/kinematics.js";
 import { BodyPose, TRANSFORM_VALUES } from "../motion/orientations.js";
 import { integers } from "../motion/records.js";
 
@@ -10,6 +10,7 @@ const TRAIL_STEPS = 45;
 const TRAILED = ["Hips", "LeftHand", "RightHand", "LeftFoot", "RightFoot"];
 const FEET = [["LeftFoot", 0], ["RightFoot", 1]];
 const CONTACT_RADIUS_M = 0.13;
+const MASS_RADII_M = [0.045, 0.03]; // of the ball in the centre of mass, and of the flat one on the floor below the extrapolated centre
 // Radius of the capsule that ends at a joint, in metres, by the end of the joint's name; fingers are thin.
 const RADII = [
   [/Hand(Thumb|Index|Middle|Ring|Pinky)/, 0.009], [/HeadEnd$/, 0.085], [/Head$/, 0.05], [/(Spine|Chest)$/, 0.1],
@@ -50,7 +51,8 @@ export class PeopleFigures {
     this.joints = Object.fromEntries(skeleton.names.map((name, number) => [name, number]));
     // Where the people are: names are shown there.
     this.anchors = people.map(() => new THREE.Vector3(NaN, NaN, NaN));
-    this.options = { body: true, shape: "human", skeleton: false, trails: true, contacts: true };
+    this.ankles = ["left_ankle", "right_ankle"].map((name) => marks.indexOf(name));
+    this.options = { body: true, shape: "human", skeleton: false, trails: true, contacts: true, mass: false };
     this.#build();
   }
 
@@ -61,7 +63,7 @@ export class PeopleFigures {
   /** Put all people where they are at a place, a frame or between two frames. */
   show(place) {
     const frame = Math.round(place);
-    const { body, shape, skeleton, contacts } = this.options;
+    const { body, shape, skeleton, contacts, mass } = this.options;
     const isHuman = shape === "human" && this.humans !== null;
     const isCapsule = shape === "capsule" || (shape === "human" && !isHuman);
     let segment = 0;
@@ -74,10 +76,11 @@ export class PeopleFigures {
       if (isHere && body && shape === "character") this.#showCharacter(number, place);
       if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
       this.#showContacts(number, person, isHere && contacts, frame);
+      this.#showMass(number, person, isHere && mass, frame);
     });
     this.lines.geometry.setDrawRange(0, 2 * segment);
     for (const name of ["position", "color"]) this.lines.geometry.getAttribute(name).needsUpdate = true;
-    for (const mesh of [this.capsules, this.discs]) mesh.instanceMatrix.needsUpdate = true;
+    for (const mesh of [this.capsules, this.discs, this.balls]) mesh.instanceMatrix.needsUpdate = true;
     this.capsules.visible = body && isCapsule;
     this.humans?.update(body && isHuman);
     // Over a character, for comparison: it may be thicker, or built otherwise, than the person.
@@ -100,7 +103,7 @@ export class PeopleFigures {
 
   close() {
     this.humans?.close();
-    for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
+    for (const mesh of [this.capsules, this.discs, this.balls, this.lines, this.trails]) {
       this.stage.scene.remove(mesh);
       mesh.geometry.dispose();
       mesh.material.dispose();
@@ -115,15 +118,18 @@ export class PeopleFigures {
     const disc = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.75, depthWrite: false });
     this.discs = new THREE.InstancedMesh(new THREE.RingGeometry(0.55, 1, 20), disc, numPeople * FEET.length);
     // Without people nothing of them is drawn: an instance that was never placed is a ball around the origin.
-    [this.capsules.count, this.discs.count] = [this.#people.length * numBones, this.#people.length * FEET.length];
+    this.balls = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 12, 8), new THREE.MeshBasicMaterial({ depthTest: false }), numPeople * MASS_RADII_M.length);
+    this.balls.renderOrder = 2; // over the body around the centre
+    [this.capsules.count, this.discs.count, this.balls.count] = [numBones, FEET.length, MASS_RADII_M.length].map((number) => this.#people.length * number);
     this.#people.forEach(({ tint }, number) => {
       for (let bone = 0; bone < numBones; bone++) this.capsules.setColorAt(number * numBones + bone, tint);
       for (let foot = 0; foot < FEET.length; foot++) this.discs.setColorAt(number * FEET.length + foot, tint);
+      MASS_RADII_M.forEach((_, ball) => this.balls.setColorAt(number * MASS_RADII_M.length + ball, tint));
     });
     this.lines = colouredLines(numPeople * numBones);
     this.lines.renderOrder = 1;
     this.trails = colouredLines(numPeople * TRAILED.length * TRAIL_STEPS);
-    for (const mesh of [this.capsules, this.discs, this.lines, this.trails]) {
+    for (const mesh of [this.capsules, this.discs, this.balls, this.lines, this.trails]) {
       mesh.frustumCulled = false; // bounds of what moves would have to be computed for each frame
       this.stage.add(mesh);
     }
@@ -199,6 +205,25 @@ export class PeopleFigures {
       this.#from.set(x, y, this.stage.floorZ(x, y) + 0.006);
       this.#scale.setScalar(CONTACT_RADIUS_M);
       this.discs.setMatrixAt(place, this.#matrix.compose(this.#from, this.#turn.identity(), this.#scale));
+    });
+  }
+
+  /** Centre of mass, and the extrapolated one on the floor; each is hidden where a joint or the velocity is unknown. */
+  #showMass(number, { mass_weights: weights }, isShown, frame) {
+    const centreAt = (at) => (this.#place(number, at, "joints", this.#marks) ? massCentre(weights, this.#marks) : [NaN, NaN, NaN]);
+    const places = MASS_RADII_M.map(() => [NaN, NaN, NaN]);
+    if (isShown && weights) {
+      places[0] = centreAt(frame);
+      const ankles = [0, 1, 2].map((axis) => this.ankles.reduce((sum, joint) => sum + this.#marks[3 * joint + axis] / 2, 0));
+      const [x, y] = extrapolated(centreAt, frame, ankles, this.#store.description.frame_rate_hz);
+      places[1] = [x, y, this.stage.floorZ(x, y)];
+    }
+    places.forEach((place, ball) => {
+      const isKnown = place.every(Number.isFinite);
+      this.#scale.setScalar(MASS_RADII_M[ball]);
+      if (ball === 1) this.#scale.z = 0.004;
+      const matrix = isKnown ? this.#matrix.compose(this.#from.fromArray(place), this.#turn.identity(), this.#scale) : HIDDEN;
+      this.balls.setMatrixAt(number * MASS_RADII_M.length + ball, matrix);
     });
   }
 

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { angleGroups, bendDeg, between, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
+import { angleGroups, bendDeg, between, extrapolated, massCentre, speedMS, standing } from "../../../../api/portal/viewer/motion/kinematics.js";
 import { about, cameraCenter, FrameRecords, chooseOrigin, parsePieces } from "../../../../api/portal/viewer/motion/records.js";
 import { EditedStore, MotionStore } from "../../../../api/portal/viewer/motion/store.js";
 import { bucketErrorPx, decodeStrips, spotsOf } from "../../../../api/portal/viewer/motion/strips.js";
@@ -275,4 +275,13 @@ test("a take in survey coordinates is drawn about an origin amid its cameras", (
   const positions = new FrameRecords(near).positions({ buffer: record.buffer, start: 0 }, "joints", 1e-4, new Float32Array(3 * description.joint_names.length));
   [500123.5, 5412346, 313].forEach((value, axis) => assert.ok(Math.abs(positions[axis] - (value - origin[axis] + (7 + axis) * 1e-4)) < 1e-5));
   assert.ok(positions.slice(3).every(Number.isNaN));
+});
+
+test("centre of mass, and extrapolated centre of a body that falls evenly", () => {
+  assert.deepEqual(massCentre([0.25, 0, 0.75], [0, 0, 0, NaN, NaN, NaN, 4, 8, 12]), [3, 6, 9]);
+  assert.ok(Number.isNaN(massCentre([0.5, 0.5], [0, 0, 0, NaN, 0, 0])[0]));
+  // A pendulum of 0.981 m swings with the square root of 10 in a second: 2.5 m/s reach 0.79 m.
+  const [x, y] = extrapolated((frame) => [0.1 * frame, 1, 0.981], 7, [0.7, 1, 0], 25);
+  assert.ok(Math.abs(x - (0.7 + 2.5 * Math.sqrt(0.1))) < 1e-12);
+  assert.equal(y, 1);
 });

@@ -16,6 +16,7 @@ from pipeline.core.options.edits import (
     MAX_PIECES,
     Accept,
     Cut,
+    Describe,
     Exchange,
     IgnoreDetections,
     KeyJoint,
@@ -71,6 +72,7 @@ edits = st.one_of(
         frame=frames,
         place_px=st.just((1.0, 2.5)),
     ),
+    st.builds(Describe, person=named, sex=st.sampled_from(["male", None]), mass_kg=st.sampled_from([60.0, None])),
     st.builds(Accept, person=named, kind=st.just("sides"), start_frame=frames, stop_frame=frames),
 )
 
@@ -158,6 +160,16 @@ def test_name_stays_with_person() -> None:
     assert [(person.id, person.name) for person in take.people] == [(1, None), (2, "Zoë")]
 
 
+def test_mass_stays_with_person_and_last_statement_counts() -> None:
+    heavy, light = Describe(person=1, sex="male", mass_kg=90.0), Describe(person=2, mass_kg=50.0)
+    take = apply(heavy, light, Describe(person=2, sex="female", mass_kg=55.0), Merge(person=3, other=2))
+    stated = {person.id: person.described for person in take.people}
+    assert stated == {
+        1: Describe(person=0, sex="male", mass_kg=90.0),
+        3: Describe(person=0, sex="female", mass_kg=55.0),
+    }
+
+
 def fragmenting(num_edits: int) -> list[PeopleEdit]:
     """Exchanges of two people, each of which adds two pieces to both."""
     return [Exchange(person=1, other=2, start_frame=4 * n + 1, stop_frame=4 * n + 3) for n in range(num_edits)]
@@ -218,6 +230,8 @@ def test_long_name_is_refused_before_it_is_normalized(monkeypatch: pytest.Monkey
         (Exchange(person=2, other=3, start_frame=9, stop_frame=9), "stop_frame"),
         (Cut(start_frame=9, stop_frame=9), "stop_frame"),
         (Cut(start_frame=-1, stop_frame=3), "stop_frame"),
+        (Describe(person=1, mass_kg=0.5), "mass_kg"),
+        (Describe(person=1, mass_kg=501.0), "mass_kg"),
     ],
 )
 def test_refusal_names_edit(edit: Any, field: str) -> None:
