@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
+from pipeline.capture.keypoint_files.own_points import with_own
 from pipeline.capture.keypoint_files.people import CrowdError, KeypointsError, People
 from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.capture.keypoints import KeypointSession, session_of_frames
@@ -67,6 +68,7 @@ def from_arrays(
     of_cameras = _by_camera(keypoints_px, names, "keypoints_px", problems)
     of_scores = {} if scores is None else _by_camera(scores, names, "scores", problems)
     people: dict[str, dict[int, People]] = {}
+    own: dict[str, tuple[str, ...]] = {}
     counts: dict[str, frozenset[int]] = {}
     times: dict[str, FrameTimes] = {}
     for camera in checked:
@@ -82,7 +84,9 @@ def from_arrays(
             break
         try:
             layout = reading.layout(points.shape[2] if named is None else named, "joints")
-            people[camera.name] = {k: reading.people(frame, layout) for k, frame in enumerate(points)}
+            found = [(reading.people(frame, layout), reading.take_own()) for frame in points]
+            of_people, of_own = (dict(enumerate(part)) for part in zip(*found, strict=True))
+            people[camera.name], own[camera.name] = with_own(of_people, of_own)
         except KeypointsError as error:
             problems.append(Problem(INVALID_VALUE, str(error), camera=camera.name, field="joints"))
             continue
@@ -97,7 +101,7 @@ def from_arrays(
         raise InputError(problems)
     chosen = joints if isinstance(joints, str) else None
     rate_hz = None if frame_rate_hz is None else float(frame_rate_hz)
-    return session_of_frames(checked, people, counts, chosen, rate_hz, times, findings, problems)
+    return session_of_frames(checked, people, counts, chosen, rate_hz, times, findings, problems, own)
 
 
 def _wrong(field: str, message: str, camera: str | None = None) -> Problem:

@@ -7,7 +7,7 @@ less, or if a number is not finite. People without a detected joint are left out
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.camera_files import Recording, find_input, known_recordings
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
+from pipeline.capture.keypoint_files.own_points import OwnFrames, split_own
 from pipeline.capture.keypoint_files.people import People, find_joint_set, is_detected
 from pipeline.capture.keypoint_files.readers import openpose
 from pipeline.capture.keypoint_files.scales import rescaled
@@ -27,6 +28,7 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
+from pipeline.core.data.own_points import OwnDetections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
@@ -45,6 +47,7 @@ MAX_JOINTS = 25_000_000
 A worker uses about 85 bytes of memory a joint.
 """
 _LARGE_HINT = "Cut it into several captures."
+_MAX_NAMED = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +73,8 @@ class KeypointSession:
         What the user should know of the files.
     layout
         Layout of points that the files do not name; ``None`` if the format or the files name them.
+    own
+        Points of the user's own, which are no joints of ours.
 
     Examples
     --------
@@ -87,6 +92,7 @@ class KeypointSession:
     folders: Mapping[str, str]
     findings: tuple[Finding, ...]
     layout: LayoutRead | None = None
+    own: OwnDetections = field(default_factory=OwnDetections)
 
     __repr__ = short_text
 
@@ -121,11 +127,10 @@ class KeypointSession:
             return self
         require_frames(self.timebase, frames)
         span = span_s(self.timebase, frames.start, frames.stop)
-        inside = {
-            camera: detections.within(frames_in(self.times[camera], *span))
-            for camera, detections in self.detections.items()
-        }
-        return replace(self, timebase=cut_timebase(self.timebase, frames), detections=inside)
+        taken = {camera: frames_in(times, *span) for camera, times in self.times.items()}
+        inside = {camera: detections.within(taken[camera]) for camera, detections in self.detections.items()}
+        timebase = cut_timebase(self.timebase, frames)
+        return replace(self, timebase=timebase, detections=inside, own=self.own.within(taken))
 
     def at_times(self, times: Mapping[str, FrameTimes], timebase: Timebase) -> "KeypointSession":
         """Session whose frames were taken at other times, with the output frames of all of it."""
@@ -133,7 +138,7 @@ class KeypointSession:
 
     def outline(self) -> "KeypointSession":
         """Session without what takes most memory: its detections."""
-        return replace(self, detections={})
+        return replace(self, detections={}, own=OwnDetections(self.own.names))
 
 
 @checked
@@ -206,15 +211,14 @@ def open_keypoints(
     camera_of = {name: camera for camera, name in pairs.items()}
     sizes_px = {camera.name: camera.size_px for camera in cameras}
     chosen = None if layout is None else _chosen(layout, problems)
-    forms: set[str] = set()
-    counts: dict[str, frozenset[int]] = {}
-    frames: dict[str, dict[int, People]] = {}
+    forms, counts = set[str](), dict[str, frozenset[int]]()
+    frames, own = dict[str, dict[int, People]](), dict[str, tuple[str, ...]]()
     left_joints = sys.maxsize if max_joints is None else max_joints
     for name, path in folders.items():
         camera = camera_of.get(name, name)
         contents_of = read_folder(path, camera, sizes_px.get(camera), left_joints, findings, problems)
         frames[name] = contents_of.frames
-        counts[name] = contents_of.counts
+        counts[name], own[name] = contents_of.counts, contents_of.own
         forms |= contents_of.forms
         left_joints -= contents_of.num_joints
         if left_joints < 0:
@@ -222,6 +226,7 @@ def open_keypoints(
             problems.append(Problem(SESSION_TOO_LARGE, message, camera=camera_of.get(name, name), hint=_LARGE_HINT))
             raise InputError(problems)
     frames |= rescaled(frames, pairs, sizes_px, findings, problems)
+    beside = _split_own(frames, own)
     posed = cameras if keeps_poses else ()
     read = _in_layout(frames, counts, camera_of, posed, chosen, findings, problems)
     joints = _joint_set(frames, problems)
@@ -246,7 +251,20 @@ def open_keypoints(
     if not problems and forms != {openpose.read_frame.name}:
         message = f"The keypoints are read in the form of {' and '.join(sorted(forms))}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"forms": sorted(forms)}))
-    return _session(cameras, people_by_camera, joints, pairs, times, timebase, read, findings, problems)
+    own_by_camera = {camera: beside[1][name] for camera, name in pairs.items() if beside[0]}
+    given = joints, pairs, times, timebase, read, (beside[0], own_by_camera)
+    return _session(cameras, people_by_camera, *given, findings, problems)
+
+
+def _split_own(
+    frames: dict[str, dict[int, People]], own: Mapping[str, tuple[str, ...]]
+) -> tuple[tuple[str, ...], dict[str, OwnFrames]]:
+    """Take own points out of the people of each folder; their names, and the points by folder."""
+    names = tuple(dict.fromkeys(name for of_folder in own.values() for name in of_folder))
+    beside: dict[str, OwnFrames] = {}
+    for folder in frames if names else ():
+        frames[folder], beside[folder] = split_own(frames[folder], own.get(folder, ()), names)
+    return names, beside
 
 
 def _session(
@@ -257,6 +275,7 @@ def _session(
     times: Mapping[str, FrameTimes],
     timebase: Timebase | None,
     layout: LayoutRead | None,
+    own: tuple[tuple[str, ...], Mapping[str, OwnFrames]],
     findings: list[Finding],
     problems: Sequence[Problem],
 ) -> KeypointSession:
@@ -268,13 +287,25 @@ def _session(
         for camera, by_frame in people.items()
         if not sum(map(len, by_frame.values()))
     ]
+    num_joints, (names, own_by_camera) = len(joints.names), own
+    if names:
+        shown = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
+        message = f"{len(names)} points of the files are no joints; they are followed as points of your own: {shown}."
+        findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"points": list(names)}))
     return KeypointSession(
         cameras=tuple(camera for camera in cameras if camera.name in people),
         times=times,
         timebase=timebase,
         detections={
-            camera: _as_detections(camera, list(by_frame.values()), joints) for camera, by_frame in people.items()
+            camera: _as_detections(camera, list(by_frame.values()), num_joints) for camera, by_frame in people.items()
         },
+        own=OwnDetections(
+            names,
+            *(
+                {camera: _as_detections(camera, part[k], len(names)) for camera, part in own_by_camera.items()}
+                for k in range(2)
+            ),
+        ),
         joints=joints,
         folders=folders,
         findings=tuple(findings),
@@ -291,20 +322,23 @@ def session_of_frames(
     times: Mapping[str, FrameTimes],
     findings: list[Finding],
     problems: list[Problem],
+    own: Mapping[str, tuple[str, ...]],
 ) -> KeypointSession:
     """Put a session together from the people of each camera's frames in memory; see ``keypoint_files.people``.
 
-    ``counts`` are the numbers of points that have no names, by camera. ``times`` are used without a frame rate.
+    ``counts`` are the numbers of points that have no names, by camera; ``own`` the names of own points among the
+    points of ``people``. ``times`` are used without a frame rate.
     """
     chosen = None if layout is None else _chosen(layout, problems)
     names = {camera: camera for camera in people}
+    beside = _split_own(people, own)
     read = _in_layout(people, counts, names, cameras, chosen, findings, problems)
     joints, timebase = _joint_set(people, problems), None
     if frame_rate_hz is not None:
         times, timebase = times_from_rate(people, names, frame_rate_hz, findings, problems)
     elif not problems:
         timebase = timebase_of(times, people, "", problems)
-    return _session(cameras, people, joints, names, times, timebase, read, findings, problems)
+    return _session(cameras, people, joints, names, times, timebase, read, beside, findings, problems)
 
 
 def _paired(
@@ -424,9 +458,8 @@ def _num_joints(frames: Mapping[str, Mapping[int, People]], joints: JointSet) ->
     return len(joints.names) * sum(len(people) for by_frame in frames.values() for people in by_frame.values())
 
 
-def _as_detections(camera: str, frames: Sequence[People], joints: JointSet) -> Detections:
+def _as_detections(camera: str, frames: Sequence[People], num_joints: int) -> Detections:
     """Build the detections of a camera; frames are numbered by their position in ``times``."""
-    num_joints = len(joints.names)
     people = np.concatenate(
         [
             np.empty((0, num_joints, 3)),

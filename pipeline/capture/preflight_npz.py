@@ -18,7 +18,11 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
+<<<<<<< HEAD
 from pipeline.core.data.people import Track3D
+=======
+from pipeline.core.data.own_points import OwnDetections
+>>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
@@ -145,12 +149,16 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         "timebase": asdict(session.timebase),
         "findings": [finding.to_json() for finding in session.findings],
         "layout": None if session.layout is None else asdict(session.layout),
+        **({"own": session.own.names} if session.own.names else {}),
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, camera in enumerate(session.cameras):
         found = session.detections[camera.name]
         arrays[f"time_s_{k}"] = session.times[camera.name].time_s
         arrays |= {f"{name}_{k}": getattr(found, name) for name in DETECTION_ARRAYS}
+        if session.own.names:
+            for kind, own in (("own", session.own.of_bodies), ("scene", session.own.of_scene)):
+                arrays |= {f"{kind}_{name}_{k}": getattr(own[camera.name], name) for name in DETECTION_ARRAYS}
     return encode_arrays(arrays)
 
 
@@ -191,15 +199,31 @@ def decode_keypoints(content: bytes) -> KeypointSession:
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
     cameras = _decode_cameras(head["cameras"], arrays)
+
+    def detections(kind: str = "") -> dict[str, Detections]:
+        return {
+            camera.name: Detections(camera.name, *(arrays[f"{kind}{name}_{k}"] for name in DETECTION_ARRAYS))
+            for k, camera in enumerate(cameras)
+        }
+
+    own = tuple(head.get("own", ()))
     return KeypointSession(
         cameras=cameras,
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         timebase=Timebase(**head["timebase"]),
+<<<<<<< HEAD
         detections={
             camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in DETECTION_ARRAYS))
             for k, camera in enumerate(cameras)
         },
         joints=_joint_set(head["joints"]),
+=======
+        detections=detections(),
+        own=OwnDetections(own, detections("own_"), detections("scene_")) if own else OwnDetections(),
+        joints=JointSet(
+            tuple(head["joints"]["names"]), tuple((first, second) for first, second in head["joints"]["bones"])
+        ),
+>>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),
         layout=LayoutRead(**head["layout"]) if head.get("layout") else None,

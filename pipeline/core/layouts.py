@@ -25,6 +25,7 @@ class KeypointLayout:
     name: str  # Name of the layout, with its number of points
     points: Points  # Joint of each point; ``None`` for a point that is not used
     joints: JointSet  # Joint set of the points that are used
+    own: tuple[tuple[int, str], ...] = ()  # Places and names of points that are no joints of ours
 
     @property
     def indices(self) -> list[int]:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.own_points import joined
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -51,6 +52,14 @@ class PersonOfTake:
     is_present: Bool[np.ndarray, " frames"]
     body: BodyChoice  # Body in files that have one
     subject: Subject  # Table of segments, sex and mass
+    # Points of the user's own in the track's frames, and their names; ``None`` without any
+    own: Track3D | None
+    own_names: tuple[str, ...]
+
+    @property
+    def all_points(self) -> Track3D:
+        """Joints, and points of the user's own behind them."""
+        return self.track if self.own is None else joined(self.track, self.own)
 
 
 def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
@@ -58,12 +67,17 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
     origin_m = file_origin_m(take.cameras)
     # Capsules are the same on every floor.
     choice = CAPSULES if body == "capsules" else BodyChoice(body, take.animation.floor)
-    for track, motion in zip(take.tracks, take.motions, strict=True):
+    for number, (track, motion) in enumerate(zip(take.tracks, take.motions, strict=True)):
         frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
+<<<<<<< HEAD
         subject = take.subject_of(track.track_id)
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
         yield PersonOfTake(track, motion, *of_take)
+=======
+        of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, take.subject
+        yield PersonOfTake(track, motion, *of_take, take.own.of_person(number), take.own.names)
+>>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,17 +150,19 @@ def _written(
     """Write a file of a person and read it back; returns what was found in it."""
     track = person.track
     if name == SKELETONS:
-        with replacing(path, skeletons_json.encode_track(track)) as part:
-            positions_m = partial(unknown_outside, track.xyz_m, track.frames)
+        with replacing(path, skeletons_json.encode_track(track, person.own)) as part:
+            positions_m = partial(unknown_outside, person.all_points.xyz_m, track.frames)
             return KeptFile(furthest_mm(path, track.frames, positions_m, [skeletons_json.read_track_m(part)], on_read))
     export: Export = next(export for export in FILE_FORMATS if export == name)
     holds = FILE_FORMATS[export].holds
+    joints = person.joints
     if holds == "joints":
-        track = without_resting_fingers(track, person.joints)
+        joints = replace(joints, names=(*joints.names, *person.own_names))
+        track = without_resting_fingers(person.all_points, joints)
     content = PersonContent(
         track,
         person.motion,
-        person.joints,
+        joints,
         person.timebase,
         path.name,
         person.frames,
@@ -157,6 +173,8 @@ def _written(
         skeleton_m,
         angles,
         balance,
+        person.own,
+        person.own_names,
     )
     writer = find_writer(export)
     expected = writer.expected(content)

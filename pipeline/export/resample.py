@@ -23,16 +23,18 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
     between two new frames are left out. ``frame_rate_hz`` is the rate of the new frames.
     """
     ratio = reconstruction.timebase.frame_rate_hz / frame_rate_hz  # old frames per new frame
-    tracks, motions = [], []
-    for track, motion in zip(reconstruction.tracks, reconstruction.motions, strict=True):
+    tracks, motions, own_tracks, own = [], [], [], reconstruction.own
+    for number, (track, motion) in enumerate(zip(reconstruction.tracks, reconstruction.motions, strict=True)):
         frames = _new_frames(track.start_frame, track.num_frames, ratio)
         if len(frames):
+            own_tracks += [_track_at(points, frames, ratio) for points in own.of_people[number : number + 1]]
             tracks.append(_track_at(track, frames, ratio))
             motions.append(_motion_at(motion, frames, ratio, frame_rate_hz))
     animation = Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor)
-    return replace(
-        reconstruction, timebase=resampled_timebase(reconstruction.timebase, frame_rate_hz), animation=animation
-    )
+    timebase = resampled_timebase(reconstruction.timebase, frame_rate_hz)
+    objects = (thing._replace(track=_track_at(thing.track, range(timebase.num_frames), ratio)) for thing in own.objects)
+    own = replace(own, of_people=tuple(own_tracks), objects=tuple(objects))
+    return replace(reconstruction, timebase=timebase, animation=animation, own=own)
 
 
 def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:

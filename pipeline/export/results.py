@@ -31,7 +31,7 @@ from pipeline.export.quality.world_checks import failed_check
 from pipeline.export.resample import resample
 from pipeline.export.scene import file_origin_m, take_scene
 from pipeline.export.timelines import held
-from pipeline.export.writers import skeletons_json
+from pipeline.export.writers import c3d_file, csv_table, skeletons_json, trc
 from pipeline.export.writers.angle_tables import BALANCE, balance_table, gait_tables
 from pipeline.export.writers.registry import find_writer
 from pipeline.motion.balance.compute import balance_of
@@ -46,6 +46,8 @@ OnFile = Callable[[Path], None]
 METRICS = "metrics.json"
 TAKE = "take"
 """Name, without the ending, of the files with a whole take."""
+OBJECTS = "objects"
+"""Name, without the ending, of the files with the points of all objects."""
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
@@ -253,6 +255,10 @@ def write_files(
             with person_files.replacing(path, pieces) as part:
                 _require_equal(part, path, pieces)
             complete(path)
+    for path, pieces in _object_files(shown, folder, exports):
+        with person_files.replacing(path, pieces) as part:
+            _require_equal(part, path, pieces)
+        complete(path)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         path = folder / CALIBRATION
         with person_files.replacing(path, [encode_calibration(reconstruction.cameras)]):
@@ -303,6 +309,22 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
         if (balance := balance_of(motion, track, take.joints, take.subject_of(track.track_id))) is not None:
             tables.append((BALANCE, list(balance_table(balance, take.timebase))))
         yield from ((folder / f"person-{track.track_id}.{kind}.csv", pieces) for kind, pieces in tables)
+
+
+def _object_files(
+    take: Reconstruction, folder: Path, exports: Collection[Export]
+) -> Iterator[tuple[Path, list[bytes]]]:
+    """Path and content of each file with the points of all objects."""
+    if take.own.scene is None:
+        return
+    points, track = take.own.scene
+    paths = {export: folder / f"{OBJECTS}.{file_ending(export)}" for export in exports}
+    if "csv" in paths:
+        yield paths["csv"], list(csv_table.encode(track, points, take.timebase))
+    if "trc" in paths:
+        yield paths["trc"], list(trc.encode(track, points, take.timebase, paths["trc"].name))
+    if "c3d" in paths:
+        yield paths["c3d"], list(c3d_file.encode(track, points, take.timebase, file_origin_m(take.cameras)))
 
 
 def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:

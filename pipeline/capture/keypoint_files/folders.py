@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pipeline.capture.keypoint_files import foreign
 from pipeline.capture.keypoint_files.forms import endings, find_reader, frame_endings, load
 from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader
+from pipeline.capture.keypoint_files.own_points import OwnPoints, with_own
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE, CrowdError, KeypointsError, People, check_frames
 from pipeline.capture.keypoint_files.points import KeypointReading
 from pipeline.capture.keypoint_files.readers import freemocap, yolo
@@ -94,6 +95,7 @@ class Contents:
     num_joints: int  # Number of their joints, detected or not
     forms: frozenset[str]  # Names of the forms of the files
     counts: frozenset[int]  # Numbers of points of a person that the files do not name
+    own: tuple[str, ...]  # Names of the user's own points, which are columns of ``frames``; see ``own_points``
 
 
 def stated_folders(
@@ -152,21 +154,28 @@ def read_folder(
         findings.append(Finding(FILE_IGNORED, message, severity="info", evidence={"num_files": len(files.others)}))
     reading = KeypointReading(size_px)
     frames: dict[int, People] = {}
+    own: dict[int, Sequence[OwnPoints]] = {}
     num_joints = 0
     for number, people in (
         _read_frames(files.numbered, camera, reading)
         if files.capture is None
         else _read_capture(files.capture, camera, reading, folder.array if not isinstance(folder, Path) else None)
     ):
+        of_frame = reading.take_own()
         if isinstance(people, Problem):
             found.add(people)
         else:
-            frames[number] = people
-            num_joints += people.shape[0] * people.shape[1]
+            frames[number], own[number] = people, of_frame
+            num_joints += people.shape[0] * people.shape[1] + sum(p.of_people.size // 3 for p in of_frame)
         if num_joints > max_joints:
             break
     problems += found.listed("files" if files.capture is None else "frames")
-    return Contents(frames, num_joints, frozenset(reading.forms), frozenset(reading.counts))
+    try:
+        frames, names = with_own(frames, own)
+    except KeypointsError as error:
+        names = ()
+        problems.append(Problem(session_codes.KEYPOINTS_UNREADABLE, str(error), file=folder.name, camera=camera))
+    return Contents(frames, num_joints, frozenset(reading.forms), frozenset(reading.counts), names)
 
 
 class _Problems:

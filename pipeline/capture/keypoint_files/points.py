@@ -7,9 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.capture.keypoint_files.people import KeypointsError, People, with_detected_joints
+from pipeline.capture.keypoint_files.own_points import OwnPoints, point_names
+from pipeline.capture.keypoint_files.people import KeypointsError, People, is_detected, with_detected_joints
 from pipeline.core.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.core.layouts import FILE_LAYOUTS, LAYOUTS, KeypointLayout
+from pipeline.core.parsing import KEYPOINT_PX
 
 # Layouts with hands: points of fingers have names of each file's own, so that the number tells the layout.
 _WHOLE = {len(LAYOUTS[name].points): LAYOUTS[name] for name in ("coco-wholebody-133", "halpe-136")}
@@ -75,6 +77,8 @@ def match_joint(name: str) -> str | None:
 def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with these names: joints of ``COCO_17``, with heels and big toes if one of them is named.
 
+    Other points are the user's own.
+
     Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip is
     missing.
     """
@@ -90,7 +94,9 @@ def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
         message = f"No point is named after the joints {', '.join(missing)}; shoulders and hips are required."
         raise KeypointsError(message, field)
     joints = COCO_17 if set(used) <= set(COCO_17.names) else BODY_FEET
-    return KeypointLayout(f"named-{len(points)}", points, joints)
+    others = [place for place, point in enumerate(points) if point is None]
+    own = tuple(zip(others, point_names([names[place] for place in others]), strict=True))
+    return KeypointLayout(f"named-{len(points)}", points, joints, own)
 
 
 CANDIDATES: Mapping[int, tuple[KeypointLayout, ...]] = {
@@ -126,6 +132,7 @@ class KeypointReading:
         self.size_px = size_px
         self.forms: set[str] = set()
         self.counts: set[int] = set()
+        self._own: list[OwnPoints] = []
 
     def layout(self, points: int | Sequence[str], field: str) -> KeypointLayout:
         """Layout of points by their names or, if a file does not name them, by their number.
@@ -144,6 +151,27 @@ class KeypointReading:
     def people(self, points: People, layout: KeypointLayout) -> People:
         """People with a detected joint, by the points of all listed people in the order of a layout; see ``arranged``.
 
-        Raises ``KeypointsError`` if a joint is not within the limits, ``CrowdError`` if there are too many people.
+        Points of the user's own are noted for ``take_own``. Raises ``KeypointsError`` if a joint is not within the
+        limits, ``CrowdError`` if there are too many people.
         """
-        return with_detected_joints(arranged(points, layout))
+        people = arranged(points, layout)
+        if layout.own:
+            places, names = zip(*layout.own, strict=True)
+            own, is_person = points[:, places], is_detected(people).any(-1)
+            self.add_own(names, own[is_person], own[~is_person])
+        return with_detected_joints(people)
+
+    def add_own(self, names: Sequence[str], of_people: People, of_scene: People) -> None:
+        """Note points of the user's own in the frame that is read.
+
+        Raises ``KeypointsError`` if a point is not within the limits.
+        """
+        for own in (of_people, of_scene):
+            if not KEYPOINT_PX.holds(own[is_detected(own), :2]):
+                raise KeypointsError(f"A coordinate of a point is not within {KEYPOINT_PX}.")
+        self._own.append(OwnPoints(tuple(names), of_people, of_scene))
+
+    def take_own(self) -> Sequence[OwnPoints]:
+        """Points noted since the last call, each once."""
+        taken, self._own = self._own, []
+        return taken

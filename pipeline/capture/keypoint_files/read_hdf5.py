@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.calibration.readers.pickle_values import read_values
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames, frame_number, number_in_name
-from pipeline.capture.keypoint_files.points import match_joint, named_layout
+from pipeline.capture.keypoint_files.points import named_layout
 from pipeline.capture.keypoint_files.readers.deeplabcut import find_columns
 from pipeline.capture.keypoint_files.readers.hdf5 import Tracks, encoded, problem
 from pipeline.core.parsing import UnreadableError
@@ -141,9 +141,9 @@ def read_table(group: h5py.Group) -> Tracks:
         raise UnreadableError
     columns = find_columns(_headers(labels))
     frames = [_row_frame(row) for row in rows]
-    points = numbers[:, columns.number]
-    points[:, columns.number[..., 2] < 0, 2] = 1.0
-    return Tracks("DeepLabCut", columns.layout, frames, points)
+    numbers = np.pad(numbers, ((0, 0), (0, 1)), constant_values=np.nan)
+    points, scene = (columns.points(numbers, number) for number in (columns.number, columns.scene_number))
+    return Tracks("DeepLabCut", frames, points, columns.parts, scene, columns.scene)
 
 
 def _headers(labels: Sequence[Sequence[str]]) -> Mapping[str, list[str]]:
@@ -265,10 +265,9 @@ def read_analysis(file: h5py.File) -> Tracks:
             raise KeypointsError("point_scores has other sizes than tracks.", "point_scores")
         stored = _turned(stored.astype(np.float64), of_scores, _AXES[:3])
         scores = np.where(np.isnan(stored), 1.0, stored)
-    joints = [k for k, name in enumerate(names) if match_joint(name)]
-    layout = named_layout([names[k] for k in joints], "node_names")
-    points = np.concatenate([positions[:, :, joints], scores[:, :, joints, None]], axis=-1)
-    return Tracks("SLEAP", layout, range(sizes["frame"]), points)
+    named_layout(names, "node_names")
+    points = np.concatenate([positions, scores[..., None]], axis=-1)
+    return Tracks("SLEAP", range(sizes["frame"]), points, names)
 
 
 def _read_axes(file: h5py.File, tracks: h5py.Dataset) -> Sequence[str]:

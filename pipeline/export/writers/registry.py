@@ -49,6 +49,9 @@ class PersonContent:
     skeleton_m, angles, balance
         World positions of the skeleton's joints, joint angles in degrees, and centre of mass and balance, in the frames
         of the track, each computed once.
+    own, own_names
+        Points of the user's own in the frames of the track, and their names. In files of joints they are behind the
+        joints in ``track`` and ``joints``, too.
 
     Examples
     --------
@@ -70,6 +73,8 @@ class PersonContent:
     skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
     angles: Callable[[], JointAngles]
     balance: Callable[[], Balance | None] = lambda: None
+    own: Track3D | None = None
+    own_names: tuple[str, ...] = ()
 
 
 plainly_annotated(PersonContent.__init__)

@@ -20,7 +20,8 @@ from pipeline.export.timelines import BLOCK_FRAMES, frame_blocks
 
 SCHEMA_VERSION = 1
 
-_WITHOUT_UNCERTAINTY = ',"uncertainty_m":null}'
+_WITHOUT_UNCERTAINTY = ',"uncertainty_m":null'
+_OWN = ',"own_points":'
 _PART_BYTES = 2**20
 _LETTERS = np.array([source.letter for source in Source])
 
@@ -56,12 +57,19 @@ def _track_parts(track: Track3D) -> Iterator[str]:
         for rows in frame_blocks(track.num_frames):
             yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
         yield "]"
-    yield "}" if uncertainty_m is not None else _WITHOUT_UNCERTAINTY
+    if uncertainty_m is None:
+        yield _WITHOUT_UNCERTAINTY
 
 
-def encode_track(track: Track3D) -> Iterator[bytes]:
-    """Write the line of a track, piece by piece, without its end and its head: a name does not change these bytes."""
-    return (part.encode("ascii") for part in _track_parts(track))
+def encode_track(track: Track3D, own: Track3D | None = None) -> Iterator[bytes]:
+    """Write the line of a track, piece by piece, without its end and its head: a name does not change these bytes.
+
+    ``own`` has the person's points of the user's own.
+    """
+    for part in _track_parts(track):
+        yield part.encode("ascii")
+    if own is not None:
+        yield f"{_OWN}{{{''.join(_track_parts(own)).removeprefix(',')}}}".encode("ascii")
 
 
 def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[bytes]:
@@ -75,6 +83,7 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
         **({"first_source_frame": timebase.first_source_frame} if timebase.first_source_frame else {}),
         "joint_names": joints.names,
         "bones": joints.bones,
+        **({"own_point_names": reconstruction.own.names} if reconstruction.own.names else {}),
     }
     yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
     for number, (track, motion, path) in enumerate(
@@ -86,21 +95,29 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
         with path.open("rb") as file:
             while part := file.read(_PART_BYTES):
                 yield part
-    yield b"\n]}\n"
+        yield b"}"
+    yield b"\n]"
+    for number, thing in enumerate(reconstruction.own.objects):
+        head = {"name": thing.name, "point_names": thing.points, "start_frame": thing.track.start_frame}
+        yield (b"," if number else b',"objects":[\n') + _dumps(head).removesuffix("}").encode("ascii")
+        yield from encode_track(thing.track)
+        yield b"}\n"
+    yield b"]}\n" if reconstruction.own.objects else b"}\n"
 
 
 def read_track_m(path: Path) -> Float[np.ndarray, "_ joints 3"]:
-    """Read world positions (metres) from a file of ``encode_track``; NaN where null.
+    """Read world positions (metres) from a file of ``encode_track``, own points last; NaN where null.
 
     The other series are decoded too, to detect damage.
     """
-    line = path.read_text(encoding="ascii")
-    positions_m = [_as_array(block) for block in _blocks(line, "positions_m")]
-    has_uncertainty = not line.endswith(_WITHOUT_UNCERTAINTY)
-    for name in ("scores", "sources", "error_px", *(("uncertainty_m",) if has_uncertainty else ())):
-        for _ in _blocks(line, name):
-            pass
-    return np.concatenate(positions_m)
+    parts_m = []
+    for line in path.read_text(encoding="ascii").split(_OWN):
+        parts_m.append(np.concatenate([_as_array(block) for block in _blocks(line, "positions_m")]))
+        has_uncertainty = _WITHOUT_UNCERTAINTY not in line
+        for name in ("scores", "sources", "error_px", *(("uncertainty_m",) if has_uncertainty else ())):
+            for _ in _blocks(line, name):
+                pass
+    return np.concatenate(parts_m, axis=1)
 
 
 def _as_array(frames: Sequence[Any]) -> Float[np.ndarray, "frames joints 3"]:

@@ -5,12 +5,21 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.association.own_points.locate import locate_own_points
+from pipeline.association.tracking.tracking_parameters import derive_parameters
+from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.session import Session
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction, Subject
+<<<<<<< HEAD
 from pipeline.core.findings import SessionCheck
 from pipeline.core.options.edited_take import EditedPerson
+=======
+from pipeline.core.errors import listed_names
+from pipeline.core.findings import Finding, SessionCheck
+from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
+>>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
@@ -19,7 +28,7 @@ from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
 from pipeline.run.engine.edited_people import applied_edits, cut, put_together, united
 from pipeline.run.engine.stored_people import found_people
-from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, wanted_frames
+from pipeline.run.engine.wanted_frames import measured_clocks, refined_calibration, require_kind, wanted_frames
 
 
 def assemble(context: stage.Context) -> Reconstruction:
@@ -61,12 +70,41 @@ def assemble(context: stage.Context) -> Reconstruction:
         subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),
     )
     if take is None:
-        return reconstruction
+        return _with_own_points(context, reconstruction, None)
     accepted = {0: take.accepted} | {person.id: person.accepted for person in take.people}
     subjects = {person.id: _subject(reconstruction.subject, person) for person in take.people if person.described}
     reconstruction = replace(reconstruction, accepted=accepted, subjects=subjects)
     edited = reconstruction if take.frames is None else cut(reconstruction, take.frames)
-    return replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
+    edited = replace(edited, is_emptied=bool(identified.spans) and not edited.tracks)
+    return _with_own_points(context, edited, take.frames)
+
+
+def _with_own_points(context: stage.Context, take: Reconstruction, frames: range | None) -> Reconstruction:
+    """Take with the points of the user's own, if its files have some; ``frames`` are kept by an edit."""
+    outline = context.outline()
+    if not isinstance(outline, KeypointSession) or not outline.own.names:
+        return take
+    session = require_kind(wanted_frames(context, context.session()), KeypointSession).restricted(frames)
+    own = locate_own_points(
+        session.cameras,
+        session.times,
+        session.timebase,
+        session.detections,
+        session.own,
+        session.joints,
+        take.tracks,
+        take.observations,
+        derive_parameters(session.cameras, session.timebase.frame_rate_hz),
+    )
+    objects = {thing.name for thing in own.objects}
+    parts = {
+        "belong to people": own.names,
+        "are objects": [name for name in session.own.names if name in objects],
+        "were not located": [name for name in session.own.names if name not in {*own.names, *objects}],
+    }
+    shown = "; ".join(f"{listed_names(names)} {what}" for what, names in parts.items() if names)
+    finding = Finding(KEYPOINTS_FORM, f"Points of your own: {shown}.", severity="info")
+    return replace(take, own=own, warnings=(*take.warnings, finding))
 
 
 def _subject(usual: Subject, person: EditedPerson) -> Subject:

@@ -3,13 +3,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.capture.preflight_npz import decode_session, encode_session
+from pipeline.capture.preflight_npz import decode_keypoints, decode_session, encode_record, encode_session
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
+from tests.pipeline.own_point_scenes import own_scene
 
 RNG = np.random.default_rng(3)
 
@@ -46,3 +47,13 @@ def test_session_comes_back_with_its_videos_where_they_are_now(tmp_path: Path) -
         for field in fields(VideoInfo):
             if field.name != "path":
                 np.testing.assert_array_equal(getattr(their_video, field.name), getattr(our_video, field.name))
+
+
+def test_own_points_come_back_from_record() -> None:
+    session = own_scene(duration_s=0.2).session
+    found = decode_keypoints(encode_record(session))
+    assert found.own.names == ("racket_tip", "ball")
+    for kind in ("of_bodies", "of_scene"):
+        for name, rows in getattr(session.own, kind).items():
+            np.testing.assert_array_equal(getattr(found.own, kind)[name].keypoints_px, rows.keypoints_px)
+            np.testing.assert_array_equal(getattr(found.own, kind)[name].frame, rows.frame)

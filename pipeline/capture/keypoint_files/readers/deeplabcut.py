@@ -2,13 +2,15 @@
 
 The rows of headers begin with ``scorer``, ``individuals`` (files of several people only), ``bodyparts`` and ``coords``
 (x, y, and ``likelihood`` in analysed videos). A row begins with the number of the frame, or with the path of a picture
-whose name has that number. Parts that stand once in a scene, under the individual ``single``, are not read. Format:
+whose name has that number. Parts that stand once in a scene, under the individual ``single``, belong to no person.
+Format:
 https://deeplabcut.github.io/DeepLabCut (standard user guide, outputs of ``analyze_videos``)
 
 Rows of the table of formats:
 
 | DeepLabCut | all frames: CSV of one person (three rows of headers) or of several (four), or the same as HDF5 | joints
-whose names are known | individuals named `single` are not read; of a CSV and an HDF5 file of one name the CSV is read |
+whose names are known, and points of your own | parts of `single` belong to no person; of a CSV and an HDF5 file of one
+name the CSV is read |
 """
 
 import csv
@@ -17,9 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from pipeline.capture.keypoint_files.keypoint_reader import reader
+from pipeline.capture.keypoint_files.own_points import MAX_OWN, point_names
 from pipeline.capture.keypoint_files.people import (
     KeypointsError,
     People,
@@ -28,7 +31,7 @@ from pipeline.capture.keypoint_files.people import (
     frame_number,
     number_in_name,
 )
-from pipeline.capture.keypoint_files.points import KeypointReading, match_joint, named_layout
+from pipeline.capture.keypoint_files.points import KeypointReading, named_layout
 from pipeline.core.layouts import KeypointLayout
 from pipeline.core.parsing import UnreadableError
 
@@ -43,10 +46,20 @@ class Columns:
     """Columns of a file."""
 
     names: Sequence[str]  # Name of each column as messages show it; empty for those before the points
+    parts: Sequence[str]  # Name of each point
     # Column of each number: individuals, points of the layout, and x, y and likelihood; -1 without one
     number: Int[np.ndarray, "people points 3"]
     layout: KeypointLayout  # Layout of the points
     num_leading: int  # Columns before the points
+    # Points that stand once in the scene: their names, and the column of each number
+    scene: Sequence[str]
+    scene_number: Int[np.ndarray, "points 3"]
+
+    def points(self, values: Float[np.ndarray, "*rows columns"], number: np.ndarray) -> np.ndarray:
+        """Points in ``number``'s shape for rows of values, behind which a column of NaN stands."""
+        points = values[..., number]
+        points[..., number[..., 2] < 0, 2] = 1.0
+        return points
 
 
 def split_frames(content: bytes) -> Mapping[int, tuple[Columns, str]]:
@@ -100,9 +113,10 @@ def read_frame(content: tuple[Columns, str], reading: KeypointReading) -> People
         except ValueError:
             message = f"{cells[k][:40]!r} is not a number."
             raise KeypointsError(message, columns.names[k]) from None
-    points = values[columns.number]
-    points[columns.number[..., 2] < 0, 2] = 1.0
-    return reading.people(points, columns.layout)
+    if columns.scene:
+        scene = columns.points(values, columns.scene_number)
+        reading.add_own(columns.scene, scene[None][:0], scene[None])
+    return reading.people(columns.points(values, columns.number), columns.layout)
 
 
 def find_columns(headers: Mapping[str, Sequence[str]]) -> Columns:
@@ -123,22 +137,23 @@ def find_columns(headers: Mapping[str, Sequence[str]]) -> Columns:
         people.remove(_SCENE)
     check_number(people)
     of_people = set(people)
-    # Only points that are joints: a scene of strangers may have any number of others.
-    names = [name for name in dict.fromkeys(parts[k] for k in points if owners[k] in of_people) if match_joint(name)]
+    names = list(dict.fromkeys(parts[k] for k in points if owners[k] in of_people))
     layout = named_layout(names, "bodyparts")
-    number = np.full((len(people), len(names), len(_COORDS)), -1)
-    place_of_person = {name: k for k, name in enumerate(people)}
-    place_of_part = {name: k for k, name in enumerate(names)}
+    scene = list(dict.fromkeys(parts[k] for k in points if owners[k] not in of_people))[:MAX_OWN]
+    number = np.full((len(people) + 1, max(len(names), len(scene)), len(_COORDS)), -1)
+    places = {(owner, name): (k, place) for k, owner in enumerate(people) for place, name in enumerate(names)}
+    places |= {(_SCENE, name): (len(people), place) for place, name in enumerate(scene)}
     shown = [""] * len(coords)
     for k in points:
         shown[k] = " ".join(part for part in (owners[k], parts[k], coords[k]) if part)
-        if owners[k] not in place_of_person or parts[k] not in place_of_part:
+        if (owners[k], parts[k]) not in places:
             continue
-        place = place_of_person[owners[k]], place_of_part[parts[k]], _COORDS.index(coords[k])
+        place = *places[owners[k], parts[k]], _COORDS.index(coords[k])
         if number[place] >= 0:
             raise KeypointsError("Two columns have the same headers.", shown[k])
         number[place] = k
-    return Columns(shown, number, layout, points[0])
+    of_scene = number[-1, : len(scene)]
+    return Columns(shown, names, number[:-1, : len(names)], layout, points[0], point_names(scene), of_scene)
 
 
 def _split_number(line: str, num_leading: int) -> int:

@@ -2,7 +2,8 @@
 
 Rows of the table of formats:
 
-| SLEAP | all frames: its analysis file (`.analysis.h5`) of one video | joints whose names are known | projects (`.slp`)
+| SLEAP | all frames: its analysis file (`.analysis.h5`) of one video | joints whose names are known, and points of
+your own | projects (`.slp`)
 are not read: export the analysis file of each video (*Export Analysis HDF5*) |
 """
 
@@ -33,9 +34,12 @@ class Tracks:
     """Points of the people in the frames of a file."""
 
     form: str  # Program, as users know it
-    layout: KeypointLayout  # Layout of the points, all of which are joints
     frames: Sequence[int]  # Number of each frame
     points: Float[np.ndarray, "frames people points 3"]  # X, y and score; NaN or 0 where a point was not found
+    names: Sequence[str]  # Names of the points
+    # Points that stand once in the scene, and their names
+    scene: Float[np.ndarray, "frames points 3"] | None = None
+    scene_names: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +49,9 @@ class PeopleByFrame:
     form: str  # Program, as users know it
     layout: KeypointLayout  # Layout of the points
     people: Mapping[int, Float[np.ndarray, "people points 3"]]  # People with a detected point, by frame
+    # Points that stand once in the scene by frame, and their names
+    scene: Mapping[int, Float[np.ndarray, "points 3"]]
+    scene_names: tuple[str, ...]
 
 
 def read_in_child(path: Path) -> PeopleByFrame:
@@ -61,15 +68,18 @@ def read_in_child(path: Path) -> PeopleByFrame:
         raise KeypointsError("The HDF5 file can't be read within the limits on time and memory.") from None
 
 
-def split_frames(content: PeopleByFrame) -> Mapping[int, tuple[KeypointLayout, np.ndarray]]:
+def split_frames(content: PeopleByFrame) -> Mapping[int, tuple[PeopleByFrame, int]]:
     """Split the people by frame."""
-    return {number: (content.layout, people) for number, people in content.people.items()}
+    return {number: (content, number) for number in content.people}
 
 
-def read_frame(content: tuple[KeypointLayout, np.ndarray], reading: KeypointReading) -> People:
+def read_frame(content: tuple[PeopleByFrame, int], reading: KeypointReading) -> People:
     """Read the people of a frame; raises ``KeypointsError`` or ``CrowdError`` if they can't be used."""
-    layout, people = content
-    return reading.people(people, layout)
+    tracks, number = content
+    if tracks.scene_names:
+        scene = tracks.scene[number][None]
+        reading.add_own(tracks.scene_names, scene[:0], scene)
+    return reading.people(tracks.people[number], tracks.layout)
 
 
 def _declared(name: str) -> KeypointReader:
@@ -97,11 +107,18 @@ def encoded(tracks: Tracks) -> bytes:
         twice = next(number for k, number in enumerate(sorted(frames)[1:]) if number == sorted(frames)[k])
         raise KeypointsError(f"Frame {twice} is listed twice.", "frame")
     seen = (np.isfinite(tracks.points).all(-1) & (tracks.points[..., 2] > 0)).any(-1)
-    joints = tracks.layout.points
-    if seen.sum() * len(joints) > MAX_POINTS:
+    scene = np.empty((len(frames), 0, 3)) if tracks.scene is None else tracks.scene
+    if seen.sum() * len(tracks.names) + scene[..., 0].size > MAX_POINTS:
         raise KeypointsError(f"The file has more than {MAX_POINTS:,} points; cut it into several.")
-    header = {"form": tracks.form, "joints": joints, "frames": frames, "counts": seen.sum(1).tolist()}
-    return json.dumps(header).encode() + b"\n" + np.ascontiguousarray(tracks.points[seen], "<f8").tobytes()
+    header = {
+        "form": tracks.form,
+        "names": list(tracks.names),
+        "scene": list(tracks.scene_names),
+        "frames": frames,
+        "counts": seen.sum(1).tolist(),
+    }
+    parts = (np.ascontiguousarray(points, "<f8").tobytes() for points in (tracks.points[seen], scene))
+    return json.dumps(header).encode() + b"\n" + b"".join(parts)
 
 
 def decoded(content: bytes) -> PeopleByFrame:
@@ -116,10 +133,14 @@ def decoded(content: bytes) -> PeopleByFrame:
         if answer["problem"] is None:
             raise UnreadableError
         raise KeypointsError(answer["problem"], answer["field"])
-    points = np.frombuffer(rest, "<f8").reshape(-1, len(answer["joints"]), 3)
-    people = np.split(points, np.cumsum(answer["counts"])[:-1]) if answer["counts"] else []
-    layout = named_layout(answer["joints"], "joints")
-    return PeopleByFrame(answer["form"], layout, dict(zip(answer["frames"], people, strict=True)))
+    values, frames, counts = np.frombuffer(rest, "<f8"), answer["frames"], answer["counts"]
+    num_of_people = 3 * sum(counts) * len(answer["names"])
+    points = values[:num_of_people].reshape(-1, len(answer["names"]), 3)
+    people = np.split(points, np.cumsum(counts)[:-1]) if counts else []
+    scene = values[num_of_people:].reshape(len(frames), len(answer["scene"]), 3)
+    layout = named_layout(answer["names"], "names")
+    of_frames = dict(zip(frames, people, strict=True)), dict(zip(frames, scene, strict=True))
+    return PeopleByFrame(answer["form"], layout, *of_frames, tuple(answer["scene"]))
 
 
 def problem(message: str | None, field: str | None = None) -> bytes:

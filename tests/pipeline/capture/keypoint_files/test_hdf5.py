@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
+from pipeline.capture.keypoint_files.own_points import split_own
 from pipeline.capture.keypoint_files.read_hdf5 import answer
 from pipeline.capture.keypoint_files.readers import hdf5
 from pipeline.core.errors import Problem
@@ -84,7 +85,10 @@ def test_axes_of_sleap_as_file_states_them(tmp_path: Path) -> None:
         assert not problems
         assert contents.forms == {"SLEAP"}
         assert list(contents.frames) == [0, 1, 2, 3]
-        for number, people in contents.frames.items():
+        assert contents.own == ("Hat",)
+        frames, own = split_own(contents.frames, contents.own, contents.own)
+        np.testing.assert_array_equal(own.of_people[1][:, 0, :2], POSITIONS[1, :, 5])
+        for number, people in frames.items():
             taken = COCO_17.indices(("nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip"))
             np.testing.assert_array_equal(people[:, taken, :2], POSITIONS[number, :, :5])
             np.testing.assert_array_equal(people[:, taken, 2], SCORES[number, :, :5])
@@ -95,9 +99,10 @@ def test_points_without_scores_and_tracks_that_are_not_seen(tmp_path: Path) -> N
     positions[1, 0] = positions[2] = np.nan
     scores[3, 1, 1] = np.nan
     contents, _ = read(tmp_path, written(lambda file: analysis(file, positions, scores)))
-    assert [len(people) for people in contents.frames.values()] == [2, 1, 0, 2]
-    np.testing.assert_array_equal(contents.frames[1][0, 0], [*POSITIONS[1, 1, 0], SCORES[1, 1, 0]])
-    assert contents.frames[3][1, 5, 2] == 1.0  # labelled by hand
+    frames, _ = split_own(contents.frames, contents.own, contents.own)
+    assert [len(people) for people in frames.values()] == [2, 1, 0, 2]
+    np.testing.assert_array_equal(frames[1][0, 0], [*POSITIONS[1, 1, 0], SCORES[1, 1, 0]])
+    assert frames[3][1, 5, 2] == 1.0  # labelled by hand
     without, _ = read(tmp_path, written(lambda file: analysis(file, scores=None)))
     assert without.frames[0][0, 0].tolist() == [10.0, 11.0, 1.0]
 

@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
+from pipeline.capture.keypoint_files.own_points import split_own
 from pipeline.capture.keypoint_files.people import find_joint_set
 from pipeline.capture.keypoint_files.points import match_joint
 from pipeline.capture.keypoints import open_keypoints
@@ -288,8 +289,11 @@ def test_points_that_coco_s_categories_name(tmp_path: Path) -> None:
     }
     contents, problems = read(tmp_path, document)
     assert not problems
-    assert contents.frames[2].shape == (1, 17, 3)
-    found = contents.frames[2][0]
+    assert contents.own == ("head_bottom", "head_top")
+    people, own = split_own(contents.frames, contents.own, contents.own)
+    assert people[2].shape == (1, 17, 3)
+    assert own.of_people[0].tolist() == [[[10.0, 11.0, 0.5], [20.0, 21.0, 0.5]]]
+    found = people[2][0]
     assert found[COCO_17.index("left_wrist"), 0] == 90.0
     assert found[COCO_17.index("left_eye"), 2] == 0.0
 
@@ -306,11 +310,14 @@ def test_rows_of_one_person_of_deeplabcut(tmp_path: Path) -> None:
     contents, problems = read(tmp_path, "\n".join([*SINGLE, *rows]), "camDLC_resnet50.csv")
     assert not problems
     assert contents.forms == {"DeepLabCut"}
-    assert {number: len(people) for number, people in contents.frames.items()} == {0: 1, 1: 0, 3: 0}
-    found = positions(contents, 0, COCO_17.names)
+    frames, own = split_own(contents.frames, contents.own, contents.own)
+    assert {number: len(people) for number, people in frames.items()} == {0: 1, 1: 0, 3: 0}
+    assert contents.own == ("tail",)
+    assert own.of_people[0].tolist() == [[[40.0, 41.0, 0.5]]]
+    found = positions(replace(contents, frames=frames), 0, COCO_17.names)
     seen = {"left_hip": 0.0, "right_hip": 10.0, "left_shoulder": 20.0, "right_shoulder": 30.0}
     assert {name: x for name, x in found.items() if name in seen} == seen
-    assert (contents.frames[0][0, :5, 2] == 0).all()
+    assert (frames[0][0, :5, 2] == 0).all()
 
 
 def test_deeplabcut_labels_name_pictures_without_likelihood(tmp_path: Path) -> None:
@@ -324,8 +331,11 @@ def test_deeplabcut_labels_name_pictures_without_likelihood(tmp_path: Path) -> N
     row = "labeled-data,cam2,img0042.png," + ",".join(str(10.0 * k) for k in range(10))
     contents, problems = read(tmp_path, "\n".join([*header, row]), "CollectedData_me.csv")
     assert not problems
-    people = contents.frames[42]
+    frames, own = split_own(contents.frames, contents.own, contents.own)
+    people = frames[42]
     assert people.shape == (1, 17, 3)
+    assert contents.own == ("corner",)
+    assert [own.of_people[0].shape, own.of_scene[0].tolist()] == [(1, 1, 3), [[[80.0, 90.0, 1.0]]]]
     assert people[0, COCO_17.index("right_shoulder")].tolist() == [60.0, 70.0, 1.0]
 
 

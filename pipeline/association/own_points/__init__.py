@@ -1,0 +1,1 @@
+"""Points of the user's own: located beside people, or as objects of the scene."""
