@@ -18,11 +18,8 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
-<<<<<<< HEAD
-from pipeline.core.data.people import Track3D
-=======
 from pipeline.core.data.own_points import OwnDetections
->>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
+from pipeline.core.data.people import Track3D
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
@@ -211,19 +208,9 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         cameras=cameras,
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         timebase=Timebase(**head["timebase"]),
-<<<<<<< HEAD
-        detections={
-            camera.name: Detections(camera.name, *(arrays[f"{name}_{k}"] for name in DETECTION_ARRAYS))
-            for k, camera in enumerate(cameras)
-        },
-        joints=_joint_set(head["joints"]),
-=======
         detections=detections(),
         own=OwnDetections(own, detections("own_"), detections("scene_")) if own else OwnDetections(),
-        joints=JointSet(
-            tuple(head["joints"]["names"]), tuple((first, second) for first, second in head["joints"]["bones"])
-        ),
->>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
+        joints=_joint_set(head["joints"]),
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),
         layout=LayoutRead(**head["layout"]) if head.get("layout") else None,

@@ -70,14 +70,9 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
     for number, (track, motion) in enumerate(zip(take.tracks, take.motions, strict=True)):
         frames = range(take.timebase.num_frames) if timeline == "take" else track.frames
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
-<<<<<<< HEAD
         subject = take.subject_of(track.track_id)
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
-        yield PersonOfTake(track, motion, *of_take)
-=======
-        of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, take.subject
         yield PersonOfTake(track, motion, *of_take, take.own.of_person(number), take.own.names)
->>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,10 @@ from pipeline.capture.session import Session
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import People
 from pipeline.core.data.reconstruction import Reconstruction, Subject
-<<<<<<< HEAD
-from pipeline.core.findings import SessionCheck
-from pipeline.core.options.edited_take import EditedPerson
-=======
 from pipeline.core.errors import listed_names
 from pipeline.core.findings import Finding, SessionCheck
+from pipeline.core.options.edited_take import EditedPerson
 from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
->>>>>>> 64bf58f0 (Own points: unknown names are located in 3D with people, or as objects)
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
