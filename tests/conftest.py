@@ -67,6 +67,7 @@ SLOW = (
     "e2e/test_manifest.py",
     "e2e/test_offline.py",
     "e2e/test_people_page.py",
+    "e2e/test_people_runs_page.py",
     "e2e/test_portals.py",
     "e2e/test_postgres.py",
     "e2e/test_python_page.py",

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.api.conftest import Live
 from tests.e2e.browsing import axe_findings, opened
-from tests.e2e.test_viewer import Shown, job_ids, live
+from tests.e2e.viewer_pages import Shown, job_ids, live
 
 __all__ = ["job_ids", "live"]
 

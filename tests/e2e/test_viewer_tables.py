@@ -12,7 +12,7 @@ from pipeline.motion.gait.analysis import gait_document, movement_documents
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.api.conftest import running
 from tests.e2e.browsing import opened
-from tests.e2e.test_viewer import NUM_FRAMES, RATE_HZ, Shown
+from tests.e2e.viewer_pages import NUM_FRAMES, RATE_HZ, Shown
 from tests.e2e.viewer_takes import crowd, quick_settings, viewer_files_of
 from tests.pipeline.motion.gait.walks import exercise, gait_of, walk
 

@@ -220,11 +220,13 @@ class _Take:
 
     def placed(self, edit: PeopleEdit) -> PeopleEdit:
         """Edit that names people by places; the same one if it does already."""
-        near = None
+        near: dict[str, int] = {}
         if isinstance(edit, Split | Exchange | Correction | Accept):
-            near = (edit.start_frame if hasattr(edit, "start_frame") else edit.frame) - self.frames.start
+            frame = (edit.start_frame if hasattr(edit, "start_frame") else edit.frame) - self.frames.start
+            # Exchanged is who was one before with who is the other one from then on: other runs may have it right.
+            near = {"person": frame - isinstance(edit, Exchange), "other": frame}
         numbered: dict[str, Any] = {
-            name: self._place(self._person(named, name), near)
+            name: self._place(self._person(named, name), near.get(name))
             for name in ("person", "other")
             if isinstance(named := getattr(edit, name, None), int)
         }
@@ -264,8 +266,6 @@ class _Take:
                 self._split(self._person(person), frame, isinstance(person, PersonAt))
             case Exchange(person=person, other=other, start_frame=start, stop_frame=stop):
                 first, second = self._two(person, other)
-                if first is second:
-                    self._refuse("other", "Both places are of one person in this run.", "Leave this edit out.")
                 self._exchange(first, second, self._range(start, self.frames.stop if stop is None else stop))
             case Cut(start_frame=start, stop_frame=stop):
                 self.kept = self._range(start, stop)
@@ -409,6 +409,8 @@ class _Take:
         self.people[self.last_key] = EditedPerson(self.last_key, parts[1])
 
     def _exchange(self, first: EditedPerson, second: EditedPerson, frames: range) -> None:
+        if first is second:
+            return  # this run has one person there
         exchanged = {
             mine.id: chained(
                 within(mine.pieces, 0, frames.start),

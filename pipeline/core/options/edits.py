@@ -120,7 +120,10 @@ class Split(_Edit):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exchange(_Edit):
-    """Exchange two people from ``start_frame`` on, up to ``stop_frame`` or else to the end."""
+    """Exchange two people from ``start_frame`` on, up to ``stop_frame`` or else to the end.
+
+    A place of ``person`` in the frame before and one of ``other`` in ``start_frame`` change only runs with the fault.
+    """
 
     action: Literal["exchange"] = "exchange"
     person: Named
@@ -194,13 +197,18 @@ Limb = Literal["left_hand", "right_hand", "left_foot", "right_foot"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExchangeSides(_Correction):
-    """Exchange the left and the right side of a person in all cameras."""
+    """Exchange the left and the right side of a person in all cameras.
+
+    ``left_m`` is the middle of the part's left joints in ``start_frame``, as it is right: runs that have the left side
+    there stay as they are.
+    """
 
     action: Literal["exchange_sides"] = "exchange_sides"
     person: Named
     part: Sides
     start_frame: int
     stop_frame: int
+    left_m: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -294,7 +302,7 @@ def read_edit(document: Mapping[str, Any]) -> PeopleEdit:
         for name in ("person", "other")
         if isinstance(named := document.get(name), Mapping)
     }
-    places = {name: tuple(document[name]) for name in ("place_m", "place_px") if name in document}
+    places = {name: tuple(document[name]) for name in ("place_m", "place_px", "left_m") if document.get(name)}
     return _BY_ACTION[document["action"]](**{**document, **people, **places})
 
 

@@ -1,6 +1,8 @@
 """Edits of a session by the API: read, made, undone, applied to its runs, refused with the edit's place."""
 
 import json
+from collections import Counter
+from random import Random
 from typing import Any
 
 import pytest
@@ -77,7 +79,7 @@ def test_people_are_edited_and_edits_undone(capture: EditedCapture) -> None:
         CUT,
         {
             "action": "exchange",
-            "person": {"frame": 20, "place_m": [2.0, 0.0, 1.0]},
+            "person": {"frame": 19, "place_m": [1.9, 0.0, 1.0]},
             "other": {"frame": 20, "place_m": [0.0, 3.0, 1.0]},
             "start_frame": 20,
             "stop_frame": None,
@@ -259,6 +261,22 @@ def test_corrections_of_joints_are_kept(capture: EditedCapture) -> None:
 def test_wrong_corrections_are_refused(capture: EditedCapture, number: int, wrong: dict[str, object]) -> None:
     answer = capture.edit(CORRECTIONS[number] | wrong)
     assert problem_of(answer, 422, "invalid_request")["errors"][0]["pointer"].startswith("/edits/0")
+
+
+@pytest.mark.slow
+def test_random_lists_are_kept_or_refused(capture: EditedCapture) -> None:
+    random, statuses = Random(71), Counter[int]()  # noqa: S311 - no secret
+    odd = [0, 1, 2, 99, -1, 1e9, None, "", "nose", "x" * 250, [1.0, 2.0, 3.0], {"frame": 3, "place_m": [0.3, 0.0, 1.0]}]
+    known = [*CORRECTIONS, ANNA, CUT, {"action": "split", "person": 1, "frame": 20}, {"action": "remove", "person": 2}]
+    for _ in range(200):
+        edits = [dict(edit) for edit in random.choices(known, k=random.choice(range(5)))]
+        for edit in edits:
+            if random.random() < 0.2:
+                edit[random.choice([*edit, "other", "stop_frame"])] = random.choice(odd)
+        answer = capture.edit(*edits)
+        statuses[answer.status_code] += 1
+    assert set(statuses) == {200, 422}
+    assert min(statuses.values()) > 40, statuses
 
 
 def test_unfinished_job_has_no_people(live: Live) -> None:

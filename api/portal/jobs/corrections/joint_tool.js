@@ -8,7 +8,7 @@ import { positionsAt } from "../../viewer/motion/kinematics.js";
 import { prepareLens } from "../../viewer/video/overlay.js";
 import * as THREE from "../../vendor/three/three.module.js";
 import { cameraSight, foot, meet, nearestOn, onPlane, through } from "./lines.js";
-import { Preview } from "./moved_joints.js";
+import { Preview, SIDES } from "./moved_joints.js";
 
 const NEAR_PX = 18;
 const PARTS = ["joint", "left_arm", "right_arm", "left_leg", "right_leg", "head", "all"];
@@ -123,6 +123,16 @@ export class JointTool {
     if (!player.hasSpan) return { start_frame: first + frame, stop_frame: first + frame + 1 };
     const [start, last] = [player.span.from, player.span.to].map((head) => first + Math.round((player.startS + head / player.rateHz - startS) * rateHz));
     return { start_frame: start, stop_frame: last + 1 };
+  }
+
+  /** Middle of the right side's joints in a frame of the run: the left side is there after an exchange; null if unknown. */
+  #rightSide(part, frame) {
+    const { store, description: { first_frame: first, origin_m: origin, joint_names: names } } = this.#viewer;
+    const [out, next] = [0, 1].map(() => new Float32Array(3 * store.records.numJoints));
+    if (!positionsAt(store, this.#chosen.person, frame - first, "joints", out, next)) return null;
+    const places = names.flatMap((name, number) => (name.startsWith("right_") && SIDES[part].test(name) ? [[...out.slice(3 * number, 3 * number + 3)]] : []))
+      .filter((place) => place.every(Number.isFinite));
+    return places.length === 0 ? null : origin.map((value, axis) => value + places.reduce((sum, place) => sum + place[axis], 0) / places.length);
   }
 
   #addKey() {
@@ -289,7 +299,10 @@ export class JointTool {
         ${choose("part", FIX.part, PARTS.map((part) => [part, FIX.parts[part]]))}
         ${button(FIX.ignore, () => ({ action: "ignore_detections", camera: chosen.camera, part: chosen.part === "joint" ? chosen.joint : chosen.part, ...this.#range() }))}
         ${choose("sides", FIX.sides, Object.entries(FIX.sideParts))}
-        ${button(FIX.exchange, () => ({ action: "exchange_sides", part: chosen.sides, ...this.#range() }))}
+        ${button(FIX.exchange, () => {
+          const range = this.#range();
+          return { action: "exchange_sides", part: chosen.sides, left_m: this.#rightSide(chosen.sides, range.start_frame), ...range };
+        })}
         ${choose("limb", FIX.limb, LIMBS.map((limb) => [limb, limb.replace("_", " ")]))}
         ${button(FIX.stands, () => ({ action: "contact", limb: chosen.limb, stands: true, ...this.#range() }))}
         ${button(FIX.free, () => ({ action: "contact", limb: chosen.limb, stands: false, ...this.#range() }))}

@@ -5,7 +5,8 @@ const REACH_S = 0.5;
 const PARENTS = { elbow: "shoulder", wrist: "elbow", knee: "hip", ankle: "knee", heel: "ankle", big_toe: "ankle", small_toe: "ankle" };
 const BONES = { shoulder: "Arm", elbow: "ForeArm", wrist: "Hand", hip: "UpLeg", knee: "Leg", ankle: "Foot" };
 const BENDS = { wrist: ["shoulder", "elbow"], ankle: ["hip", "knee"] };
-const SIDES = { arms: /shoulder|elbow|wrist|thumb|index|middle|ring|pinky|Shoulder|Arm|Hand/, legs: /hip|knee|ankle|heel|toe|Leg|Foot/, all: /./ };
+/** Names of the joints of both sides that are exchanged. */
+export const SIDES = { arms: /shoulder|elbow|wrist|thumb|index|middle|ring|pinky|Shoulder|Arm|Hand/, legs: /hip|knee|ankle|heel|toe|Leg|Foot/, all: /./ };
 
 const parts = (joint) => /^(left|right)_(.+)$/.exec(joint)?.slice(1) ?? [null, joint];
 

@@ -74,6 +74,13 @@ def corrected_evidence(
                     name for name in joints_of_sides(correction.part, joints.names) if other_side(name) in joints.names
                 ]
                 columns, others = joints.indices(tuple(mine)), joints.indices(tuple(map(other_side, mine)))
+                if correction.left_m is not None and here.start < here.stop:
+                    lefts = np.array([name.startswith("left") for name in mine])
+                    xyz_m = arrays["xyz_m"][here.start, columns]
+                    away_m = np.linalg.norm(xyz_m - correction.left_m, axis=-1)
+                    left_m, right_m = (away_m[of_side & np.isfinite(away_m)] for of_side in (lefts, ~lefts))
+                    if len(left_m) and len(right_m) and left_m.mean() < right_m.mean():
+                        continue  # this run has the sides right
                 for array in (points_px, score, is_placed):
                     array[here, :, columns] = array[here, :, others]
                 for array in (*arrays.values(), is_moved):

@@ -344,6 +344,19 @@ def test_merge_and_split_that_a_run_has_already_are_applied() -> None:
     assert [outcome.problem for outcome in take.outcomes] == [None, None]
 
 
+def test_exchange_that_a_run_has_right_changes_nothing() -> None:
+    swapped = [
+        PersonSpan(1, 0, 30, ((0, 0.0, 0.0, 1.0), (14, 1.4, 0.0, 1.0), (15, 1.5, 3.0, 1.0), (29, 2.9, 3.0, 1.0))),
+        PersonSpan(2, 0, 30, ((0, 0.0, 3.0, 1.0), (14, 1.4, 3.0, 1.0), (15, 1.5, 0.0, 1.0), (29, 2.9, 0.0, 1.0))),
+    ]
+    right = [PersonSpan(k + 1, 0, 30, ((0, 0.0, 3.0 * k, 1.0), (29, 2.9, 3.0 * k, 1.0))) for k in range(2)]
+    edits = place_edits(swapped, [Exchange(person=1, other=2, start_frame=15)], FRAMES)
+    assert edits == (Exchange(person=at(1, 14), other=at(1, 15), start_frame=15),)
+    assert pieces_of(apply_edits(swapped, edits, FRAMES))[1] == (Piece(1, 0, 15), Piece(2, 15, 30))
+    take = apply_edits(right, edits, FRAMES)
+    assert (pieces_of(take)[1], take.outcomes[0].problem) == ((Piece(1, 0, 30),), None)
+
+
 def test_place_is_taken_where_others_are_far() -> None:
     crossing = (
         PersonSpan(1, 0, 80, ((0, 0.0, 0.0, 1.0), (79, 8.0, 0.0, 1.0))),
