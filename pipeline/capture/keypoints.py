@@ -28,6 +28,7 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.data.own_points import OwnDetections
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
@@ -75,6 +76,8 @@ class KeypointSession:
         Layout of points that the files do not name; ``None`` if the format or the files name them.
     own
         Points of the user's own, which are no joints of ours.
+    laboratory
+        What a laboratory recorded beside the cameras; ``None``: nothing.
 
     Examples
     --------
@@ -93,6 +96,7 @@ class KeypointSession:
     findings: tuple[Finding, ...]
     layout: LayoutRead | None = None
     own: OwnDetections = field(default_factory=OwnDetections)
+    laboratory: Laboratory | None = None
 
     __repr__ = short_text
 

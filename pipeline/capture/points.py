@@ -47,7 +47,7 @@ class PointSession(KeypointSession):
 
     Parameters
     ----------
-    cameras, times, timebase, detections, joints, folders, findings, layout
+    cameras, times, timebase, detections, joints, folders, findings, layout, laboratory
         See ``KeypointSession``; there are output frames, joints and findings alone.
     people
         Tracks with positions in metres, Z up; NaN where a joint is unknown.

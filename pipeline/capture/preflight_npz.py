@@ -18,6 +18,7 @@ from pipeline.capture.preflight_record import LayoutRead
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
+from pipeline.core.data.laboratory import Laboratory, LaboratoryEvent, LaboratoryStart
 from pipeline.core.data.own_points import OwnDetections
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.rigid import Rigid3
@@ -59,6 +60,42 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
     )
 
 
+def _laboratory(laboratory: Laboratory | None, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Entry of a head about a laboratory, none without one; its arrays join the others."""
+    if laboratory is None:
+        return {}
+    pose = laboratory.world_from_laboratory
+    arrays |= {"laboratory": laboratory.samples, "laboratory_pose": pose.matrix}
+    groups: dict[str, dict[str, list[str] | None]] = {}
+    for group, parameters in laboratory.groups.items():
+        arrays |= {
+            f"laboratory {group} {name}": value for name, value in parameters.items() if isinstance(value, np.ndarray)
+        }
+        groups[group] = {name: value if isinstance(value, list) else None for name, value in parameters.items()}
+    plain = ("file", "unit", "frame_rate_hz", "num_frames", "samples_per_frame", "events", "start")
+    return {"laboratory": {name: getattr(laboratory, name) for name in plain} | {"groups": groups}}
+
+
+def _decode_laboratory(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Laboratory | None:
+    if (plain := head.get("laboratory")) is None:
+        return None
+    pose, start = arrays["laboratory_pose"], plain["start"]
+    decoded = {
+        "samples": arrays["laboratory"],
+        "groups": {
+            group: {
+                name: arrays[f"laboratory {group} {name}"] if texts is None else texts
+                for name, texts in parameters.items()
+            }
+            for group, parameters in plain["groups"].items()
+        },
+        "events": tuple(LaboratoryEvent(*event) for event in plain["events"]),
+        "world_from_laboratory": Rigid3(pose[:, :3], pose[:, 3]),
+        "start": None if start is None else LaboratoryStart(*start),
+    }
+    return Laboratory(**plain | decoded)
+
+
 @functools.singledispatch
 def encode_record(session: Session) -> bytes:
     """Write the record of a session of either kind."""
@@ -74,6 +111,7 @@ def encode_session(session: CaptureSession) -> bytes:
         "videos": [_video(video) for video in session.videos],
         "findings": [finding.to_json() for finding in session.findings],
         **({"offset_std_s": dict(session.offset_std_s)} if session.offset_std_s else {}),
+        **_laboratory(session.laboratory, arrays),
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, (camera, video) in enumerate(zip(session.cameras, session.videos, strict=True)):
@@ -132,6 +170,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         findings=tuple(map(Finding.from_json, head["findings"])),
         offset_std_s=head.get("offset_std_s", {}),
+        laboratory=_decode_laboratory(head, arrays),
     )
 
 
@@ -147,6 +186,7 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         "findings": [finding.to_json() for finding in session.findings],
         "layout": None if session.layout is None else asdict(session.layout),
         **({"own": session.own.names} if session.own.names else {}),
+        **_laboratory(session.laboratory, arrays),
     }
     arrays["head"] = np.array(json.dumps(head))
     for k, camera in enumerate(session.cameras):
@@ -214,4 +254,5 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),
         layout=LayoutRead(**head["layout"]) if head.get("layout") else None,
+        laboratory=_decode_laboratory(head, arrays),
     )

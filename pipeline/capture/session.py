@@ -21,6 +21,7 @@ from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.capture.video_files import find_videos
 from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.options.arguments import checked
@@ -55,6 +56,8 @@ class CaptureSession:
         Output frames of the session, if the times were corrected afterwards; ``None``: the frames of the times.
     offset_std_s
         Standard deviation of a camera's declared offset, by camera name, where it is stated.
+    laboratory
+        What a laboratory recorded beside the cameras; ``None``: nothing.
 
     Examples
     --------
@@ -71,6 +74,7 @@ class CaptureSession:
     frames: range | None = None
     whole_timebase: Timebase | None = None
     offset_std_s: Mapping[str, float] = field(default_factory=dict)
+    laboratory: Laboratory | None = None
 
     __repr__ = short_text
 

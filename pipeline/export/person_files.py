@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.data.own_points import joined
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction, Subject
@@ -55,6 +56,7 @@ class PersonOfTake:
     # Points of the user's own in the track's frames, and their names; ``None`` without any
     own: Track3D | None
     own_names: tuple[str, ...]
+    laboratory: Laboratory | None = None  # What a laboratory recorded beside the cameras
 
     @property
     def all_points(self) -> Track3D:
@@ -72,7 +74,7 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
         subject = take.subject_of(track.track_id)
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
-        yield PersonOfTake(track, motion, *of_take, take.own.of_person(number), take.own.names)
+        yield PersonOfTake(track, motion, *of_take, take.own.of_person(number), take.own.names, take.laboratory)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +172,7 @@ def _written(
         balance,
         person.own,
         person.own_names,
+        person.laboratory,
     )
     writer = find_writer(export)
     expected = writer.expected(content)
@@ -177,7 +180,7 @@ def _written(
         read = writer.read(part, preset)
         if holds == "angles":
             return KeptFile(None, difference_deg=furthest(path, person.frames, expected, read, on_read))
-        distance_mm = furthest_mm(path, person.frames, expected, read, on_read)
+        distance_mm = furthest_mm(path, writer.frames(content), expected, read, on_read)
     return KeptFile(distance_mm, writer.between_frames(content))
 
 

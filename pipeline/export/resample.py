@@ -37,13 +37,26 @@ def resample(reconstruction: Reconstruction, frame_rate_hz: float) -> Reconstruc
     return replace(reconstruction, timebase=timebase, animation=animation, own=own)
 
 
+def on_clock(
+    track: Track3D, motion: SkeletonMotion, old: Timebase, new: Timebase
+) -> tuple[Track3D, SkeletonMotion] | None:
+    """Final positions and skeleton of a person at the frames of another clock; ``None`` if there are none."""
+    ratio = old.frame_rate_hz / new.frame_rate_hz
+    shift = (new.start_time_s - old.start_time_s) * old.frame_rate_hz  # old frames before the first new frame
+    inside = _new_frames(track.start_frame - shift, track.num_frames, ratio)
+    frames = range(max(inside.start, 0), min(inside.stop, new.num_frames))
+    if not frames:
+        return None
+    return _track_at(track, frames, ratio, shift), _motion_at(motion, frames, ratio, new.frame_rate_hz, shift)
+
+
 def resampled_timebase(old: Timebase, frame_rate_hz: float) -> Timebase:
     """Timebase at another rate with the same first frame; its last frame is not after the old last frame."""
     num_frames = num_resampled(old.num_frames, old.frame_rate_hz, frame_rate_hz)
     return replace(old, frame_rate_hz=frame_rate_hz, num_frames=num_frames)
 
 
-def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:
+def _new_frames(start_frame: float, num_frames: int, ratio: float) -> range:
     """Numbers of the new frames within a range of old frames."""
     return range(
         math.ceil(start_frame / ratio - SAME_INSTANT),
@@ -52,7 +65,7 @@ def _new_frames(start_frame: int, num_frames: int, ratio: float) -> range:
 
 
 def _between(
-    frames: range, start_frame: int, num_frames: int, ratio: float
+    frames: range, start_frame: float, num_frames: int, ratio: float
 ) -> tuple[Int[np.ndarray, " new"], Int[np.ndarray, " new"], Float[np.ndarray, " new"]]:
     """Old rows before and after each new frame, and the weight of the row after it, from 0 to 1."""
     place = np.arange(frames.start, frames.stop) * ratio - start_frame
@@ -62,8 +75,8 @@ def _between(
     return before, np.where(weight > 0, np.minimum(before + 1, num_frames - 1), before), weight
 
 
-def _track_at(track: Track3D, frames: range, ratio: float) -> Track3D:
-    before, behind, weight = _between(frames, track.start_frame, track.num_frames, ratio)
+def _track_at(track: Track3D, frames: range, ratio: float, shift: float = 0.0) -> Track3D:
+    before, behind, weight = _between(frames, track.start_frame - shift, track.num_frames, ratio)
     along = weight[:, None, None]
     xyz_m = np.where(along > 0, (1 - along) * track.xyz_m[before] + along * track.xyz_m[behind], track.xyz_m[before])
     nearest = np.where(weight < 0.5, before, behind)
@@ -83,8 +96,10 @@ def _track_at(track: Track3D, frames: range, ratio: float) -> Track3D:
     )
 
 
-def _motion_at(motion: SkeletonMotion, frames: range, ratio: float, frame_rate_hz: float) -> SkeletonMotion:
-    before, behind, weight = _between(frames, motion.start_frame, len(motion.root_m), ratio)
+def _motion_at(
+    motion: SkeletonMotion, frames: range, ratio: float, frame_rate_hz: float, shift: float = 0.0
+) -> SkeletonMotion:
+    before, behind, weight = _between(frames, motion.start_frame - shift, len(motion.root_m), ratio)
     along = weight[:, None]
     return replace(
         motion,
@@ -94,11 +109,11 @@ def _motion_at(motion: SkeletonMotion, frames: range, ratio: float, frame_rate_h
         parent_from_joint=read_only(
             _rotations_at(motion.parent_from_joint, np.minimum(before + weight, len(motion.root_m) - 1))
         ),
-        contacts=tuple(_contact_at(contact, motion.start_frame, frames, ratio) for contact in motion.contacts),
+        contacts=tuple(_contact_at(contact, motion.start_frame - shift, frames, ratio) for contact in motion.contacts),
     )
 
 
-def _contact_at(contact: FootContact, start_frame: int, frames: range, ratio: float) -> FootContact:
+def _contact_at(contact: FootContact, start_frame: float, frames: range, ratio: float) -> FootContact:
     standing = _new_frames(start_frame + contact.start_frame, contact.num_frames, ratio)
     return replace(contact, start_frame=standing.start - frames.start, num_frames=len(standing))
 

@@ -5,22 +5,24 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast, get_args
 
 import typer
 from pydantic import Field, TypeAdapter
 
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, users_cache, warn
-from api.cli.options import ProviderOption, checked, take_provider, with_choices
+from api.cli.options import ProviderOption, checked, known_up, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from api.cli.space import document, require_space, session_space
+from pipeline.capture.laboratory.laboratory_files import WantedClock, is_place, with_laboratory
+from pipeline.capture.session import Session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
 from pipeline.core.options.edits import MAX_EDITS, PeopleEdit
 from pipeline.core.options.rules import config_problems, require
 from pipeline.core.problems.code_group import Code
-from pipeline.core.problems.finding_codes import EDITS_UNREADABLE, NOTHING_BLURRED
+from pipeline.core.problems.finding_codes import EDITS_UNREADABLE, NOTHING_BLURRED, PARAMETER_UNREADABLE
 from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.export.character.character_files import DESCRIPTION
 from pipeline.export.character.mapping import read_bone_table
@@ -110,6 +112,24 @@ def _edits(path: Path | None) -> tuple[PeopleEdit, ...]:
         ) from error
 
 
+def _with_laboratory(session: Session, path: Path, clock: str, place: str | None, up: str) -> Session:
+    """Session with the C3D file of the options; raises ``InputError``."""
+    kind, _, channel = clock.partition(":")
+    problems, numbers = [], None
+    if kind not in get_args(WantedClock) or (channel and kind != "trigger"):
+        hint = f"Known are {', '.join(get_args(WantedClock))}, and trigger:CHANNEL."
+        problems.append(Problem(PARAMETER_UNREADABLE, f"There is no clock {clock!r}.", field="c3d_clock", hint=hint))
+    try:
+        numbers = None if place is None else [float(number) for number in place.split(",")]
+    except ValueError:
+        numbers = []
+    if numbers is not None and not is_place(numbers):
+        message = f"{place!r} is not X,Y,Z,DEGREES."
+        problems.append(Problem(PARAMETER_UNREADABLE, message, field="c3d_place", hint="Write it as 0.5,0,0,90."))
+    require(problems)
+    return with_laboratory(session, path, cast(WantedClock, kind), channel or None, numbers, known_up(up))
+
+
 @with_choices()
 @with_source()
 def command(
@@ -124,6 +144,24 @@ def command(
         Path | None,
         typer.Option(
             help="Character that moves as each person: a GLB, VRM or FBX file, see `multicap help own-character`."
+        ),
+    ] = None,
+    c3d: Annotated[
+        Path | None,
+        typer.Option(
+            help="C3D of a laboratory: force plates, analog channels and events, see `multicap help formats`."
+        ),
+    ] = None,
+    c3d_clock: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|timecode|trigger[:CHANNEL]|contacts", help="What tells when the C3D of --c3d begins."
+        ),
+    ] = "auto",
+    c3d_place: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,DEGREES", help="Place of the laboratory's axes in the calibration's world, metres."
         ),
     ] = None,
     bones: Annotated[
@@ -173,9 +211,11 @@ def command(
             take_provider(provider)
         moved = _character(character, bones)
         session = source.open(calibration)
+        if c3d is not None:
+            session = _with_laboratory(session, c3d, c3d_clock, c3d_place, source.up)
         if not as_json:
             show_session(session.findings, session.layout)
-        sources = (calibration, *([] if source.timestamps is None else [source.timestamps]))
+        sources = (calibration, *(path for path in (source.timestamps, c3d) if path is not None))
         kept = None if no_cache else cache or users_cache()
         require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))
         space = session_space(session, config, character)

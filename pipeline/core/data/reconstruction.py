@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Refinement, Synchronization, Timebase
 from pipeline.core.data.detections import DamagedVideo
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.data.own_points import OwnTracks
 from pipeline.core.data.people import Doubt, Observations, PersonLoss, Track3D
 from pipeline.core.findings import Finding, SessionCheck
@@ -71,6 +72,8 @@ class Reconstruction:
         Layout of keypoints without names, and how it was told, or ``None``; table of segments, sex and mass of people.
     is_emptied, own
         Whether edits removed everybody who was found; points of the user's own.
+    laboratory
+        What a laboratory recorded beside the cameras, with the time of its file if it is known; ``None``: nothing.
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
         Cameras that are right have the number 0.
@@ -106,6 +109,7 @@ class Reconstruction:
     is_emptied: bool = False
     subject: Subject = field(default_factory=Subject)
     own: OwnTracks = field(default_factory=OwnTracks)
+    laboratory: Laboratory | None = None
     accepted: Mapping[int, Sequence[Accept]] = field(default_factory=dict)
     subjects: Mapping[int, Subject] = field(default_factory=dict)
 

@@ -46,6 +46,8 @@ SLOW_MOTION = FILES.code("slow_motion", "finding")
 camera filmed (`rate`, `--rate`), unless the camera only ran longer."""
 COARSE_CLOCK = FILES.code("coarse_clock", "finding")
 """The clock of the videos' starts is coarser than their frames. | State offsets, or synchronise by the people."""
+LABORATORY_READ = FILES.code("laboratory_read", "finding")
+"""A laboratory's C3D file was read; the message says what tells its time. | State the clock if the guess is wrong."""
 INTERLACED_VIDEO = FILES.code("interlaced_video", "finding")
 """A video is interlaced: each picture shows two instants. | Record progressively, or deinterlace the video before."""
 PIXEL_ASPECT = FILES.code("pixel_aspect", "finding")
@@ -196,6 +198,12 @@ frames by `frame_range`, or for a lower `output_rate_hz`."""
 OPENSIM_FAILED = WARNINGS.code("opensim_failed", "warning")
 """OpenSim could not scale its model to a person, or not follow the person's markers; the message says why. | See
 [OpenSim](../guide/biomechanics.md#opensim). The person's archive has the setups to run it by hand."""
+LABORATORY_ALIGNED = WARNINGS.code("laboratory_aligned", "warning")
+"""The time of a laboratory's file was measured from contacts and vertical force, or could not be. | Check it, and state
+a trigger channel or timecode if it is wrong."""
+LABORATORY_DOUBTFUL = WARNINGS.code("laboratory_doubtful", "warning")
+"""Feet and force plates disagree about the time of a laboratory's file or about the place of its plates. | Follow the
+message."""
 TOO_FEW_CAMERAS = WARNINGS.code("too_few_cameras", 422, "warning", "finding", "job", "command")
 """The session has fewer than three cameras. | Add a camera."""
 DAMAGED_VIDEO = WARNINGS.code("damaged_video", "warning")

@@ -244,6 +244,12 @@ TIMESTAMPS_ORDER = TIMES.code("timestamps_order", 422, "command")
 TIMESTAMPS_START = TIMES.code("timestamps_start", 422, "command")
 """The times do not count from the start of the capture. | Subtract the first time."""
 
+LABORATORY_UNREADABLE = TIMES.code("laboratory_unreadable", 422, "command")
+"""The C3D file of a laboratory is damaged, or has no analog channels. | Follow the message; export the file again."""
+LABORATORY_CLOCK = TIMES.code("laboratory_clock", 422, "command")
+"""The C3D file of a laboratory, or the videos, lack the clock that was asked for. | State another clock, or the channel
+of the trigger."""
+
 CHARACTERS = CodeGroup(
     "Characters",
     "Characters of the user's own, onto which motion is retargeted; see [characters](../start/own-character.md).",

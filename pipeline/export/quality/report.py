@@ -48,6 +48,7 @@ from pipeline.core.problems.finding_codes import CAMERA_DISAGREES
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.concerns import find_concerns
+from pipeline.export.quality.laboratory_report import laboratory_checks, laboratory_document
 from pipeline.export.quality.views import PersonViews, body_joints, has_position, person_views, without_fingers
 from pipeline.export.quality.world_checks import world_checks
 from pipeline.motion.angles.compute import joint_angles, ranges_of_motion
@@ -150,7 +151,11 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
             if not reconstruction.accepts(finding.code, camera=finding.camera)
         ],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
-        "capture_checks": capture_checks(reconstruction, seen, likenesses),
+        **laboratory_document(reconstruction.laboratory),
+        "capture_checks": [
+            *capture_checks(reconstruction, seen, likenesses),
+            *laboratory_checks(reconstruction.laboratory),
+        ],
         "world_checks": world_checks(reconstruction, statures_m, _shifted(reconstruction.cameras, views)),
     }
     concerns = find_concerns(reconstruction, views, all_checks(report))

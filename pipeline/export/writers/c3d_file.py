@@ -14,6 +14,9 @@ Foot strikes and foot offs of gait, and flights of jumps, are in the group ``EVE
 Visual3D: labels ``Foot Strike`` and ``Foot Off`` with the contexts ``Left`` and ``Right``. There is no group without
 events. Times are from the file's first frame on, in minutes and seconds.
 
+With a laboratory's file whose time is known, the person is at its frames and in its unit of lengths; its analog
+channels, force plates and events are added, see ``c3d_laboratory``.
+
 Takes of more than 65,535 frames have their number of frames in ``TRIAL:ACTUAL_END_FIELD`` and ``POINT:LONG_FRAMES``.
 """
 
@@ -21,20 +24,24 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.capture.laboratory.c3d_content import BLOCK_BYTES, C3dHeader, read_header, read_parameters
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.laboratory import Laboratory, LaboratoryEvent
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import JointSet
+from pipeline.export.resample import on_clock
 from pipeline.export.timelines import frame_blocks, unknown_outside
+from pipeline.export.writers.c3d_laboratory import per_frame, with_groups, with_samples
 from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
 from pipeline.motion.angles.compute import observed
 from pipeline.motion.angles.definitions import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
+from pipeline.motion.laboratory.plates import UNITS_M
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 
 
@@ -61,52 +68,34 @@ def segment_reliability(track: Track3D, joints: JointSet) -> Float[np.ndarray, "
 CENTRES = ("center_of_mass", "extrapolated_center_of_mass")
 """Points of a file beside the joints: the extrapolated centre is on the floor."""
 
-BLOCK_BYTES = 512
 MAX_BLOCKS = 2**16 - 1
 """Largest number of a block that a parameter can state."""
 _KEY, _INTEL, _FIRST_PARAMETERS = 0x50, 84, 2
 _MAX_PARAMETER_BLOCKS, _MAX_ITEMS = 255, 255
 _HEADER = struct.Struct("<BBHHHHHfHHf")
-_TEXT, _WORD, _FLOAT = -1, 2, 4
+_TEXT, _BYTE, _WORD, _FLOAT = -1, 1, 2, 4
 
 Value = Sequence[str] | Sequence[int] | Sequence[float] | np.ndarray
 Groups = Mapping[str, Mapping[str, Value]]
-"""Values of parameters by group and name: texts, whole numbers of 16 bits, floats, or an array of floats by rows."""
-
-
-class C3dHeader(NamedTuple):
-    """Facts of a file's header."""
-
-    num_points: int
-    num_frames: int
-    scale: float  # Negative: the scale of residuals; points are floats
-    first_block: int  # First block of the points, counted from 1
-    frame_rate_hz: float
+"""Values of parameters by group and name: texts, whole numbers of 16 bits, floats, or an array of numbers by rows."""
 
 
 def header_bytes(header: C3dHeader) -> bytes:
     """Header of a file; a number of frames beyond 16 bits is in the parameters alone."""
-    last = min(header.num_frames, MAX_BLOCKS)
     packed = _HEADER.pack(
         _FIRST_PARAMETERS,
         _KEY,
         header.num_points,
-        0,
-        1,
-        last,
+        header.samples_per_frame,
+        header.first_frame,
+        min(header.last_frame, MAX_BLOCKS),
         0,
         header.scale,
         header.first_block,
-        0,
+        header.samples_per_channel,
         header.frame_rate_hz,
     )
     return packed.ljust(BLOCK_BYTES, b"\0")
-
-
-def read_header(content: bytes) -> C3dHeader:
-    """Read a header of ``header_bytes``; the number of frames is at most 65,535."""
-    _, _, num_points, _, first, last, _, scale, first_block, _, rate_hz = _HEADER.unpack_from(content)
-    return C3dHeader(num_points, last - first + 1, scale, first_block, rate_hz)
 
 
 def parameter_bytes(groups: Groups) -> bytes:
@@ -150,9 +139,11 @@ def _entry(name: str, number: int, content: bytes) -> tuple[bytes, bytes]:
 def _packed(value: Value) -> bytes:
     """Type, dimensions and values of a parameter."""
     if isinstance(value, np.ndarray):
-        dimensions, code, content = value.shape[::-1], _FLOAT, value.astype("<f4").tobytes()
+        code = {"u1": _BYTE, "u2": _WORD}.get(value.dtype.str[1:], _FLOAT)
+        kind = "<f4" if code == _FLOAT else value.dtype.newbyteorder("<")
+        dimensions, content = value.shape[::-1], value.astype(kind).tobytes()
     elif all(isinstance(item, str) for item in value):
-        texts = [str(item).encode("ascii", "replace")[:_MAX_ITEMS] for item in value]
+        texts = [str(item).encode("latin-1", "replace")[:_MAX_ITEMS] for item in value]
         width = max(map(len, texts), default=0)
         dimensions, code, content = (width, len(texts)), _TEXT, b"".join(text.ljust(width) for text in texts)
     elif all(isinstance(item, int) for item in value):
@@ -164,30 +155,8 @@ def _packed(value: Value) -> bytes:
     return struct.pack(f"<bB{len(dimensions)}B", code, len(dimensions), *dimensions) + content
 
 
-def read_numbers(content: bytes) -> dict[tuple[str, str], np.ndarray]:
-    """Numbers in the blocks of ``parameter_bytes`` by group and name, each as a flat array."""
-    names: dict[int, str] = {}
-    numbers: dict[tuple[str, str], np.ndarray] = {}
-    place, step = 4, 1
-    while step:
-        length, number = struct.unpack_from("<bb", content, place)
-        name = content[place + 2 : place + 2 + length].decode("ascii")
-        place += 2 + length
-        (step,) = struct.unpack_from("<H", content, place)
-        if number < 0:
-            names[-number] = name
-        else:
-            code, num_dimensions = struct.unpack_from("<bB", content, place + 2)
-            if code in (_WORD, _FLOAT):
-                count = int(np.prod(list(content[place + 4 : place + 4 + num_dimensions]), initial=1))
-                kind = "<u2" if code == _WORD else "<f4"
-                numbers[names[number], name] = np.frombuffer(content, kind, count, place + 4 + num_dimensions)
-        place += step
-    return numbers
-
-
 _MM_PER_M = 1000.0
-_SECONDS_PER_MINUTE = 60.0
+_M_PER_MM = 0.001
 _SUBJECT = "person"
 # Millimetres that a step of the residual's byte stands for: ezc3d writes 1 into the header of whatever it writes again,
 # and leaves the parameter, so that other readers refuse any other number then.
@@ -207,6 +176,7 @@ def encode(
     frames: range | None = None,
     events: Sequence[MarkedEvent] = (),
     motion: SkeletonMotion | None = None,
+    laboratory: Laboratory | None = None,
 ) -> Iterator[bytes]:
     """Write a track's positions as C3D, piece by piece.
 
@@ -222,6 +192,8 @@ def encode(
         Events of the person; of more than 2,000 the first ones are written.
     motion
         Motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
+    laboratory
+        Laboratory on whose frames the track is: its channels, force plates, events and unit of lengths are the file's.
 
     Examples
     --------
@@ -233,45 +205,57 @@ def encode(
     (17, 0)
     """
     frames = track.frames if frames is None else frames
-    num_point_blocks = _num_blocks(len(frames) * len(joints.names) * _POINT_BYTES)
+    samples_per_frame, per_channel = (0, 0) if laboratory is None else per_frame(laboratory)
+    unit, per_m = ("mm", _MM_PER_M) if laboratory is None else (laboratory.unit, 1.0 / UNITS_M[laboratory.unit])
+    num_point_blocks = _num_blocks(len(frames) * (len(joints.names) * _POINT_BYTES + samples_per_frame * _FLOAT))
 
     def groups_at(first_block: int) -> Groups:
         rotations = first_block + num_point_blocks if motion is not None else None
-        return _groups(joints, timebase, origin_m, frames, events[:_MAX_EVENTS], first_block, rotations)
+        groups = _groups(joints, timebase, origin_m, unit, frames, first_block, rotations)
+        own = [
+            LaboratoryEvent(*event[:2], _SUBJECT, (event.frame - frames.start) / timebase.frame_rate_hz)
+            for event in events[:_MAX_EVENTS]
+        ]
+        return with_groups(groups, own, laboratory, origin_m)
 
     # Numbers of blocks have a fixed length: the parameters are as long as they were without them.
     first_block = 2 + len(parameter_bytes(groups_at(0))) // BLOCK_BYTES
-    yield header_bytes(C3dHeader(len(joints.names), len(frames), -_RESIDUAL_MM, first_block, timebase.frame_rate_hz))
+    scale, rate_hz = -_RESIDUAL_MM * per_m * _M_PER_MM, timebase.frame_rate_hz
+    facts = len(joints.names), samples_per_frame, 1, len(frames), scale, first_block, per_channel, rate_hz
+    yield header_bytes(C3dHeader(*facts))
     yield parameter_bytes(groups_at(first_block))
     # Readers of long takes that take the rest of the last block for frames find no points there.
-    yield from _padded(_point_pieces(track, origin_m, frames), _INVALID_POINT)
+    points = _point_pieces(track, origin_m, per_m, frames)
+    yield from _padded(points if laboratory is None else with_samples(points, laboratory), _INVALID_POINT)
     if motion is not None and first_block + num_point_blocks <= MAX_BLOCKS:
-        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, frames), bytes(4))
+        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, per_m, frames), bytes(4))
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
     """Read world positions (metres) of the joints from a file of ``encode``, block by block; NaN where unknown."""
     with path.open("rb") as file:
         header = read_header(file.read(BLOCK_BYTES))
-        numbers = read_numbers(file.read((header.first_block - 2) * BLOCK_BYTES))
-        low, high = numbers["TRIAL", "ACTUAL_END_FIELD"]
-        origin_m = numbers.get(("WORLD", "ORIGIN_M"), np.zeros(3)).astype(float)
+        groups = read_parameters(file.read((header.first_block - 2) * BLOCK_BYTES))
+        low, high = groups["TRIAL"]["ACTUAL_END_FIELD"]
+        origin_m = np.asarray(groups.get("WORLD", {}).get("ORIGIN_M", np.zeros(3)), float)
+        width, per_m = 4 * header.num_points, 1.0 / UNITS_M[str(groups["POINT"]["UNITS"][0])]
         for block in frame_blocks(int(low) + (int(high) << 16)):
-            size = (block.stop - block.start) * header.num_points * _POINT_BYTES
-            values = np.frombuffer(file.read(size), "<f4").reshape(-1, header.num_points, 4).astype(float)
+            size = (block.stop - block.start) * (width + header.samples_per_frame) * _FLOAT
+            rows = np.frombuffer(file.read(size), "<f4").reshape(-1, width + header.samples_per_frame)
+            values = rows[:, :width].reshape(-1, header.num_points, 4).astype(float)
             is_known = values[..., 3:] >= 0.0
-            yield np.where(is_known, values[..., :3] / _MM_PER_M + origin_m, np.nan)
+            yield np.where(is_known, values[..., :3] / per_m + origin_m, np.nan)
 
 
 def _groups(
     joints: JointSet,
     timebase: Timebase,
     origin_m: Float[np.ndarray, " 3"],
+    unit: str,
     frames: range,
-    events: Sequence[MarkedEvent],
     first_block: int,
     rotation_block: int | None,
-) -> Groups:
+) -> dict[str, dict[str, Value]]:
     """Parameters of a file; ``rotation_block`` is the first block of the poses of segments, ``None`` without them."""
     rate_hz, num_frames = timebase.frame_rate_hz, len(frames)
     groups: dict[str, dict[str, Value]] = {
@@ -279,11 +263,11 @@ def _groups(
             "USED": [len(joints.names)],
             "FRAMES": [min(num_frames, MAX_BLOCKS)],
             "LONG_FRAMES": [float(num_frames)],
-            "SCALE": [-_RESIDUAL_MM],
+            "SCALE": [-_RESIDUAL_MM * _M_PER_MM / UNITS_M[unit]],
             "RATE": [rate_hz],
             "DATA_START": [first_block],
             "LABELS": joints.names,
-            "UNITS": ["mm"],
+            "UNITS": [unit],
             "X_SCREEN": ["+X"],
             "Y_SCREEN": ["+Z"],
         },
@@ -305,21 +289,12 @@ def _groups(
             "RATIO": [1],
             "FRAMES": [min(num_frames, MAX_BLOCKS)],
             "LABELS": list(SEGMENT_LABELS.values()),
-            "UNITS": ["mm"],
-        }
-    if events:
-        times_s = np.array([event.frame - frames.start for event in events]) / rate_hz
-        groups["EVENT"] = {
-            "USED": [len(events)],
-            "CONTEXTS": [event.context for event in events],
-            "LABELS": [event.label for event in events],
-            "SUBJECTS": [_SUBJECT] * len(events),
-            "TIMES": np.stack(np.divmod(times_s, _SECONDS_PER_MINUTE), axis=1),
+            "UNITS": [unit],
         }
     return groups
 
 
-def _point_pieces(track: Track3D, origin_m: Float[np.ndarray, " 3"], frames: range) -> Iterator[bytes]:
+def _point_pieces(track: Track3D, origin_m: Float[np.ndarray, " 3"], per_m: float, frames: range) -> Iterator[bytes]:
     """Points of blocks of frames: three coordinates, and mask and residual in one number."""
     sigma_m = np.full(track.source.shape, np.nan) if track.uncertainty_m is None else track.uncertainty_m
     for block in frame_blocks(len(frames)):
@@ -334,13 +309,18 @@ def _point_pieces(track: Track3D, origin_m: Float[np.ndarray, " 3"], frames: ran
         mask = 2.0 ** np.minimum(views, _MAX_CAMERAS) - 1.0
         word = np.where(is_measured, np.nan_to_num(mask) * 2**_MASK_SHIFT + np.nan_to_num(residual), 0.0)
         values = np.empty((*is_known.shape, 4), "<f4")
-        values[..., :3] = np.where(is_known[..., None], (xyz_m - origin_m) * _MM_PER_M, 0.0)
+        values[..., :3] = np.where(is_known[..., None], (xyz_m - origin_m) * per_m, 0.0)
         values[..., 3] = np.where(is_known, word, -1.0)
         yield values.tobytes()
 
 
 def _rotation_pieces(
-    motion: SkeletonMotion, track: Track3D, joints: JointSet, origin_m: Float[np.ndarray, " 3"], frames: range
+    motion: SkeletonMotion,
+    track: Track3D,
+    joints: JointSet,
+    origin_m: Float[np.ndarray, " 3"],
+    per_m: float,
+    frames: range,
 ) -> Iterator[bytes]:
     """Poses of segments of blocks of frames, each with its reliability."""
     reliability = segment_reliability(track, joints)
@@ -352,7 +332,7 @@ def _rotation_pieces(
         if inside:
             rows = slice(inside.start - track.start_frame, inside.stop - track.start_frame)
             poses = segment_poses(motion, rows)
-            poses[..., :3, 3] = (poses[..., :3, 3] - origin_m) * _MM_PER_M
+            poses[..., :3, 3] = (poses[..., :3, 3] - origin_m) * per_m
             own = values[inside.start - part.start : inside.stop - part.start]
             own[..., :-1] = np.swapaxes(poses, -1, -2).reshape(*poses.shape[:2], -1)
             own[..., -1] = reliability[rows]
@@ -397,17 +377,42 @@ def _with_centre(person: PersonContent) -> PersonContent:
     return replace(person, track=widened, joints=JointSet((*person.joints.names, *CENTRES), person.joints.bones))
 
 
+def _on_laboratory(person: PersonContent) -> PersonContent:
+    """Person at the frames of the laboratory's file, if its time is known and it has frames of the person."""
+    laboratory = person.laboratory
+    if laboratory is None or laboratory.start is None:
+        return replace(person, laboratory=None)
+    clock = Timebase(laboratory.start.time_s, laboratory.frame_rate_hz, laboratory.num_frames)
+    moved = on_clock(person.track, person.motion, person.timebase, clock)
+    if moved is None:
+        return replace(person, laboratory=None)
+    return replace(person, track=moved[0], motion=moved[1], timebase=clock, frames=range(clock.num_frames))
+
+
+def _shown(person: PersonContent) -> PersonContent:
+    return _on_laboratory(_with_centre(person))
+
+
 def _encode_person(given: PersonContent) -> Iterator[bytes]:
     """Write a person's file, with the events of gait and jumps."""
     events = marked_events(analyse_gait(given.track, given.joints, given.timebase.frame_rate_hz))
-    person = _with_centre(given)
+    person = _shown(given)
+    if person.laboratory is not None:
+        times_s = [given.timebase.time_s(event.frame) - person.timebase.start_time_s for event in events]
+        frames = [time_s * person.timebase.frame_rate_hz for time_s in times_s]
+        events = tuple(
+            event._replace(frame=frame)
+            for event, frame in zip(events, frames, strict=True)
+            if 0.0 <= frame <= len(person.frames)
+        )
     content = person.track, person.joints, person.timebase, person.origin_m, person.frames, events, person.motion
-    return encode(*content)
+    return encode(*content, person.laboratory)
 
 
 WRITER = Writer(
     _encode_person,
     lambda path, _: read_xyz_m(path),
-    lambda person: joint_positions(_with_centre(person)),
+    lambda person: joint_positions(_shown(person)),
     has_origin=True,
+    frames=lambda person: _shown(person).frames,
 )

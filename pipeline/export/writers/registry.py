@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.core.options.choices import plainly_annotated
@@ -52,6 +53,8 @@ class PersonContent:
     own, own_names
         Points of the user's own in the frames of the track, and their names. In files of joints they are behind the
         joints in ``track`` and ``joints``, too.
+    laboratory
+        What a laboratory recorded beside the cameras; ``None``: nothing.
 
     Examples
     --------
@@ -75,6 +78,7 @@ class PersonContent:
     balance: Callable[[], Balance | None] = lambda: None
     own: Track3D | None = None
     own_names: tuple[str, ...] = ()
+    laboratory: Laboratory | None = None
 
 
 plainly_annotated(PersonContent.__init__)
@@ -124,6 +128,8 @@ class Writer:
         Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``.
     take
         Files of a whole take; ``None`` for formats that hold one person.
+    frames
+        Frames of a file, if they are not the person's.
 
     Examples
     --------
@@ -140,6 +146,7 @@ class Writer:
     holds_name: bool = False
     has_origin: bool = False
     take: TakeWriter | None = None
+    frames: Callable[[PersonContent], range] = lambda person: person.frames
 
 
 plainly_annotated(Writer.__init__)

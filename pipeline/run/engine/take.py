@@ -19,6 +19,7 @@ from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
+from pipeline.motion.laboratory.alignment import in_world_of, placed_in_time
 from pipeline.run.engine import stage
 from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
@@ -32,7 +33,8 @@ def assemble(context: stage.Context) -> Reconstruction:
 
     Tracks and observations are read from a file in ``context.scratch`` whenever they are asked for.
     """
-    session = wanted_frames(context, context.outline())
+    outline = context.outline()
+    session = wanted_frames(context, outline)
     identified = found_people(context, stage.IDENTIFY)
     people, animation = identified.people, found_animation(context)
     take = None
@@ -65,6 +67,11 @@ def assemble(context: stage.Context) -> Reconstruction:
         layout=None if session.layout is None else asdict(session.layout),
         subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),
     )
+    if session.laboratory is not None:
+        laboratory = in_world_of(session.cameras, outline.cameras, session.laboratory)
+        joints, subject = reconstruction.joints, reconstruction.subject
+        placed = placed_in_time(laboratory, animation, joints, session.timebase, subject)
+        reconstruction = replace(reconstruction, laboratory=placed)
     if take is None:
         return _with_own_points(context, reconstruction, None)
     accepted = {0: take.accepted} | {person.id: person.accepted for person in take.people}

@@ -10,11 +10,12 @@ import ezc3d
 import numpy as np
 import pytest
 
+from pipeline.capture.laboratory.c3d_content import read_parameters
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
-from pipeline.export.writers.c3d_file import parameter_bytes, read_numbers
+from pipeline.export.writers.c3d_file import parameter_bytes
 from pipeline.motion.angles.compute import segments_from
 from pipeline.motion.angles.definitions import SEGMENT_LABELS
 from pipeline.motion.gait.analysis import MarkedEvent
@@ -159,8 +160,9 @@ def test_more_items_than_parameter_holds(count: int, tmp_path: Path) -> None:
 
 
 def test_numbers_of_parameters_are_read_back() -> None:
-    numbers = read_numbers(parameter_bytes({"A": {"X": [1, 65_535], "T": ["word"]}, "B": {"Y": np.eye(3)}}))
-    assert numbers["A", "X"].tolist() == [1, 65_535]
-    assert numbers["B", "Y"].tolist() == np.eye(3).ravel().tolist()
+    groups = read_parameters(parameter_bytes({"A": {"X": [1, 65_535], "T": ["word"]}, "B": {"Y": np.eye(3)}}))
+    assert np.asarray(groups["A"]["X"]).tolist() == [1, 65_535]
+    assert groups["A"]["T"] == ["word"]
+    assert np.asarray(groups["B"]["Y"]).tolist() == np.eye(3).tolist()
     with pytest.raises(ValueError, match="blocks"):
         parameter_bytes({"A": {f"X{number}": ["x" * 200] * 255 for number in range(5)}})
