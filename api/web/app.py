@@ -168,7 +168,10 @@ def _start(settings: Settings) -> Services:
         wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
         readiness=LimitedChecks(_READINESS_LIMIT_S),
         live_places=LivePlaces(
-            settings.max_live_captures, settings.max_tenant_live_captures, settings.max_bad_live_captures_per_minute
+            settings.max_live_captures,
+            settings.max_tenant_live_captures,
+            settings.max_bad_live_captures_per_minute,
+            settings.max_live_camera_captures,
         ),
         live_forks=ForkServer(settings.live_command),
         rooms=Rooms(store, RecordingRelay(settings.broker_url)),

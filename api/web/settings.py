@@ -244,6 +244,21 @@ class Settings(SharedSettings):
         default=tuple(module_command("pipeline.run.live.server")),
         description="Program from which the processes of live captures are forked, one a connection.",
     )
+    live_cameras_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.run.live.cameras.program")),
+        description="Program of a live capture whose cameras the service opens.",
+    )
+    live_private: bool | None = Field(
+        default=None,
+        description="Whether live captures may open cameras of this machine and streams of private networks, and send "
+        "by VMC; streams of public addresses they may. Without it only as long as the service has no keys.",
+    )
+    max_live_camera_captures: int = Field(
+        default=1,
+        ge=0,
+        description="Largest number of live captures of an API process whose cameras the service opens; each uses all "
+        "processors.",
+    )
     live_keeping_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.run.live.keeping")),
         description="Program that writes the keypoints of a live capture as files of a session.",

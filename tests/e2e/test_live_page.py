@@ -42,6 +42,7 @@ def test_keypoints_in_people_out_and_session_kept(served: Served, take: list[Pat
 
     with opened(f"{served.client.base_url}#/live") as page:
         page.on("websocket", lambda socket: socket.on("framereceived", take_message))
+        page.get_by_label("Keypoint files").check()
         page.get_by_role("button", name="Play live").click()
         expect(page.get_by_role("alert")).to_contain_text("Choose keypoints of the cameras.")
         page.get_by_label("Choose files").set_input_files(take)

@@ -3,10 +3,7 @@
 import contextlib
 import signal
 import sys
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,25 +16,19 @@ from api.cli.live.outputs import (
     KeptKeypoints,
     LiveOutputs,
     Terminal,
-    VmcReceivers,
     opened_output,
     summary_line,
 )
 from api.cli.live.preview import PreviewPage
 from pipeline.calibration.registry import read_calibration
-from pipeline.core.errors import ChildError, InputError, Problem
+from pipeline.core.errors import Problem
 from pipeline.core.options.config import PROFILES
 from pipeline.core.options.rules import collecting, require
-from pipeline.core.problems.finding_codes import OUTPUT_EXISTS, PARAMETER_RANGE
-from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.run.live.cameras.detector_pool import DetectorPool, start_detecting
+from pipeline.core.problems.finding_codes import OUTPUT_EXISTS
+from pipeline.run.live.cameras.listeners import capture, vmc_receivers
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import read_sources
 from pipeline.run.live.cameras.totals import LiveTotals
-from pipeline.run.live.vmc import VmcSender
-from pipeline.run.warm_up import warm_up
-
-_MAX_DIGITS = 5  # of a port
 
 
 @options.with_choices("joints", "appearance")
@@ -100,19 +91,15 @@ def command(
                 collect(lambda: read_calibration(calibration, options.known_units(units), options.known_up(up))) or ()
             )
             sources = collect(lambda: read_sources(camera, [known.name for known in cameras])) if cameras else None
-            senders = [
-                collect(partial(opened.enter_context, sender))
-                for address in vmc or ()
-                if (sender := collect(partial(_vmc_sender, address, allow_network))) is not None
-            ]
-            collect(lambda: require([*_repeated_receivers(vmc or ()), *_existing_outputs(keep, output)]))
+            receivers = collect(lambda: opened.enter_context(vmc_receivers(vmc or (), allow_network)))
+            collect(lambda: require([*_existing_outputs(keep, output)]))
             page = None if preview is None else collect(lambda: opened.enter_context(PreviewPage(preview)))
         by_name = {known.name: known for known in cameras}
         outputs: list[LiveListener] = [JsonLines(sys.stdout)] if as_json else []
         if output is not None:
             outputs.append(JsonLines(opened.enter_context(opened_output(output))))
-        if senders:
-            outputs.append(VmcReceivers(senders))
+        if vmc and receivers is not None:
+            outputs.append(receivers)
         if keep is not None:
             outputs.append(KeptKeypoints(keep))
         if page is not None:
@@ -122,41 +109,13 @@ def command(
             outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
         listener = LiveOutputs(outputs)
         run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
-        warm_up([run.joints])
-        try:
-            make_pool = partial(ProcessPool, run.num_processes, start_detecting, [choices])
-            with _stopped_by_signals(run.stop), DetectorPool(make_pool, run.tell) as pool:
-                run.run(pool)
-        except BrokenProcessPool as error:
-            raise ChildError(
-                "Processes that detect were ended from outside again and again, most likely for lack of memory."
-            ) from error
+        with _stopped_by_signals(run.stop):
+            capture(run, choices)
         listener.end(run.totals)
         if not as_json:
             _print_summary(run.totals)
         if listener.errors:
             raise listener.errors[0]
-
-
-def _vmc_sender(address: str, allow_network: bool) -> VmcSender:
-    host, port = _host_and_port(address)
-    if not (port.isdecimal() and len(port) <= _MAX_DIGITS):
-        message, hint = f"{address!r} is not [HOST:]PORT.", "Write it as 39539 or 127.0.0.1:39539."
-        raise InputError([Problem(PARAMETER_RANGE, message, field="vmc", hint=hint)])
-    return VmcSender(host, [int(port)], allow_network=allow_network)
-
-
-def _host_and_port(address: str) -> tuple[str, str]:
-    host, _, port = address.rpartition(":")
-    return host.strip("[]") or "127.0.0.1", port
-
-
-def _repeated_receivers(addresses: Sequence[str]) -> Iterator[Problem]:
-    receivers = Counter(map(_host_and_port, addresses))
-    for (host, port), count in receivers.items():
-        if count > 1:
-            message, hint = f"The receiver {host}:{port} is stated twice.", "A receiver shows one person."
-            yield Problem(PARAMETER_RANGE, message, field="vmc", hint=hint)
 
 
 def _existing_outputs(keep: Path | None, output: Path | None) -> Iterator[Problem]:

@@ -5,7 +5,6 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
@@ -18,16 +17,12 @@ from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import PipelineError
 from pipeline.core.joints import JointSet
-from pipeline.motion.skeleton.model import SKELETON
+from pipeline.run.live.cameras.listeners import ready_document
 from pipeline.run.live.cameras.run import LiveListener
 from pipeline.run.live.cameras.totals import LiveTotals
-from pipeline.run.live.packing import described_camera, instant_json
+from pipeline.run.live.packing import instant_json
 from pipeline.run.live.records import DetectedFrame, LiveInstant
-from pipeline.run.live.vmc import VmcSender
 from worker.store.files.disk import append_whole
-
-# A receiver whose person is out of sight for so long gets the next person.
-_GONE_S = 2.0
 
 
 class LiveOutputs(LiveListener):
@@ -78,19 +73,6 @@ class LiveOutputs(LiveListener):
                     raise
                 self.errors.append(error)
                 self.tell(f"{error} The capture continues without it.")
-
-
-def ready_document(cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> dict[str, Any]:
-    """Names of cameras and joints of instants, like the message ``ready`` of the service."""
-    return {
-        "type": "ready",
-        "cameras": [camera.name for camera in cameras],
-        "joints": joints.names,
-        "bones": [joint.name for joint in SKELETON],
-        "parents": [joint.parent for joint in SKELETON],
-        "rig": [described_camera(camera) for camera in cameras],
-        "frame_rate_hz": frame_rate_hz,
-    }
 
 
 class JsonLines(LiveListener):
@@ -172,34 +154,6 @@ class KeptKeypoints(LiveListener):
         table = io.StringIO(newline="")
         csv.writer(table, lineterminator="\n").writerows(rows)
         append_whole(self._folder / "timestamps.csv", table.getvalue().encode())
-
-
-class VmcReceivers(LiveListener):
-    """Receivers of VMC, each of which shows one person.
-
-    The first person goes to the first receiver, and so on. A receiver whose person has gone gets the next one.
-    """
-
-    def __init__(self, senders: Sequence[VmcSender]) -> None:
-        self._senders = senders
-        self._shown: list[int | None] = [None] * len(senders)
-        self._seen_s = [0.0] * len(senders)
-
-    def show(self, instant: LiveInstant, latency_s: float) -> None:
-        """Send the people."""
-        people = {person.id: person for person in instant.people}
-        for place, number in enumerate(self._shown):
-            if number in people:
-                self._seen_s[place] = instant.time_s
-            elif instant.time_s - self._seen_s[place] > _GONE_S:
-                self._shown[place] = None
-        waiting = iter(sorted(people.keys() - set(self._shown)))
-        for place, sender in enumerate(self._senders):
-            if self._shown[place] is None and (number := next(waiting, None)) is not None:
-                self._shown[place], self._seen_s[place] = number, instant.time_s
-            person = people.get(self._shown[place] or 0)
-            if person is not None:
-                sender.send(replace(instant, people=(replace(person, id=1),)))
 
 
 class Terminal(LiveListener):

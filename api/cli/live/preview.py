@@ -4,13 +4,10 @@ import asyncio
 import json
 import socket
 import threading
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
@@ -20,7 +17,6 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.cli.live.outputs import ready_document
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
 from api.web.live.backlog import Backlog
 from api.web.page import PortalFiles
@@ -29,8 +25,9 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 from pipeline.motion.skeleton.model import SKELETON
+from pipeline.run.live.cameras.listeners import StatusFigures, ready_document
 from pipeline.run.live.cameras.run import LiveListener
-from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.cameras.totals import LiveTotals
 from pipeline.run.live.packing import pack_instant
 from pipeline.run.live.records import LiveInstant
 
@@ -38,8 +35,6 @@ _HOST = "127.0.0.1"
 _PAGE = Path(__file__).parents[2] / "portal" / "live" / "preview.html"
 # Messages that wait for a browser that is slow.
 _MAX_MESSAGES, _MAX_BYTES = 16, 2**22
-# Instants whose latencies are shown.
-_NUM_SHOWN = 200
 _GRACE_S = 1
 # Connections of browsers, and bytes of what one sends, which is nothing.
 _MAX_CONNECTIONS, _MAX_RECEIVED_BYTES = 64, 1024
@@ -91,9 +86,7 @@ class PreviewPage(LiveListener):
         self._browsers: set[Backlog] = set()
         self._ready: bytes | None = None
         self._num_joints = self._sequence = 0
-        self._latencies_s: deque[float] = deque(maxlen=_NUM_SHOWN)
-        self._before: dict[str, CameraTotals] = {}
-        self._instants_before = 0
+        self._figures = StatusFigures()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -113,36 +106,14 @@ class PreviewPage(LiveListener):
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
         """Send people to browsers."""
-        self._latencies_s.append(latency_s)
+        self._figures.add(latency_s)
         self._sequence += 1
         if self._browsers:
             self._tell(pack_instant(instant, self._num_joints, len(SKELETON), self._sequence))
 
     def tick(self, totals: LiveTotals) -> None:
         """Send figures of the last second to browsers."""
-        cameras = [self._figures(camera) for camera in totals.cameras]
-        instants, self._instants_before = totals.instants - self._instants_before, totals.instants
-        p50, p95 = np.percentile(self._latencies_s, [50, 95]).tolist() if self._latencies_s else (None, None)
-        self._tell(
-            _encoded(
-                {
-                    "type": "status",
-                    "time_s": totals.duration_s,
-                    "instants_hz": instants,
-                    "latency_s": {"p50": p50, "p95": p95},
-                    "cameras": cameras,
-                }
-            )
-        )
-
-    def _figures(self, camera: CameraTotals) -> dict[str, Any]:
-        before = self._before.get(camera.name, CameraTotals(camera.name))
-        self._before[camera.name] = replace(camera)
-        decoded, detected = camera.decoded - before.decoded, camera.detected - before.detected
-        return {"name": camera.name, "state": camera.state, "decoded_hz": decoded, "detected_hz": detected} | {
-            "dropped": camera.dropped,
-            "lost": camera.lost,
-        }
+        self._tell(_encoded(self._figures.message(totals)))
 
     def _tell(self, message: bytes | None) -> None:
         """Send a message to all browsers; ``None``: the capture is over."""

@@ -18,8 +18,8 @@ class LiveRefusal extends Error {
 /**
  * Live capture of a page.
  *
- * Events, as `CustomEvent` with `detail`: `instant` (as `unpackInstant` gives it), `ended` (the message of the service), and
- * `refused` (a `LiveRefusal`). One of the last two comes last.
+ * Events, as `CustomEvent` with `detail`: `instant` (as `unpackInstant` gives it), `status` and `notice` of cameras that the
+ * service opens, `ended` (the message of the service), and `refused` (a `LiveRefusal`). One of the last two comes last.
  */
 export class LiveClient extends EventTarget {
   #socket;
@@ -28,7 +28,8 @@ export class LiveClient extends EventTarget {
   notSent = 0; // frames that were left out because the connection is slow
 
   /**
-   * Open a capture; `start` has the fields of the message `start` without `type` and `format`. Pages of other origins state the
+   * Open a capture; `start` has the fields of the message `start` without `type` and `format`, or of `start_cameras` without
+   * `format`. Pages of other origins state the
    * address of the service, `wss://SERVICE/v1/live`, and a key.
    */
   constructor(start, { address = liveAddress(), key = null } = {}) {
@@ -40,7 +41,7 @@ export class LiveClient extends EventTarget {
       this.addEventListener("refused", ({ detail }) => reject(detail), { once: true });
     });
     this.#ready.catch(() => null); // the event `refused` tells of it as well
-    this.#socket.addEventListener("open", () => this.#socket.send(JSON.stringify({ ...start, type: "start", format: "packed" })));
+    this.#socket.addEventListener("open", () => this.#socket.send(JSON.stringify({ type: "start", ...start, format: "packed" })));
     this.#socket.addEventListener("message", ({ data }) => this.#read(data));
     this.#socket.addEventListener("close", ({ code, reason }) => this.#closed(code, reason));
   }

@@ -1,11 +1,10 @@
 // Page of `multicap live --preview`: people in 3D while they are captured, latency, and what the cameras do.
 
-import { length } from "../shared/format.js";
 import { html, nothing, ref, render } from "../shared/lit.js";
-import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 import { unpackInstant } from "./client.js";
 import { LiveScene } from "./scene.js";
+import { cameraStates, statusFigures } from "./status.js";
 
 const AGAIN_MS = 2000;
 
@@ -59,30 +58,11 @@ class PreviewView {
       <div class="bar"><h1 class="title">${LIVE.title}</h1></div>
       <section class="look-viewer" aria-label=${LIVE.peopleNow}>
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
-        ${this.#status ? this.#figures(this.#status) : nothing}
+        ${this.#status ? statusFigures(this.#status, this.#people) : nothing}
       </section>
       ${this.#isOpen ? nothing : over}
-      ${this.#status ? this.#cameras(this.#status) : nothing}
+      ${this.#status ? cameraStates(this.#status) : nothing}
     </div>`, this.#place);
-  }
-
-  #figures({ time_s: timeS, instants_hz: rateHz, latency_s: { p50, p95 } }) {
-    const { figures } = LIVE;
-    const facts = [
-      [figures.time, length(timeS)],
-      [figures.people, String(this.#people)],
-      [figures.instants, COMMON.hz(rateHz)],
-      [figures.latency, p50 === null ? LIVE.unknown : LIVE.latency((1000 * p50).toFixed(0), (1000 * p95).toFixed(0))],
-    ];
-    return html`<dl class="live-figures">${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
-  }
-
-  #cameras({ cameras }) {
-    return html`<section class="panel" aria-labelledby="cameras-title"><h2 id="cameras-title">${COMMON.cameras}</h2>
-      <table class="live-cameras"><thead><tr>${LIVE.preview.table.map((head) => html`<th>${head}</th>`)}</tr></thead>
-      <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${LIVE.preview.states[camera.state]}</td>
-        <td>${COMMON.hz(camera.decoded_hz)}</td><td>${COMMON.hz(camera.detected_hz)}</td><td>${COUNTS.frames(camera.dropped)}</td><td>${COUNTS.times(camera.lost)}</td></tr>`)}</tbody></table>
-    </section>`;
   }
 }
 

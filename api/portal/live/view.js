@@ -1,4 +1,4 @@
-// View Live: keypoints of files played into a live capture, and people in 3D as they come back.
+// View Live: cameras that the service opens, or keypoints of files played into a live capture, and people in 3D.
 
 import { calibrationPart, ChosenCalibration } from "../send/calibration.js";
 import { droppedFiles } from "../send/files.js";
@@ -11,8 +11,11 @@ import { readCalibrations } from "../shared/resources.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 import { SEND } from "../shared/strings/send.js";
+import { ChosenCameras } from "./cameras_part.js";
+import { cameraStates, figureList, statusFigures } from "./status.js";
 
 const DRAW_MS = 250;
+const NOTICES = 8;
 const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
 
 export function open(place) {
@@ -22,7 +25,9 @@ export function open(place) {
 }
 
 class LiveView {
-  rig = new ChosenCalibration(() => this.draw());
+  rig = new ChosenCalibration(() => { this.cameras.list(this.rig.record?.cameras.map(({ name }) => name) ?? []); this.draw(); });
+  cameras = new ChosenCameras(() => this.draw());
+  source = "cameras"; // or keypoints
   stored = null; // calibrations, once they are loaded
   away = null; // why they are not
   files = null; // of the recording, as `sortedFiles` gives them
@@ -33,6 +38,8 @@ class LiveView {
   problem = null;
   ended = null; // message `ended` of the last capture
   counts = null; // figures of the capture that runs or ran last
+  status = null; // latest message `status`, of cameras
+  notices = []; // latest sentences about cameras
   isOver = false; // whether files are held over the page
   #isClosed = false;
   #client = null;
@@ -48,6 +55,7 @@ class LiveView {
 
   async start() {
     this.draw();
+    this.cameras.load();
     try {
       this.stored = await persistently(readCalibrations, { isOver: () => this.#isClosed, away: (problem) => { this.away = problem; this.draw(); } });
       this.away = null;
@@ -65,7 +73,8 @@ class LiveView {
 
   get isBusy() { return ["opening", "playing", "ending"].includes(this.phase); }
   get capture() { return { calibration: this.rig.record }; } // for the part that chooses the calibration
-  get needsFrameRate() { return this.files !== null && this.files.views.length > 0 && this.files.timestamps === null; }
+  get hasCameras() { return this.source === "cameras"; }
+  get needsFrameRate() { return !this.hasCameras && this.files !== null && this.files.views.length > 0 && this.files.timestamps === null; }
 
   async add(read) {
     try {
@@ -86,7 +95,7 @@ class LiveView {
   async play() {
     this.problem = this.ended = null;
     const missing = [
-      ...(this.files ? [] : [LIVE.faults.keypoints]),
+      ...(this.hasCameras ? this.cameras.faults : this.files ? [] : [LIVE.faults.keypoints]),
       ...(this.rig.record ? [] : [LIVE.faults.calibration]),
       ...(this.needsFrameRate && !(this.frameRateHz >= 1 && this.frameRateHz <= 1000) ? [LIVE.faults.rate] : []),
     ];
@@ -98,43 +107,57 @@ class LiveView {
     this.#go("opening");
     try {
       // The player is large: it is loaded when it is needed.
-      const [{ openRecording }, ...modules] = await Promise.all([import("./keypoints.js"), import("./client.js"), import("./playback.js"), import("./scene.js")]);
-      const names = this.rig.record.cameras.map(({ name }) => name);
-      const recording = await openRecording(this.files, names, this.frameRateHz);
-      if (!this.#isClosed) await this.#open(recording, ...modules);
+      const [{ LiveClient }, { LiveScene }] = await Promise.all([import("./client.js"), import("./scene.js")]);
+      const open = (start, rateHz = null) => this.#open(new LiveClient({ calibration_id: this.rig.id, keep: this.isKept, name: this.#named(), ...start }), LiveScene, rateHz);
+      if (this.hasCameras) await open(this.cameras.start);
+      else {
+        const [{ openRecording }, { Playback }] = await Promise.all([import("./keypoints.js"), import("./playback.js")]);
+        const recording = await openRecording(this.files, this.rig.record.cameras.map(({ name }) => name), this.frameRateHz);
+        const ready = this.#isClosed ? null : await open({ layout: recording.layout, frame_rate_hz: recording.rateHz }, recording.rateHz);
+        if (ready) this.#playBack(new Playback(this.#client, recording, ready.cameras));
+      }
     } catch (problem) {
       this.#over(problem);
     }
   }
 
-  async #open(recording, { LiveClient }, { Playback }, { LiveScene }) {
-    const { layout, rateHz } = recording;
-    const name = this.name.trim() || LIVE.defaultName(dateAndTime(new Date()));
-    this.#keptName = name;
-    const client = new LiveClient({ calibration_id: this.rig.id, layout, frame_rate_hz: rateHz, keep: this.isKept, name });
+  #named() {
+    this.#keptName = this.name.trim() || LIVE.defaultName(dateAndTime(new Date()));
+    return this.#keptName;
+  }
+
+  // Wait until a capture has begun; returns its message `ready`, or null if it is not wanted any more.
+  async #open(client, LiveScene, rateHz) {
+    Object.assign(this, { status: null, notices: [] });
     this.#client = client;
+    this.#playback = null;
     client.addEventListener("refused", ({ detail }) => this.#over(detail));
     client.addEventListener("ended", ({ detail }) => { this.ended = detail; this.#over(null); });
+    client.addEventListener("status", ({ detail }) => { this.status = detail; this.draw(); });
+    client.addEventListener("notice", ({ detail }) => { this.notices = [...this.notices, detail.message].slice(-NOTICES); this.draw(); });
     const ready = await client.ready;
-    if (this.#isClosed) return;
-    const playback = new Playback(client, recording, ready.cameras);
-    this.#playback = playback;
+    if (this.#isClosed) return null;
     this.counts = { people: 0, skeletons: 0, instants: 0, dropped: { input: 0, output: 0 }, notSent: 0 };
     this.draw();
     this.#scene?.close();
-    this.#scene = new LiveScene(this.#stage, ready, rateHz);
+    this.#scene = new LiveScene(this.#stage, ready, ready.frame_rate_hz ?? rateHz);
     client.addEventListener("instant", ({ detail }) => this.#take(detail));
-    playback.addEventListener("end", () => this.end());
-    playback.addEventListener("problem", ({ detail }) => this.#over(detail));
     this.#timer = setInterval(() => this.draw(), DRAW_MS);
-    playback.start();
     this.#go("playing");
     announce(LIVE.said.begun);
+    return ready;
+  }
+
+  #playBack(playback) {
+    this.#playback = playback;
+    playback.addEventListener("end", () => this.end());
+    playback.addEventListener("problem", ({ detail }) => this.#over(detail));
+    playback.start();
   }
 
   #take(instant) {
     this.#scene.show(instant);
-    this.#playback.arrived(instant);
+    this.#playback?.arrived(instant);
     const { people, dropped } = instant;
     Object.assign(this.counts, {
       people: people.length, skeletons: people.filter(({ skeleton }) => skeleton).length, instants: this.counts.instants + 1, dropped, notSent: this.#client.notSent,
@@ -144,8 +167,13 @@ class LiveView {
   // End the capture; the service sends what is still to come, and stores what is to be kept.
   end() {
     this.#playback?.stop();
+    if (this.phase === "opening") {
+      this.#client?.close();
+      this.#over(null);
+      return;
+    }
     this.#client.end();
-    if (this.phase === "playing") this.#go("ending");
+    this.#go("ending");
   }
 
   #leave() {
@@ -194,19 +222,25 @@ class LiveView {
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
         ${this.counts ? this.#figures() : nothing}
       </section>
+      ${this.phase === "opening" && this.hasCameras ? html`<p class="notice" role="status">${LIVE.cameras.waiting}</p>` : nothing}
+      ${this.notices.length ? html`<div role="log" aria-label=${LIVE.notices}><ul class="warnings">${this.notices.map((text) => html`<li>${text}</li>`)}</ul></div>` : nothing}
+      ${this.status ? cameraStates(this.status) : nothing}
       ${this.#result()}
       ${problemBox(this.problem)}
       <div class="actions">
-        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? LIVE.opening : this.counts ? LIVE.playAgain : LIVE.play}</button>
-        <button type="button" class="button" ?disabled=${this.phase !== "playing"} @click=${() => this.end()}>${this.phase === "ending" ? LIVE.ending : LIVE.end}</button>
+        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? LIVE.opening : LIVE[this.source === "cameras" ? (this.counts ? "startAgain" : "start") : this.counts ? "playAgain" : "play"]}</button>
+        <button type="button" class="button" ?disabled=${!["opening", "playing"].includes(this.phase)} @click=${() => this.end()}>${this.phase === "ending" ? LIVE.ending : LIVE.end}</button>
         <label class="with"><input type="checkbox" .checked=${this.isKept} ?disabled=${this.isBusy} @change=${(event) => { this.isKept = event.target.checked; this.draw(); }}> ${LIVE.keep}</label>
         ${this.isKept ? html`<label class="take"><span>${COMMON.name}</span><input name="name" maxlength="200" autocomplete="off" .value=${typed(this.name)} ?disabled=${this.isBusy} @input=${(event) => { this.name = event.target.value; }}></label>` : nothing}
       </div>
-      ${this.#filesPart()}
+      <fieldset class="field" ?disabled=${this.isBusy}><legend>${LIVE.from}</legend><div class="choices">
+        ${Object.entries(LIVE.sources).map(([source, label]) => html`<label class="with"><input type="radio" name="source" value=${source} .checked=${source === this.source} @change=${() => { this.source = source; this.draw(); }}> ${label}</label>`)}</div></fieldset>
+      ${this.hasCameras ? nothing : this.#filesPart()}
       <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
         ${calibrationPart({ sending: this, stored: this.stored, away: this.away, isLocked: this.isBusy, choose: (id, name) => this.rig.choose(id, name), readFile: (...chosen) => this.rig.readFile(...chosen) })}
         ${problemBox(this.rig.problem)}
       </section>
+      ${this.hasCameras ? this.cameras.part(this.isBusy) : nothing}
     </form>`;
   }
 
@@ -225,7 +259,7 @@ class LiveView {
           ${picker(SEND.chooseFiles, html`<input class="unseen" type="file" multiple accept=${ACCEPTED} ?disabled=${this.isBusy} @change=${chosen}>`)}
           ${picker(SEND.chooseFolder, html`<input class="unseen" type="file" webkitdirectory ?disabled=${this.isBusy} @change=${chosen}>`)}
         </div>
-        <p class="quiet">${LIVE.leadHint}</p>
+        <p class="quiet">${LIVE.keypointsHint} ${LIVE.leadHint}</p>
       </div>
       ${views.length ? html`<p class="quiet facts">${views.map(({ name, frames }) => html`<span>${LIVE.framesOf(name, COUNTS.frames(frames.size))}</span>`)}
         ${timestamps ? html`<span>${LIVE.timesOf(timestamps.name)}</span>` : nothing}</p>` : nothing}
@@ -239,16 +273,17 @@ class LiveView {
 
   #figures() {
     const { people, skeletons, instants, dropped, notSent } = this.counts;
-    const latency = this.#playback.latencyMs?.map((value) => value.toFixed(0));
+    const shown = LIVE.peopleNumber(people, skeletons);
+    if (this.status) return statusFigures(this.status, shown);
     const { figures } = LIVE;
-    const facts = [
-      [figures.time, LIVE.timeOf(length(this.#playback.timeS), length(this.#playback.lengthS))],
-      [figures.people, LIVE.peopleNumber(people, skeletons)],
+    const [playback, latency] = [this.#playback, this.#playback?.latencyMs?.map((value) => value.toFixed(0))];
+    return figureList([
+      [figures.time, playback ? LIVE.timeOf(length(playback.timeS), length(playback.lengthS)) : LIVE.unknown],
+      [figures.people, shown],
       [figures.latency, latency ? LIVE.latency(...latency) : LIVE.unknown],
       [figures.instants, String(instants)],
       [figures.dropped, LIVE.dropped(COUNTS.frames(dropped.input + notSent), COUNTS.instants(dropped.output))],
-    ];
-    return html`<dl class="live-figures">${facts.map(([name, value]) => html`<div><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
+    ]);
   }
 
   #result() {

@@ -98,6 +98,7 @@ _TAGS = {
     "results": "Result files of a job: BVH and other formats for each person, joints, metrics.",
     "links": "Links that open a job, or something of it, without a key, for a while.",
     "recordings": "Recordings by phones: rooms in which browsers record takes, and sessions and calibrations of them.",
+    "live": "Cameras of the service's machine, for live captures; `/live.asyncapi.json` describes `WS /v1/live`.",
     "callers": "Caller of a request, and signing browsers in and out.",
     "health": "Liveness, readiness and metrics of the service.",
 }

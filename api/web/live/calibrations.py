@@ -17,7 +17,7 @@ from api.web.errors import ErrorItem
 from api.web.http.websockets import SocketProblem
 from api.web.live.forks import ForkServer, start_limit_s
 from api.web.live.problems import failed
-from api.web.live.schemas import LiveStart
+from api.web.live.schemas import LiveCamerasStart, LiveStart
 from api.web.sessions.preflight import NICE, InvalidFilesError, PreflightProgram, cpu_limit_s
 from pipeline.core.problems.request_codes import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE, LIVE_FIELDS
 from pipeline.core.runtime.forks import NUMBER, ForkRequest
@@ -26,7 +26,7 @@ from worker.store.tenant_records import TenantRecords
 
 
 async def calibration_file(
-    services: Services, caller: Caller, records: TenantRecords, start: LiveStart, folder: Path
+    services: Services, caller: Caller, records: TenantRecords, start: LiveStart | LiveCamerasStart, folder: Path
 ) -> Path:
     """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
     if start.calibration_id is not None:
@@ -42,7 +42,9 @@ async def calibration_file(
     return path
 
 
-async def _sent_calibration(services: Services, caller: Caller, start: LiveStart, folder: Path) -> str:
+async def _sent_calibration(
+    services: Services, caller: Caller, start: LiveStart | LiveCamerasStart, folder: Path
+) -> str:
     path = folder / "sent.json"
     await run_in_threadpool(path.write_text, json.dumps(start.calibration), "utf-8")
     arguments = ["--calibration", str(path), f"--up={start.up}"]

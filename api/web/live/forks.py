@@ -22,7 +22,9 @@ _log = structlog.get_logger(__name__)
 _LOGGED_BYTES = 4000
 _ANSWERS_TO_START = 6
 # Of the service's environment the forks get these names, and names that begin with the prefixes: no passwords, no keys.
-_NAMES = frozenset({"HOME", "LANG", "LD_LIBRARY_PATH", "MULTICAP_HOME", "PATH", "TMPDIR", "TZ", "USER"})
+_NAMES = frozenset(
+    {"HOME", "LANG", "LD_LIBRARY_PATH", "MULTICAP_HOME", "MULTICAP_PROVIDER", "PATH", "TMPDIR", "TZ", "USER"}
+)
 _PREFIXES = ("LC_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 # A process that forks must have no threads, and OpenBLAS would start some.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
@@ -87,18 +89,27 @@ class ForkServer:
                 _log.error("live_server_ended", exit_code=exit_code, log=log.read().decode(errors="replace"))
 
 
+def bare_environment() -> dict[str, str]:
+    """Environment of processes of live captures, without passwords and keys."""
+    return {name: text for name, text in os.environ.items() if name in _NAMES or name.startswith(_PREFIXES)}
+
+
 def start_limit_s(settings: Settings) -> float:
     """Longest time until a fork runs and answers: the server imports everything first, and compiles what is not yet."""
     return _ANSWERS_TO_START * settings.live_answer_s
 
 
 def _started(command: Sequence[str]) -> _Running:
-    inherited = {name: text for name, text in os.environ.items() if name in _NAMES or name.startswith(_PREFIXES)}
     log = tempfile.TemporaryFile()  # noqa: SIM115 - closed when the server has ended
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
         process = subprocess.Popen(  # noqa: S603 - the command is the operator's
-            command, stdin=theirs.fileno(), stdout=log, stderr=log, env=inherited | _ONE_THREAD, start_new_session=True
+            command,
+            stdin=theirs.fileno(),
+            stdout=log,
+            stderr=log,
+            env=bare_environment() | _ONE_THREAD,
+            start_new_session=True,
         )
     lower_priority(NICE, process.pid)
     return _Running(process, ours, log)

@@ -4,14 +4,14 @@ import math
 from array import array
 from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
-from api.web.live.schemas import POINTS, Layout, LiveEnd, LiveKeypoints, LiveStart
+from api.web.live.schemas import POINTS, Layout, LiveCamerasStart, LiveEnd, LiveKeypoints, LiveStart
 from pipeline.core.problems import request_codes
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
@@ -19,12 +19,18 @@ _MAX_SHOWN = 40
 _MAX_AHEAD_S = 60.0
 
 
-def read_start(text: str) -> LiveStart:
+_STARTS: TypeAdapter[LiveStart | LiveCamerasStart] = TypeAdapter(
+    Annotated[LiveStart | LiveCamerasStart, Field(discriminator="type")]
+)
+
+
+def read_start(text: str) -> LiveStart | LiveCamerasStart:
     """Parse the first message; raises ``SocketProblem`` with all that is wrong."""
     try:
-        start = LiveStart.model_validate_json(text)
+        start = _STARTS.validate_json(text)
     except ValidationError:
-        raise wrong_message(text, (LiveStart,), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
+        models = (LiveStart, LiveCamerasStart)
+        raise wrong_message(text, models, request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:
         code, pointer = (
@@ -39,6 +45,15 @@ def read_start(text: str) -> LiveStart:
 def wrong_keypoints(text: str) -> SocketProblem:
     """Problem of a text that is no message ``keypoints`` and no ``end``."""
     return wrong_message(text, (LiveKeypoints, LiveEnd), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS)
+
+
+def read_end(message: Mapping[str, Any]) -> None:
+    """Require that a message is ``end``; raises ``SocketProblem``."""
+    text = message.get("text") or ""
+    try:
+        LiveEnd.model_validate_json(text)
+    except ValidationError:
+        raise wrong_message(text, (LiveEnd,), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
 
 
 class Intake:

@@ -16,7 +16,7 @@ from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
 from api.web.live.problems import failed
-from api.web.live.schemas import POINTS, LiveStart
+from api.web.live.schemas import POINTS, Layout
 from api.web.sessions.intake import CheckedSession, check, stored
 from api.web.sessions.receiving import Sent
 from api.web.sessions.schemas import SESSION_FORM
@@ -47,8 +47,8 @@ class KeptPackets:
         Folder of the connection, which the caller removes.
     """
 
-    def __init__(self, services: Services, folder: Path, start: LiveStart) -> None:
-        self._services, self._num_points = services, POINTS[start.layout]
+    def __init__(self, services: Services, folder: Path, layout: Layout) -> None:
+        self._services, self._num_points, self.layout = services, POINTS[layout], layout
         self.path = folder / "packets"
         self.path.touch()
         self._buffer = bytearray()
@@ -100,7 +100,7 @@ async def keep_session(
     services: Services,
     records: TenantRecords,
     kept: KeptPackets,
-    start: LiveStart,
+    name: str,
     calibration: Path,
     cameras: Sequence[str],
 ) -> str:
@@ -114,10 +114,10 @@ async def keep_session(
     await kept.flush()
     folder = calibration.parent
     owner = connection.state.caller.owner
-    archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras, start.layout)
+    archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras, kept.layout)
     manifest = {
-        "name": start.name,
-        **({"layout": start.layout} if archives and start.layout in _STATED else {}),
+        "name": name,
+        **({"layout": kept.layout} if archives and kept.layout in _STATED else {}),
         "cameras": [{"name": camera, "file": archive} for camera, archive in archives.items()],
         "metadata": {"source": "live"},
     }

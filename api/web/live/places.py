@@ -26,9 +26,12 @@ class LivePlaces:
         Largest number of open captures, of all owners and of one.
     max_bad_per_minute
         Captures of an owner that may end by a fault within a minute, until the owner waits.
+    max_with_cameras
+        Largest number of captures whose cameras the service opens.
     """
 
-    def __init__(self, max_captures: int, max_of_owner: int, max_bad_per_minute: int) -> None:
+    def __init__(self, max_captures: int, max_of_owner: int, max_bad_per_minute: int, max_with_cameras: int) -> None:
+        self._left_with_cameras = max_with_cameras
         # A start takes a processor; the others are left to captures that run.
         self._starts = asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
         self._max_captures, self._max_of_owner = max_captures, max_of_owner
@@ -45,6 +48,18 @@ class LivePlaces:
         finally:
             pause_s = min(_MAX_PAUSE_S, _PAUSE * (time.monotonic() - began_s))
             asyncio.get_running_loop().call_later(pause_s, self._starts.release)
+
+    @contextlib.contextmanager
+    def with_cameras(self) -> Iterator[None]:
+        """Take a place of a capture whose cameras the service opens; raises 503 if all are taken."""
+        if not self._left_with_cameras:
+            message = "Another live capture uses cameras of the service, and its processors."
+            raise service_unavailable(CAPTURES_BUSY, message)
+        self._left_with_cameras -= 1
+        try:
+            yield
+        finally:
+            self._left_with_cameras += 1
 
     def note_bad(self, owner: str) -> None:
         """Count a capture that ended by a fault of the client."""

@@ -1,5 +1,8 @@
 """Problems that end live captures from several places."""
 
+import json
+
+from api.web.errors import ErrorItem
 from api.web.http.websockets import FAILED, TOO_LARGE, WRONG_DATA, SocketProblem
 from pipeline.core.problems import request_codes
 
@@ -39,3 +42,9 @@ def too_large(max_bytes: int) -> SocketProblem:
 def wrong_text() -> SocketProblem:
     """Problem of a message that is no text, or of frames that break the protocol."""
     return SocketProblem(request_codes.LIVE_MESSAGE, "The text of a message is not UTF-8.", WRONG_DATA)
+
+
+def refused(answer: bytes) -> SocketProblem:
+    """Problem of a capture that its process can't begin: a list of problems in JSON."""
+    errors = [ErrorItem(**problem) for problem in json.loads(answer)]
+    return SocketProblem(request_codes.LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)

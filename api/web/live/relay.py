@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections import deque
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
 from functools import partial
 from typing import Any
 
@@ -33,17 +33,74 @@ _MAX_AT_PROCESS = 2
 # Of the rate of the cameras: faster clients wait, in pauses of this length. Files that are played faster are welcome.
 _MAX_SPEED, _PAUSE_S = 4.0, 0.05
 _WATCH_S = 0.25
+_TYPED = b'{"type"'
 
 
-class Relay:
+class Outgoing:
+    """Messages of a capture to its client, with their backlog.
+
+    Parameters
+    ----------
+    metrics
+        Where messages are counted.
+    """
+
+    def __init__(self, websocket: WebSocket, settings: Settings, metrics: LiveMetrics) -> None:
+        self._websocket, self._settings, self._metrics = websocket, settings, metrics
+        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
+        self._num_received = 0
+        self._counts: dict[str, int] = {}
+        self.kept: KeptPackets | None = None
+        self.cameras: Sequence[str] = ()
+
+    @property
+    def dropped(self) -> Dropped:
+        """Messages that were dropped so far."""
+        return Dropped(0, self._instants.num_dropped)
+
+    @property
+    def counts(self) -> LiveCountsOut:
+        """Numbers of frames so far."""
+        return LiveCountsOut(
+            received=self._num_received,
+            taken=self._counts.get("taken", 0),
+            late=self._counts.get("late", 0),
+            too_late=self._counts.get("dropped", 0),
+        )
+
+    async def _send(self) -> None:
+        """Send instants as the client takes them."""
+        async for content, since_s in self._instants.taken():
+            # The instants of JSON begin with a brace, and state no type yet.
+            message: dict[str, Any] = {"type": "websocket.send"}
+            is_instant = not content.startswith(_TYPED)
+            if not is_instant:
+                message["text"] = content.decode()
+            elif content[:1] == b"{":
+                message["text"] = self._head() + content[1:].decode()
+            else:
+                message["bytes"] = with_dropped(content, self.dropped)
+            try:
+                async with asyncio.timeout(self._settings.live_idle_s):
+                    await self._websocket.send(message)
+            except TimeoutError:
+                detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
+                raise SocketProblem(LIVE_IDLE, detail) from None
+            if is_instant:
+                self._metrics.sent(since_s)
+
+    def _head(self) -> str:
+        dropped = DroppedOut(**self.dropped._asdict())
+        return f'{{"type":"{LiveInstantOut.model_fields["type"].default}","dropped":{dropped.model_dump_json()},'
+
+
+class Relay(Outgoing):
     """Relay of one capture.
 
     Parameters
     ----------
     kept
         Where packets are kept; ``None``: they are not.
-    metrics
-        Where messages are counted.
     rate_hz
         Rate of the frames of all cameras together.
     """
@@ -58,32 +115,19 @@ class Relay:
         metrics: LiveMetrics,
         rate_hz: float,
     ) -> None:
-        self._websocket, self._process, self._intake = websocket, process, intake
-        self._settings, self._kept, self._metrics = settings, kept, metrics
+        super().__init__(websocket, settings, metrics)
+        self._process, self._intake, self.kept = process, intake, kept
         self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "frame"))
-        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
         self._pace = Pace(_MAX_SPEED * rate_hz)
         self._room = asyncio.Semaphore(_MAX_AT_PROCESS)
         # Times at which the frames came that the process has and has not answered.
         self._at_process: deque[float] = deque()
         self._answered_s = time.monotonic()
-        self._num_received = 0
-        self._counts: dict[str, int] = {}
 
     @property
     def dropped(self) -> Dropped:
         """Messages that were dropped so far."""
         return Dropped(self._frames.num_dropped, self._instants.num_dropped)
-
-    @property
-    def counts(self) -> LiveCountsOut:
-        """Numbers of frames so far."""
-        return LiveCountsOut(
-            received=self._num_received,
-            taken=self._counts.get("taken", 0),
-            late=self._counts.get("late", 0),
-            too_late=self._counts.get("dropped", 0),
-        )
 
     async def run(self, key_ended: asyncio.Event) -> None:
         """Relay until the client's ``end`` was computed and everything was sent.
@@ -94,8 +138,8 @@ class Relay:
             If the capture ends early.
         """
         ways = (self._receive(), self._feed(), self._collect(), self._send())
-        watches = (self._watch_process(), _watch_key(key_ended))
-        await _all_or_first_error(ways, watches)
+        watches = (self._watch_process(), watch_key(key_ended))
+        await all_or_first_error(ways, watches)
 
     async def _receive(self) -> None:
         """Take the client's messages until its ``end``."""
@@ -117,8 +161,8 @@ class Relay:
             await self._keep_pace()
             self._num_received += 1
             self._metrics.frames.inc()
-            if self._kept is not None:
-                await self._kept.add(packet)
+            if self.kept is not None:
+                await self.kept.add(packet)
             self._frames.put(packet, since_s)
             # Messages that have come already are received without a pause: a flood would hold up all other captures.
             await asyncio.sleep(0)
@@ -157,27 +201,6 @@ class Relay:
                 self._instants.close()
                 return
 
-    async def _send(self) -> None:
-        """Send instants as the client takes them."""
-        async for content, since_s in self._instants.taken():
-            # The instants of JSON begin with a brace.
-            message: dict[str, Any] = {"type": "websocket.send"}
-            if content[:1] == b"{":
-                message["text"] = self._head() + content[1:].decode()
-            else:
-                message["bytes"] = with_dropped(content, self.dropped)
-            try:
-                async with asyncio.timeout(self._settings.live_idle_s):
-                    await self._websocket.send(message)
-            except TimeoutError:
-                detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
-                raise SocketProblem(LIVE_IDLE, detail) from None
-            self._metrics.sent(since_s)
-
-    def _head(self) -> str:
-        dropped = DroppedOut(**self.dropped._asdict())
-        return f'{{"type":"{LiveInstantOut.model_fields["type"].default}","dropped":{dropped.model_dump_json()},'
-
     async def _watch_process(self) -> None:
         """Raise ``SocketProblem`` if the process does not answer in time."""
         while True:
@@ -186,10 +209,10 @@ class Relay:
                 raise failed()
 
 
-async def receive(websocket: WebSocket, settings: Settings) -> dict[str, Any]:
+async def receive(websocket: WebSocket, settings: Settings, *, may_idle: bool = False) -> dict[str, Any]:
     """Next message of a client, of an allowed size and in time; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
     try:
-        async with asyncio.timeout(settings.live_idle_s):
+        async with asyncio.timeout(None if may_idle else settings.live_idle_s):
             message = dict(await websocket.receive())
     except TimeoutError:
         raise SocketProblem(LIVE_IDLE, f"The client sent nothing for {settings.live_idle_s:g} s.") from None
@@ -210,12 +233,13 @@ async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
             raise await run_in_threadpool(wrong_keypoints, text) from None
 
 
-async def _watch_key(ended: asyncio.Event) -> None:
+async def watch_key(ended: asyncio.Event) -> None:
+    """Raise ``SocketProblem`` when the key has ended."""
     await ended.wait()
     raise SocketProblem(LIVE_KEY_ENDED, "The key of the connection is no longer valid.")
 
 
-async def _all_or_first_error(
+async def all_or_first_error(
     ways: tuple[Coroutine[Any, Any, None], ...], watches: tuple[Coroutine[Any, Any, None], ...]
 ) -> None:
     """Run coroutines until all of ``ways`` have ended, or one of all raises an error, which is raised."""

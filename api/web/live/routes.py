@@ -1,4 +1,4 @@
-"""``WS /v1/live``: a live capture for as long as a WebSocket is open."""
+"""``WS /v1/live``: a live capture for as long as a WebSocket is open; and the cameras of the service's machine."""
 
 import asyncio
 import contextlib
@@ -14,22 +14,33 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.web.auth import Caller, websocket_caller
+from api.web.auth import AnyCallerDep, Caller, websocket_caller
 from api.web.contract.description import Resource
-from api.web.dependencies import Services
-from api.web.errors import ApiError, ErrorItem, as_api_error
+from api.web.dependencies import Services, ServicesDep
+from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message
 from api.web.live.calibrations import calibration_file
+from api.web.live.cameras import allows_private, relay_cameras
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
-from api.web.live.problems import failed, is_fault
+from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
 from api.web.live.relay import Relay, receive
-from api.web.live.schemas import DroppedOut, LiveEnded, LiveProblemOut, LiveReady, LiveStart
+from api.web.live.schemas import (
+    DroppedOut,
+    LiveCamerasStart,
+    LiveDeviceOut,
+    LiveDevicesOut,
+    LiveEnded,
+    LiveProblemOut,
+    LiveReady,
+    LiveStart,
+)
 from api.web.metrics import LiveMetrics
 from api.web.sessions.receiving import spool_folder
-from pipeline.core.problems.request_codes import LIVE_FIELDS, LIVE_MESSAGE
+from pipeline.core.problems.request_codes import LIVE_MESSAGE
+from pipeline.run.live.cameras.sources import find_devices
 from pipeline.run.live.packets import CaptureAnswer
 from worker.store.model.rights import Actor
 
@@ -106,24 +117,13 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         if start.keep:
             await run_in_threadpool(records.require_room, 0)
         calibration = await calibration_file(services, caller, records, start, folder)
-        async with _ready(services, start, calibration) as (process, ready):
-            cameras: Sequence[str] = ready["cameras"]
-            kept = KeptPackets(services, folder, start) if start.keep else None
-            intake = Intake(cameras, start.layout, settings.max_live_people)
-            rate_hz = start.frame_rate_hz * len(cameras)
-            relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
-            limits = {
-                "message_bytes": settings.max_live_message_bytes,
-                "messages_per_s": settings.max_live_messages_per_s,
-                "people": settings.max_live_people,
-                "idle_s": settings.live_idle_s,
-            }
-            request_id = websocket.state.request_id
-            await _send(websocket, LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
-            await relay.run(key_ended)
+        if isinstance(start, LiveCamerasStart):
+            relay = await relay_cameras(websocket, services, caller, start, calibration, key_ended)
+        else:
+            relay = await _relay_keypoints(websocket, services, start, calibration, key_ended)
         session_id = None
-        if kept is not None:
-            session_id = await keep_session(websocket, services, records, kept, start, calibration, cameras)
+        if (kept := relay.kept) is not None:
+            session_id = await keep_session(websocket, services, records, kept, start.name, calibration, relay.cameras)
         await _send(
             websocket,
             LiveEnded(
@@ -133,6 +133,30 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
                 kept_frames=0 if kept is None else kept.num_frames,
             ),
         )
+
+
+async def _relay_keypoints(
+    websocket: WebSocket, services: Services, start: LiveStart, calibration: Path, key_ended: asyncio.Event
+) -> Relay:
+    """Relay keypoints of a client until their end."""
+    settings = services.settings
+    async with _ready(services, start, calibration) as (process, ready):
+        cameras: Sequence[str] = ready["cameras"]
+        kept = KeptPackets(services, calibration.parent, start.layout) if start.keep else None
+        intake = Intake(cameras, start.layout, settings.max_live_people)
+        rate_hz = start.frame_rate_hz * len(cameras)
+        relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
+        relay.cameras = cameras
+        limits = {
+            "message_bytes": settings.max_live_message_bytes,
+            "messages_per_s": settings.max_live_messages_per_s,
+            "people": settings.max_live_people,
+            "idle_s": settings.live_idle_s,
+        }
+        request_id = websocket.state.request_id
+        await _send(websocket, LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
+        await relay.run(key_ended)
+    return relay
 
 
 @contextlib.asynccontextmanager
@@ -160,13 +184,28 @@ async def _ready(
             except TimeoutError:
                 raise failed() from None
         if kind is CaptureAnswer.REFUSED:
-            errors = [ErrorItem(**problem) for problem in json.loads(answer)]
-            raise SocketProblem(LIVE_FIELDS, "The capture can't begin with these choices.", errors=errors)
+            raise refused(answer)
         yield process, json.loads(answer)
 
 
 async def _send(websocket: WebSocket, message: BaseModel) -> None:
     await websocket.send_text(message.model_dump_json())
+
+
+@router.get(
+    "/live/devices",
+    tags=["live"],
+    operation_id="listLiveDevices",
+    summary="List cameras of the service's machine",
+)
+def list_devices(services: ServicesDep, caller: AnyCallerDep) -> LiveDevicesOut:
+    """List the cameras of the service's machine, and say whether live captures may open them."""
+    is_allowed = allows_private(services.settings, caller)
+    found = find_devices() if is_allowed else {}
+    return LiveDevicesOut(
+        allows_private=is_allowed,
+        devices=tuple(LiveDeviceOut(device=device, name=name) for device, name in found.items()),
+    )
 
 
 RESOURCE = Resource(router=router)

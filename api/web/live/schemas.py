@@ -10,6 +10,7 @@ from api.web.contract.examples import ID
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
 from api.web.sessions.schemas import SessionName, Up
+from pipeline.core.options.config import DetectedJoints, Profile
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S
 
 Layout = Literal[
@@ -40,10 +41,7 @@ class _Received(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class LiveStart(_Received):
-    """First message of a client: the cameras, the layout of the keypoints, and what is to be sent back."""
-
-    type: Literal["start"]
+class _Start(_Received):
     calibration: dict[str, Any] | list[Any] | None = Field(
         default=None,
         description="Content of a calibration file in one of the formats in JSON that sessions accept; or "
@@ -56,6 +54,15 @@ class LiveStart(_Received):
         default=None, description="Unit of length of a calibration whose format does not state it; null: metres."
     )
     up: Up = Field(default="z", description="Axis of the calibration that points up.")
+    format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
+    keep: bool = Field(default=False, description="Whether the keypoints become a session when the client sends `end`.")
+    name: SessionName = "live"
+
+
+class LiveStart(_Start):
+    """First message of a client: the cameras, the layout of the keypoints, and what is to be sent back."""
+
+    type: Literal["start"]
     layout: Layout = Field(description="Points of a person, in their order.")
     frame_rate_hz: float = Field(
         ge=1.0, le=1000.0, allow_inf_nan=False, description="Frame rate of the fastest camera.", examples=[60.0]
@@ -95,18 +102,50 @@ class LiveStart(_Received):
         default="off",
         description="Network whose offsets of the marks from the joints' centres are used, as in jobs; off: none.",
     )
-    format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
-    keep: bool = Field(
-        default=False,
-        description="Whether what is received becomes a session of keypoints when the client sends `end`.",
-    )
-    name: SessionName = "live"
 
     def settings(self) -> dict[str, Any]:
         """Settings of the computation."""
         return self.model_dump(
             include={"frame_rate_hz", "output_rate_hz", "window_s", "is_ordered", "learn_s", "bodies"}
         )
+
+
+class LiveCameraIn(_Received):
+    """Camera that the service opens."""
+
+    camera: str = Field(min_length=1, max_length=200, description="Name of the camera.", examples=["cam_1"])
+    source: str = Field(
+        min_length=1,
+        max_length=2000,
+        description="Address of its stream, `rtsp://`, `rtsps://`, `http://` or `https://`, with user and password if "
+        "it wants them; or a `device` of `GET /v1/live/devices`.",
+        examples=["rtsp://192.168.0.11/stream"],
+    )
+
+
+class LiveCamerasStart(_Start):
+    """First message of a client whose cameras the service opens, and in whose pictures it detects the people."""
+
+    type: Literal["start_cameras"]
+    cameras: tuple[LiveCameraIn, ...] = Field(
+        min_length=2, max_length=64, description="Cameras of the calibration, two or more."
+    )
+    profile: Profile = Field(default="fast", description="Networks that find the joints, by speed and accuracy.")
+    joints: DetectedJoints = Field(default="auto", description="Joints to find.")
+    sync_s: float | None = Field(
+        default=None,
+        ge=3.0,
+        le=25.0,
+        allow_inf_nan=False,
+        description="Length of the beginning from whose people constant offsets of the cameras' clocks are found.",
+    )
+    vmc: tuple[Annotated[str, Field(min_length=1, max_length=300)], ...] = Field(
+        default=(),
+        max_length=16,
+        description="Receivers of the VMC protocol, each `[HOST:]PORT`, as the service's machine reaches them: one a "
+        "person. It has neither keys nor encryption.",
+        examples=[["192.168.0.20:39539"]],
+    )
 
 
 class LiveKeypoints(_Received):
@@ -169,8 +208,11 @@ class LiveReady(_Sent):
         description="Parent of each joint of skeletons; null for the root.", examples=[[None, "Hips"]]
     )
     rig: tuple[LiveCameraOut, ...] = Field(description="Cameras as the capture uses them, in the order of `cameras`.")
+    frame_rate_hz: float | None = Field(
+        default=None, description="Rate of the instants of cameras that the service opens.", examples=[12.5]
+    )
     limits: dict[str, float] = Field(
-        description="Limits of the connection: bytes, rates, people, times.",
+        description="Limits of the connection: bytes, rates, people, times; none of cameras that the service opens.",
         examples=[{"message_bytes": 1_048_576, "people": 32, "idle_s": 30.0}],
     )
     request_id: str = Field(description="Id of the connection, also in the service's log.", examples=[ID])
@@ -219,6 +261,58 @@ class LiveInstantOut(_Sent):
     people: tuple[LivePersonOut, ...]
 
 
+class LiveCameraStatusOut(_Sent):
+    """State of a camera, and the frames of the last second."""
+
+    name: str = Field(description="Name of the camera.", examples=["cam_1"])
+    state: Literal["open", "lost", "ended"] = Field(description="A camera that is lost is opened again.")
+    decoded_hz: int = Field(description="Frames that came.", examples=[25])
+    detected_hz: int = Field(description="Frames in which people were detected.", examples=[12])
+    dropped: int = Field(description="Frames of the whole capture that were not detected.")
+    lost: int = Field(description="Times that its stream was lost.")
+
+
+class LiveLatencyOut(_Sent):
+    """Times from the picture to its people, of the last instants."""
+
+    p50: float | None = Field(description="Median in seconds; null without any instant.", examples=[0.12])
+    p95: float | None = Field(description="95th percentile in seconds.", examples=[0.3])
+
+
+class LiveStatusOut(_Sent):
+    """State of cameras that the service opens, each second."""
+
+    type: Literal["status"] = "status"
+    time_s: float = Field(description="Time since the start.", examples=[12.0])
+    instants_hz: int = Field(description="Instants of the last second.", examples=[12])
+    latency_s: LiveLatencyOut
+    cameras: tuple[LiveCameraStatusOut, ...]
+
+
+class LiveNoticeOut(_Sent):
+    """Change that a person should know, such as a camera that is lost."""
+
+    type: Literal["notice"] = "notice"
+    message: str = Field(description="One sentence for a person.", examples=["cam_1 is open again."])
+
+
+class LiveDeviceOut(_Sent):
+    """Camera of the service's machine."""
+
+    device: str = Field(description="Source of the camera in `start_cameras`.", examples=["/dev/video0"])
+    name: str = Field(description="Name that the camera states.", examples=["HD Webcam"])
+
+
+class LiveDevicesOut(_Sent):
+    """Cameras that live captures may open."""
+
+    allows_private: bool = Field(
+        description="Whether cameras of the service's machine and addresses of private networks may be opened; public "
+        "addresses may be."
+    )
+    devices: tuple[LiveDeviceOut, ...] = Field(description="Cameras of the machine; none unless they may be opened.")
+
+
 class LiveCountsOut(_Sent):
     """Numbers of frames of the whole capture."""
 
@@ -246,15 +340,23 @@ class LiveProblemOut(SocketProblemOut):
     close_code: int = Field(description="Code with which the connection is closed.", examples=[1011])
 
 
-RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveKeypoints, LiveEnd)
+RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveCamerasStart, LiveKeypoints, LiveEnd)
 """Messages of clients."""
-SENT: tuple[type[BaseModel], ...] = (LiveReady, LiveInstantOut, LiveEnded, LiveProblemOut)
+SENT: tuple[type[BaseModel], ...] = (
+    LiveReady,
+    LiveInstantOut,
+    LiveStatusOut,
+    LiveNoticeOut,
+    LiveEnded,
+    LiveProblemOut,
+)
 """Messages of the service."""
 
 
 _DESCRIPTION = """\
 A live capture for as long as the WebSocket is open. The client sends `start`, then keypoints of each camera's frames,
 and `end`. The service answers `ready`, then instants with people, and `ended`; a `problem` ends the capture early.
+With `start_cameras` the service opens the cameras itself, and sends `status` and `notice` too.
 Keypoints and instants may be packed, as messages of bytes. Pages of allowed origins, whose browsers send no headers,
 offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. `/help/live-protocol` describes both forms,
 limits and close codes.

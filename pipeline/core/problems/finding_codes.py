@@ -352,16 +352,16 @@ the lens again with views near the edges, or with fewer coefficients."""
 
 STREAMS = CodeGroup(
     "Cameras of live captures",
-    "Problems of the cameras of `multicap live`; see [live](../start/live.md).",
+    "Problems of the cameras of `multicap live` and of `start_cameras`; see [live](../start/live.md).",
 )
 
-CAMERA_SOURCE = STREAMS.code("camera_source", "command")
+CAMERA_SOURCE = STREAMS.code("camera_source", "command", "live")
 """`--camera` is not CAMERA=SOURCE, names an unknown camera or one twice, or there are fewer than two. | Name two
 cameras of the calibration or more, each with its stream, device or file."""
-STREAM_REFUSED = STREAMS.code("stream_refused", "command")
+STREAM_REFUSED = STREAMS.code("stream_refused", "command", "live")
 """The address of a stream answers, but gives no stream, or nothing is at the address. | Check the address, and user and
 password in it."""
-STREAM_SILENT = STREAMS.code("stream_silent", "command")
+STREAM_SILENT = STREAMS.code("stream_silent", "command", "live")
 """A camera does not answer, or sends no pictures for seconds. | See that the camera is on and reached from this
 machine."""
 

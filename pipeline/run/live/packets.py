@@ -2,7 +2,8 @@
 
 Messages go over the pipes between the service and the process of a capture. To the process: a length in four bytes and
 as many bytes. The first message is the start, in JSON, the next ones are packets of keypoints, and an empty one is the
-end. From it: a length, the letter of a ``CaptureAnswer``, and the rest.
+end. The process of a capture from cameras gets the start and the end only. From it: a length, the letter of a
+``CaptureAnswer``, and the rest.
 
 All numbers are little-endian. A packet of keypoints is a head and x, y and score of each point of each person. A packet
 of an instant is a head and a record of each person.
@@ -23,6 +24,8 @@ class CaptureAnswer(enum.Enum):
     REFUSED = b"P"  # JSON: a list of problems; nothing comes after it
     INSTANT = b"I"  # An instant, in the form that the start asks for
     TAKEN = b"T"  # JSON: numbers of frames; a packet was computed, and all its instants were sent
+    KEPT = b"K"  # A packet of keypoints that were detected, of a capture from cameras
+    TOLD = b"S"  # JSON: a message for the client as it is, of a capture from cameras
     END = b"E"  # JSON: numbers of frames; the last message
 
 

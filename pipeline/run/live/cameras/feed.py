@@ -203,7 +203,7 @@ class CameraFeed:
         events: "queue.SimpleQueue[FeedEvent | None]",
     ) -> None:
         self._camera, self._source, self._num_slots, self._events = camera, source, num_slots, events
-        self._request = StreamRequest(source.kind, source.address, size_px)
+        self._request = StreamRequest(source.kind, source.address, size_px, source.host)
         self._format: PictureFormat | None = None
         self._process: StreamProcess | None = None
         self._pictures: SharedPictures | None = None

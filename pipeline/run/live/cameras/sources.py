@@ -16,7 +16,8 @@ from pipeline.core.problems.session_codes import VIDEO_MISSING
 SourceKind = Literal["rtsp", "http", "device", "file"]
 """Kind of a source. A file is played at its own pace."""
 
-_SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
+SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
+"""Kind of a source by the scheme of its address."""
 _HINT = "Write it as cam_1=rtsp://192.168.0.10/stream, cam_2=http://..., cam_3=/dev/video0 or cam_4=clip.mp4."
 
 
@@ -27,6 +28,7 @@ class CameraSource:
     camera: str  # Name of the camera
     kind: SourceKind
     address: str  # Address with user and password, if there are any, or path
+    host: str | None = None  # Host and port of the address, where it has a checked IP address in their place
 
     @property
     def shown(self) -> str:
@@ -34,7 +36,7 @@ class CameraSource:
         if self.kind in {"device", "file"}:
             return Path(self.address).name
         url = urlsplit(self.address)
-        return url._replace(netloc=url.netloc.rpartition("@")[2], query="").geturl()
+        return url._replace(netloc=self.host or url.netloc.rpartition("@")[2], query="").geturl()
 
 
 def read_sources(texts: Sequence[str], cameras: Sequence[str]) -> list[CameraSource]:
@@ -58,7 +60,7 @@ def read_sources(texts: Sequence[str], cameras: Sequence[str]) -> list[CameraSou
         if not (name and sign and address):
             problems.append(Problem(CAMERA_SOURCE, f"{text!r} is not CAMERA=SOURCE.", field="camera", hint=_HINT))
             continue
-        found = [*_name_problems(name, cameras, [source.camera for source in sources]), *_address_problems(address)]
+        found = [*name_problems(name, cameras, [source.camera for source in sources]), *_address_problems(address)]
         problems += (Problem(code, message, camera=name, hint=hint) for code, message, hint in found)
         sources.append(CameraSource(name, _kind(address) or "file", address))
     if len(texts) < 2:
@@ -73,14 +75,15 @@ def _kind(address: str) -> SourceKind | None:
     """Kind of a source; ``None`` for a scheme that is not supported."""
     scheme, sign, _ = address.partition("://")
     if sign:
-        return _SCHEMES.get(scheme.lower())
+        return SCHEMES.get(scheme.lower())
     try:
         return "device" if stat.S_ISCHR(os.stat(address).st_mode) else "file"  # noqa: PTH116 - of a text
     except (OSError, ValueError):
         return "device" if address.startswith("/dev/") else "file"
 
 
-def _name_problems(name: str, cameras: Sequence[str], earlier: Sequence[str]) -> Iterator[tuple[Code, str, str]]:
+def name_problems(name: str, cameras: Sequence[str], earlier: Sequence[str]) -> Iterator[tuple[Code, str, str]]:
+    """Find out whether a camera is unknown, or has a source already: code, message and hint of each problem."""
     if name not in cameras:
         hint = f"Its cameras are {listed_names(cameras)}."
         yield CAMERA_SOURCE, "The calibration has no camera of this name.", hint
@@ -92,7 +95,27 @@ def _address_problems(address: str) -> Iterator[tuple[Code, str, str]]:
     kind = _kind(address)
     if kind is None:
         scheme = address.partition("://")[0]
-        yield CAMERA_SOURCE, f"Streams of {scheme}:// are not supported.", "Use rtsp, rtsps, http or https."
+        yield unsupported(scheme)
     elif kind in {"device", "file"} and not Path(address).exists():
         noun = "device" if kind == "device" else "file"
         yield VIDEO_MISSING, f"There is no {noun} {Path(address).name}.", "Check the path."
+
+
+def unsupported(scheme: str) -> tuple[Code, str, str]:
+    """Problem of an address of a scheme without streams: code, message and hint."""
+    return CAMERA_SOURCE, f"Streams of {scheme}:// are not supported.", "Use rtsp, rtsps, http or https."
+
+
+def find_devices(folder: Path = Path("/sys/class/video4linux")) -> dict[str, str]:
+    """Names of this machine's cameras, by their devices; none on systems other than Linux.
+
+    A camera has several devices, of which the one with index 0 gives pictures.
+    """
+    found = {}
+    for entry in sorted(folder.glob("video*")):
+        try:
+            if int((entry / "index").read_text()) == 0:
+                found[f"/dev/{entry.name}"] = (entry / "name").read_text().strip()
+        except (OSError, ValueError):  # it was unplugged
+            continue
+    return found

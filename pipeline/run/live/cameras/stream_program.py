@@ -65,6 +65,7 @@ class StreamRequest(NamedTuple):
     kind: SourceKind
     address: str
     size_px: tuple[int, int]  # Size of the pictures by the calibration, which devices are asked for
+    host: str | None = None  # Host of the address, where it has an IP address in its place
 
 
 class _Taken(NamedTuple):
@@ -228,6 +229,8 @@ def _opened(request: StreamRequest) -> AbstractContextManager[InputContainer]:
     options = dict(_OPTIONS[kind])
     if kind == "device":
         options["video_size"] = "{}x{}".format(*request.size_px)
+    if kind == "http" and request.host is not None:
+        options["headers"] = f"Host: {request.host}\r\n"
     return av.open(address, format=_FORMATS.get(kind), options=options, timeout=(_OPEN_S, _READ_S))
 
 
@@ -242,6 +245,8 @@ def _usual_problem(error: Exception) -> UnusableError:
         hint = "Write user and password before the address: rtsp://user:password@..."
         return UnusableError(STREAM_REFUSED, "The camera wants a user and a password, or others.", hint)
     if isinstance(error, ConnectionError | FileNotFoundError) or (isinstance(error, OSError) and error.errno):
+        if error.errno == errno.EBUSY:
+            return UnusableError(STREAM_REFUSED, "Another program uses the camera.", "End that program.")
         is_led_elsewhere = error.errno == errno.EIO
         hint = "Check the address; redirects are not followed." if is_led_elsewhere else "Check the address."
         return UnusableError(STREAM_REFUSED, f"The stream can't be opened: {text}.", hint)

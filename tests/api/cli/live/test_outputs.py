@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, VmcReceivers, opened_output, summary_line
+from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, opened_output, summary_line
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import PipelineError
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.records import LiveInstant, LivePerson, detected_frames
+from pipeline.run.live.records import detected_frames
 from pipeline.run.live.settings import LiveSettings
 from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.scenes import SCENES, Joints, record
@@ -75,28 +75,6 @@ def test_disk_full_is_sentence(tmp_path: Path) -> None:
     simulation = record(replace(SCENES["room"], duration_s=0.1), 0, 2)
     with pytest.raises(PipelineError, match="kept can't be written"):
         KeptKeypoints(tmp_path / "kept").begin(simulation.cameras, simulation.joints, RATE_HZ)
-
-
-class PersonReceiver:
-    """PersonReceiver of VMC that notes whom it got."""
-
-    def __init__(self) -> None:
-        self.got: list[float] = []
-
-    def send(self, instant: LiveInstant) -> int:
-        (person,) = instant.people
-        assert person.id == 1
-        self.got.append(float(person.xyz_m[0, 0]))
-        return 1
-
-
-def test_receiver_keeps_its_person_and_gets_next_one() -> None:
-    receivers = [PersonReceiver(), PersonReceiver()]
-    vmc = VmcReceivers(receivers)  # type: ignore[arg-type]
-    for time_s, numbers in [(0.0, (1, 2, 3)), (1.0, (2, 3)), (2.5, (2, 3)), (3.0, (1, 2, 3))]:
-        people = tuple(LivePerson(number, np.full((17, 3), float(number)), None) for number in numbers)
-        vmc.show(LiveInstant(time_s, people, 0.0), 0.0)
-    assert [receiver.got for receiver in receivers] == [[1, 3, 3], [2, 2, 2, 2]]
 
 
 def test_terminal_line_has_figures() -> None:

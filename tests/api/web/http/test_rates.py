@@ -11,7 +11,7 @@ from api.web.live.places import LivePlaces
 
 def test_step_of_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_s, now_s = time.time(), time.monotonic()
-    rates, places = Rates(2), LivePlaces(8, 8, 1)
+    rates, places = Rates(2), LivePlaces(8, 8, 1, 1)
     for _ in range(2):
         rates.count("studio")
     places.note_bad("studio")

@@ -2,7 +2,6 @@
 
 import asyncio
 import errno
-import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -15,13 +14,12 @@ import websockets
 from api.web.dependencies import Services
 from api.web.live import keeping
 from api.web.live.keeping import KeptPackets
-from api.web.live.schemas import LiveStart
 from api.web.settings import Settings
 from multicap.live import LiveError, LiveOptions, connect_sync
 from pipeline.run.live.keeping import write_session
 from tests.api.conftest import Live, running
 from tests.api.web.live.conftest import LiveSocket, opened
-from tests.api.web.live.messages import CALIBRATION, packet, start_message
+from tests.api.web.live.messages import CALIBRATION, packet
 from tests.waiting import wait_for
 from worker.store.files.disk import DiskSpace
 
@@ -45,7 +43,7 @@ def test_packets_kept_before_full_disk_stay(
     monkeypatch.setattr(keeping, "_BLOCK_BYTES", 2 * len(packet()) + 8)  # blocks of two frames
     disk = SmallRoom(tmp_path, 7 * len(packet()))
     services = cast(Services, SimpleNamespace(disk=disk, settings=make_settings()))
-    kept = KeptPackets(services, tmp_path, LiveStart.model_validate_json(json.dumps(start_message(keep=True))))
+    kept = KeptPackets(services, tmp_path, "coco-17")
 
     async def run() -> None:
         for number in range(12):

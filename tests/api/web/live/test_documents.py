@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from api.web.live.schemas import POINTS, Layout, LiveStart, describe_live
+from api.web.live.schemas import POINTS, Layout, LiveCamerasStart, LiveStart, describe_live
 from pipeline.core.layouts import LAYOUTS
 from pipeline.run.live.packets import InstantHead, KeypointsHead
 from pipeline.run.live.settings import LiveSettings
@@ -28,7 +28,8 @@ def test_layouts_are_those_of_keypoint_files() -> None:
 
 
 def test_page_names_every_choice_and_layout() -> None:
-    assert [name for name in LiveStart.model_fields if f"`{name}`" not in PAGE and name != "type"] == []
+    for start in (LiveStart, LiveCamerasStart):
+        assert [name for name in start.model_fields if f"`{name}`" not in PAGE and name != "type"] == []
     assert [name for name in POINTS if f"`{name}`" not in PAGE] == []
 
 

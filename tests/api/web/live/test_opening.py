@@ -168,7 +168,7 @@ def test_pause_follows_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
 
     async def run() -> None:
-        turns = LivePlaces(8, 8, 8)
+        turns = LivePlaces(8, 8, 8, 1)
         begun = asyncio.Event()
 
         async def second() -> None:

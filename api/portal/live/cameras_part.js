@@ -1,0 +1,73 @@
+// Part of the view Live with the cameras that the service opens: addresses of streams, and cameras of its machine.
+
+import { call } from "../shared/api.js";
+import { helpLink, html, live, nothing, problemBox, typed } from "../shared/lit.js";
+import { readOptions } from "../shared/resources.js";
+import { COMMON } from "../shared/strings/common.js";
+import { LIVE } from "../shared/strings/live.js";
+
+const TEXT = LIVE.cameras;
+const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "127.0.0.1:39539"];
+
+/** Cameras of a capture as somebody chooses them; `changed` is called after each change from elsewhere. */
+export class ChosenCameras {
+  rows = []; // { name, source }
+  devices = null; // answer of the service, once it is there
+  profiles = []; // { name, label }
+  profile = "fast";
+  isMeasured = false; // whether offsets of the cameras are measured
+  vmc = "";
+  problem = null;
+  #names = ""; // of the calibration whose cameras are listed
+
+  constructor(changed) {
+    this.changed = changed;
+  }
+
+  async load() {
+    try {
+      const [devices, { choices }] = await Promise.all([call("/v1/live/devices"), readOptions()]);
+      Object.assign(this, { devices, profiles: choices.find(({ name }) => name === "profile").values, problem: null });
+    } catch (problem) {
+      this.problem = problem;
+    }
+    this.changed();
+  }
+
+  /** List the cameras of a calibration; sources that were typed stay with their names. */
+  list(names) {
+    if (names.join("\n") === this.#names) return;
+    this.#names = names.join("\n");
+    const typedSources = new Map(this.rows.map(({ name, source }) => [name, source]));
+    this.rows = names.map((name) => ({ name, source: typedSources.get(name) ?? "" }));
+  }
+
+  get used() { return this.rows.map(({ name, source }) => ({ camera: name, source: source.trim() })).filter(({ source }) => source !== ""); }
+
+  /** What is missing, as sentences. */
+  get faults() { return this.used.length < 2 ? [LIVE.faults.cameras] : []; }
+
+  /** Fields of the message `start_cameras`. */
+  get start() {
+    return { type: "start_cameras", cameras: this.used, profile: this.profile, sync_s: this.isMeasured ? SYNC_S : null, vmc: this.vmc.split(/[\s,;]+/).filter(Boolean) };
+  }
+
+  part(isLocked) {
+    const { allows_private: allowsPrivate = true, devices = [] } = this.devices ?? {};
+    return html`<section class="panel" aria-labelledby="sources-title"><div class="with-help"><h2 id="sources-title">${COMMON.cameras}</h2>${helpLink("live", COMMON.cameras)}</div>
+      <p class="quiet" id="sources-hint">${this.rows.length ? TEXT.hint : TEXT.noCalibration} ${this.devices === null ? nothing : allowsPrivate ? TEXT.devices(devices.length) : TEXT.publicOnly}</p>
+      ${problemBox(this.problem)}
+      ${this.rows.map((row) => html`<label class="field live-source"><span>${row.name}</span>
+        <input type="text" inputmode="url" maxlength="2000" autocomplete="off" autocapitalize="off" spellcheck="false" list="live-devices" placeholder=${SCHEME} aria-describedby="sources-hint"
+          .value=${typed(row.source)} ?disabled=${isLocked} @input=${(event) => { row.source = event.target.value; }}></label>`)}
+      <datalist id="live-devices">${devices.map(({ device, name }) => html`<option value=${device}>${name}</option>`)}</datalist>
+      <div class="pair">
+        <label class="field"><span>${TEXT.profile}</span><select ?disabled=${isLocked} @change=${(event) => { this.profile = event.target.value; }}>
+          ${this.profiles.map(({ name, label }) => html`<option value=${name} .selected=${live(name === this.profile)}>${label}</option>`)}</select></label>
+        ${allowsPrivate ? html`<label class="field"><span>${TEXT.vmc}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
+          .value=${typed(this.vmc)} ?disabled=${isLocked} @input=${(event) => { this.vmc = event.target.value; }}><span class="quiet">${TEXT.vmcHint}</span></label>` : nothing}
+      </div>
+      <label class="with"><input type="checkbox" .checked=${live(this.isMeasured)} ?disabled=${isLocked} @change=${(event) => { this.isMeasured = event.target.checked; }}> ${TEXT.measure(SYNC_S)}</label>
+    </section>`;
+  }
+}

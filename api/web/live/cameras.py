@@ -1,0 +1,234 @@
+"""Live captures whose cameras the service opens: rules of their addresses, and their process."""
+
+import asyncio
+import contextlib
+import dataclasses
+import ipaddress
+import json
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from urllib.parse import SplitResult, urlsplit
+
+import structlog
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocket
+
+from api.web.auth import Caller
+from api.web.dependencies import Services
+from api.web.errors import ErrorItem, pointer_to
+from api.web.http.websockets import WRONG_FIELDS, SocketProblem
+from api.web.live.forks import bare_environment, start_limit_s
+from api.web.live.intake import read_end
+from api.web.live.keeping import KeptPackets
+from api.web.live.problems import failed, refused
+from api.web.live.process import CaptureProcess
+from api.web.live.relay import Outgoing, all_or_first_error, receive, watch_key
+from api.web.live.schemas import LiveCamerasStart, LiveReady
+from api.web.settings import Settings
+from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
+from pipeline.core.problems.request_codes import LIVE_FIELDS
+from pipeline.run.live.cameras.sources import SCHEMES, CameraSource, find_devices, name_problems, unsupported
+from pipeline.run.live.packets import CaptureAnswer
+from worker.run.webhooks.addresses import url_fault
+from worker.run.webhooks.sender import RefusedAddressError, resolve
+
+_log = structlog.get_logger(__name__)
+
+_RESOLVE_S = 5.0
+_PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
+_PRIVATE_HINT = "The operator allows private addresses and cameras of the machine by MULTICAP_LIVE_PRIVATE."
+_LOGGED_BYTES = 4000
+
+
+def allows_private(settings: Settings, caller: Caller) -> bool:
+    """Whether a caller may open cameras of this machine and of private networks, and send by VMC."""
+    return caller.key is None if settings.live_private is None else settings.live_private
+
+
+def read_cameras(start: LiveCamerasStart, known: Sequence[str], is_private: bool) -> list[CameraSource]:
+    """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
+
+    Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
+
+    Parameters
+    ----------
+    known
+        Names of the calibrated cameras.
+    is_private
+        Whether cameras of this machine and of private networks are allowed.
+    """
+    errors: list[ErrorItem] = []
+    sources: list[CameraSource] = []
+    devices = find_devices() if is_private else {}
+    for place, (name, text) in enumerate((camera.camera, camera.source.strip()) for camera in start.cameras):
+        names = [camera.camera for camera in start.cameras[:place]]
+        for code, message, hint in name_problems(name, known, names):
+            pointer = pointer_to("cameras", place, "camera")
+            errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
+        try:
+            sources.append(_source(name, text, devices, is_private))
+        except _WrongSourceError as wrong:
+            code, message, hint = wrong.args
+            pointer = pointer_to("cameras", place, "source")
+            errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
+    if start.vmc and not is_private:
+        message = "The service sends nothing by VMC."
+        errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/vmc"))
+    if errors:
+        raise SocketProblem(LIVE_FIELDS, WRONG_FIELDS, errors=errors)
+    return sources
+
+
+class _WrongSourceError(Exception):
+    """A source can't be opened: code, message and hint."""
+
+
+def _source(name: str, text: str, devices: dict[str, str], is_private: bool) -> CameraSource:
+    scheme, sign, _ = text.partition("://")
+    if not sign:
+        if text in devices:
+            return CameraSource(name, "device", text)
+        listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
+        hint = f"Write an address such as rtsp://192.168.0.10/stream. {listed if is_private else _PRIVATE_HINT}"
+        raise _WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
+    if (kind := SCHEMES.get(scheme.lower())) is None:
+        raise _WrongSourceError(*unsupported(scheme[:40]))
+    if fault := url_fault(text):
+        raise _WrongSourceError(CAMERA_SOURCE, fault, "Correct the address.")
+    if is_private:
+        return CameraSource(name, kind, text)
+    url = urlsplit(text)
+    try:
+        address = resolve(url.hostname or "", url.port or _PORTS[scheme.lower()], False, _RESOLVE_S)
+    except RefusedAddressError:
+        raise _WrongSourceError(CAMERA_SOURCE, "The address is not public.", _PRIVATE_HINT) from None
+    except (OSError, UnicodeError):  # of the name servers, or the time
+        raise _WrongSourceError(CAMERA_SOURCE, "The name can't be resolved.", "Correct the address.") from None
+    return CameraSource(name, kind, _at(url, address).geturl(), url.netloc.rpartition("@")[2])
+
+
+def _at(url: SplitResult, address: str) -> SplitResult:
+    """Address of a stream with an IP address in the place of its host."""
+    user, sign, _ = url.netloc.rpartition("@")
+    host = f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
+    port = "" if url.port is None else f":{url.port}"
+    return url._replace(netloc=f"{user}{sign}{host}{port}")
+
+
+async def relay_cameras(
+    websocket: WebSocket,
+    services: Services,
+    caller: Caller,
+    start: LiveCamerasStart,
+    calibration: Path,
+    key_ended: asyncio.Event,
+) -> Outgoing:
+    """Compute a live capture from cameras until the client's ``end``; raises ``SocketProblem`` if it can't begin."""
+    known = [camera["name"] for camera in json.loads(await run_in_threadpool(calibration.read_text))["cameras"]]
+    is_private = allows_private(services.settings, caller)
+    sources = await run_in_threadpool(read_cameras, start, known, is_private)
+    content = {
+        "calibration": str(calibration),
+        "sources": [dataclasses.asdict(source) for source in sources],
+        "choices": {"profile": start.profile, "joints": start.joints},
+        **start.model_dump(include={"sync_s", "vmc", "format", "keep"}),
+    }
+    with services.live_places.with_cameras():
+        async with _process(services.settings, calibration.parent) as process:
+            await process.send(json.dumps(content).encode())
+            relay = _CameraRelay(websocket, services, process, start, calibration.parent)
+            await relay.run(key_ended)
+    return relay
+
+
+class _CameraRelay(Outgoing):
+    """Relay of a capture whose cameras the service opens.
+
+    Parameters
+    ----------
+    folder
+        Folder of the connection.
+    """
+
+    def __init__(
+        self,
+        websocket: WebSocket,
+        services: Services,
+        process: CaptureProcess,
+        start: LiveCamerasStart,
+        folder: Path,
+    ) -> None:
+        super().__init__(websocket, services.settings, websocket.app.state.metrics.live)
+        self._services, self._process, self._start, self._folder = services, process, start, folder
+        self._limit_s = start_limit_s(services.settings)  # longest time until the next answer
+
+    async def run(self, key_ended: asyncio.Event) -> None:
+        """Relay until the end; raises ``SocketProblem`` or ``WebSocketDisconnect`` if the capture ends early."""
+        await all_or_first_error((self._collect(), self._send()), (self._receive(), watch_key(key_ended)))
+
+    async def _receive(self) -> None:
+        """Take the client's ``end``."""
+        read_end(await receive(self._websocket, self._settings, may_idle=True))
+        self._limit_s = start_limit_s(self._settings)  # pictures whose people are being detected are waited for
+        self._process.writer.write_eof()
+        await receive(self._websocket, self._settings, may_idle=True)
+
+    async def _collect(self) -> None:
+        """Collect the answers of the process until its last one; cameras that are on tell something each second."""
+        while True:
+            try:
+                async with asyncio.timeout(self._limit_s):
+                    kind, content = await self._process.answer()
+            except TimeoutError:
+                raise failed() from None
+            loop_s = asyncio.get_running_loop().time()
+            match kind:
+                case CaptureAnswer.READY:
+                    self._limit_s = self._settings.live_answer_s
+                    self._instants.put(self._ready(content), loop_s)
+                case CaptureAnswer.REFUSED:
+                    raise refused(content)
+                case CaptureAnswer.KEPT if self.kept is not None:
+                    await self.kept.add(content)
+                case CaptureAnswer.INSTANT | CaptureAnswer.TOLD:
+                    self._instants.put(content, loop_s)
+                case CaptureAnswer.END:
+                    self._counts = json.loads(content)
+                    self._num_received = self._counts["received"]
+                    self._instants.close()
+                    return
+
+    def _ready(self, content: bytes) -> bytes:
+        """Message ``ready``; what is kept begins."""
+        ready = LiveReady(**json.loads(content), limits={}, request_id=self._websocket.state.request_id)
+        self.cameras = ready.cameras
+        if self._start.keep:
+            self.kept = KeptPackets(self._services, self._folder, ready.layout)
+        return ready.model_dump_json().encode()
+
+
+@contextlib.asynccontextmanager
+async def _process(settings: Settings, folder: Path) -> AsyncIterator[CaptureProcess]:
+    """Process of a capture during the block; at its end it is killed, and why it had ended by itself is logged."""
+    log_path = folder / "capture.log"
+    with log_path.open("wb") as log:
+        child = await asyncio.create_subprocess_exec(
+            *settings.live_cameras_command,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=log,
+            env=bare_environment() | {"TMPDIR": str(folder)},
+            start_new_session=True,
+        )
+    assert child.stdin is not None  # noqa: S101 - both are pipes
+    assert child.stdout is not None  # noqa: S101
+    try:
+        yield CaptureProcess(child.pid, child.stdout, child.stdin)
+    finally:
+        if child.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                child.kill()
+        elif child.returncode not in {0, 2}:
+            text = log_path.read_bytes()[-_LOGGED_BYTES:].decode(errors="replace")
+            _log.error("live_process_ended", exit_code=child.returncode, log=text)
+        await child.wait()
