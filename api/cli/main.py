@@ -31,7 +31,7 @@ COMMANDS: Mapping[str, str] = {
     "sync": "Measure when each camera started, from the people in view.",
     "models": "Detector networks: list, install, add from a file, verify.",
     "samples": "Sample capture of two people with four cameras: install.",
-    "bodies": "Human body of exports: install.",
+    "bodies": "Human body of exports, and body models of your own.",
     "opensim": "Generic model of OpenSim for exports: install.",
     "keys": "API keys of the service: create, list, revoke.",
     "webhooks": "Webhooks of the service: secrets and undelivered messages.",

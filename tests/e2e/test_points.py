@@ -25,7 +25,7 @@ def test_points_go_from_form_to_viewer(served: Served, tmp_path: Path) -> None:
         expect(page.get_by_role("heading", name="Calibration")).to_have_count(0)
         expect(page.get_by_label("Layout of keypoints")).to_have_count(0)
         page.get_by_text("Customise", exact=True).click()
-        expect(page.get_by_label("Smoothing")).to_have_count(1)
+        expect(page.get_by_label("Smoothing", exact=True)).to_have_count(1)
         expect(page.get_by_label("Detector", exact=True)).to_have_count(0)
         assert axe_findings(page) == []
         page.get_by_role("button", name="Send and reconstruct").click()

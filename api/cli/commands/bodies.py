@@ -1,16 +1,26 @@
-"""`multicap bodies`: install the human body of exports."""
+"""`multicap bodies`: the human body of exports, and the fit of a body model that the user supplies."""
 
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
 import typer
 
 from api.cli.console import JsonOption, console, emit, reporting
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.request_codes import INVALID_VALUE
+from pipeline.core.runtime.npz import encode_arrays, open_archive
 from pipeline.motion.body import installed
+from pipeline.motion.body.smplx_fit import fit_body
+from pipeline.motion.body.smplx_model import read_model
 
-app = typer.Typer(help="The human body of exports.", no_args_is_help=True)
+app = typer.Typer(help="The human body of exports, and body models of your own.", no_args_is_help=True)
+_KEPT = ("gender", "surface_model_type", "mocap_frame_rate", "frame", "is_present", "pose_names")
 
 
 @app.callback()
 def _group() -> None:
-    """The human body of exports."""
+    """The human body of exports, and body models of your own."""
 
 
 @app.command()
@@ -23,3 +33,40 @@ def install(as_json: JsonOption = False) -> None:
         return
     console.print(f"The human body is in {path}")
     console.print(installed.ATTRIBUTION)
+
+
+@app.command()
+def fit(
+    files: Annotated[list[Path], typer.Argument(help="Files of `--exports npz`, one a person.")],
+    *,
+    body_model: Annotated[Path, typer.Option(help="NPZ of SMPL-X from its makers, whose licence holds.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Fit shape and pose of a SMPL-X model to people; write PERSON.smplx.npz beside each file."""
+    written: list[dict[str, object]] = []
+    with reporting(as_json):
+        written.extend(_fit(path, body_model) for path in files)
+    if as_json:
+        emit({"files": written})
+        return
+    for each in written:
+        typer.echo(f"  {each['file']}  {each['error_mm']} mm from joints and points on the skin")
+
+
+def _fit(path: Path, body_model: Path) -> dict[str, object]:
+    """Fit a model to a person, and write the file; its path, and the median distance."""
+    try:
+        with open_archive(path) as archive:
+            arrays = dict(archive)
+        names, marks = arrays["joint_names"].tolist(), tuple(map(str, arrays["landmark_names"]))
+        joints_m, poses = arrays["joints_m"], arrays["poses"].reshape(len(arrays["joints_m"]), -1, 3)
+        places_m = {name: joints_m[:, k] for k, name in enumerate(names)}
+    except (OSError, ValueError, KeyError):
+        message = "The file is no NPZ of a person."
+        problem = Problem(INVALID_VALUE, message, file=path.name, hint="Make it by --exports npz.")
+        raise InputError([problem]) from None
+    found = fit_body(read_model(body_model, marks), places_m, arrays["landmarks_m"], poses)
+    out = path.with_name(f"{path.stem}.smplx.npz")
+    fitted = {"poses": found.poses.reshape(len(poses), -1), "trans": found.trans_m, "betas": found.betas}
+    out.write_bytes(encode_arrays(fitted | {name: arrays[name] for name in _KEPT} | {"error_m": found.error_m}))
+    return {"file": str(out), "error_mm": round(1000 * float(np.nanmedian(found.error_m)), 1)}

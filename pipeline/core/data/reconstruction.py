@@ -69,7 +69,8 @@ class Reconstruction:
     provider
         Execution provider of the networks; ``None`` if there was nothing to detect.
     layout, subject
-        Layout of keypoints without names, and how it was told, or ``None``; table of segments, sex and mass of people.
+        Layout of keypoints without names, and how it was told, or ``None``; table of segments, sex and mass of people
+        who have none in ``subjects``, by number.
     is_emptied, own
         Whether edits removed everybody who was found; points of the user's own.
     laboratory
@@ -77,8 +78,6 @@ class Reconstruction:
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
         Cameras that are right have the number 0.
-    subjects
-        Table of segments, sex and mass of people, by number, of whom others are stated than in ``subject``.
 
     Examples
     --------

@@ -113,6 +113,17 @@ Export = (
         ),
     ]
     | Annotated[
+        Literal["npz"],
+        FileFormat(
+            "NPZ, joints and rotations for SMPL-X and MHR",
+            _BYTES,
+            "motion",
+            "pipeline.export.writers.body_npz:WRITER",
+            note="No data of these models is in it. Their makers' licences hold for the models.",
+            size=FileSize(6_000, 2_000, 24),
+        ),
+    ]
+    | Annotated[
         Literal["angles"],
         FileFormat(
             "CSV, joint angles in a table",

@@ -30,6 +30,7 @@ from pipeline.motion.angles.compute import joint_angles, segments_from
 from pipeline.motion.angles.definitions import ANGLE_NAMES, RIGHT_FRONT_UP, SEGMENT_LABELS
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics
 from pipeline.validation.simulation.scenes import find_scene, record
+from tests.pipeline.capture.point_files.mutations import mutated
 from tests.pipeline.simulations import write_simulation
 
 
@@ -267,14 +268,6 @@ def test_unusable_file_gets_sentence(tmp_path: Path, name: str, content: str, se
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=sentence):
         Session.from_files([tmp_path / name], 25.0)
-
-
-def mutated(whole: bytes, random: np.random.Generator, marks: bytes = bytes(range(256))) -> bytes:
-    """Content that ends early, or has 20 other bytes, or both."""
-    content = bytearray(whole[: random.integers(1, len(whole) + 1)] if random.random() < 0.5 else whole)
-    for place in random.integers(0, len(content), 20):
-        content[place] = random.choice(list(marks))
-    return bytes(content)
 
 
 @pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.slow)])
