@@ -1,4 +1,4 @@
-"""Tables of the database. A change here needs a migration (a test compares the two).
+"""Tables of the database. From the first release on a change here needs a migration (a test compares the two).
 
 Times are seconds since 1970 in UTC, from the clock of the database only: the clocks of the machines need not agree.
 """
@@ -132,7 +132,9 @@ jobs = Table(
 # The few jobs that blur faces have an index of their own: no other spec is read for them. Backups read SQLite's files
 # without trust in their schema, which then may have no functions of JSON.
 BLURS_FACES = jobs.c.spec["blur_faces"].as_boolean().is_(true())
-Index("ix_jobs_session_id_blurs", jobs.c.session_id, postgresql_where=BLURS_FACES, info={"dialect": "postgresql"})
+Index(
+    "ix_jobs_session_id_blurs", jobs.c.session_id, postgresql_where=BLURS_FACES, info={"dialect": "postgresql"}
+).ddl_if(dialect="postgresql")
 
 # Edits of the people of a session, for all of its jobs. Without a row there are none, and their revision is 0.
 edits = Table(

@@ -78,6 +78,12 @@ def test_revisions_in_file_names_are_those_of_alembic() -> None:
     assert schema_revisions() == tuple(reversed(REVISIONS))
 
 
+def test_first_schema_follows_tables_only_while_it_is_the_only_one() -> None:
+    first = ScriptDirectory.from_config(CONFIG).get_revision(REVISIONS[-1])
+    assert first is not None
+    assert len(REVISIONS) == 1 or "create_all" not in Path(first.path).read_text(encoding="utf-8")
+
+
 def test_first_release_has_row_in_every_table(first_release: JobStore, engine: sa.Engine) -> None:
     assert [table for table, rows in stored_rows(engine).items() if not rows] == []
 
