@@ -38,7 +38,15 @@ def main() -> None:
     settings = read_settings(Settings)
     configure_logs(settings.log_level)
     lock = _locked(settings)  # until this process ends
-    _check_database(settings)
+    try:
+        make_private(settings.data_dir)
+        with contextlib.closing(JobStore(settings.resolved_database_url)) as store:
+            DiskSpace(settings.data_dir).using_reserve(store.migrate)
+            require_keys_if_exposed(settings, store)
+    except (ExposedError, UnknownSchema) as error:
+        sys.exit(f"error: {error}")
+    except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
+        sys.exit(f"error: {unusable_database(settings, error)}")
     _check_certificate(settings)
     # A response needs the interpreter lock many times: threads that receive uploads have to release it sooner.
     sys.setswitchinterval(_SWITCH_S)
@@ -83,19 +91,6 @@ def _check_certificate(settings: Settings) -> None:
     except (OSError, ValueError):
         names = "MULTICAP_CERTIFICATE and MULTICAP_CERTIFICATE_KEY"
         sys.exit(f"error: {names} must name readable PEM files that belong together, the key without a password.")
-
-
-def _check_database(settings: Settings) -> None:
-    """Migrate the database; exit with a message if the service must not start."""
-    try:
-        make_private(settings.data_dir)
-        with contextlib.closing(JobStore(settings.resolved_database_url)) as store:
-            DiskSpace(settings.data_dir).using_reserve(store.migrate)
-            require_keys_if_exposed(settings, store)
-    except (ExposedError, UnknownSchema) as error:
-        sys.exit(f"error: {error}")
-    except (SQLAlchemyError, ImportError, OSError) as error:  # ImportError: no driver for the URL's database
-        sys.exit(f"error: {unusable_database(settings, error)}")
 
 
 if __name__ == "__main__":

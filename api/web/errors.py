@@ -266,7 +266,10 @@ def as_api_error(error: Exception) -> ApiError:
         case ApiError():
             return error
         case HTTPException():
-            return _from_status(error)
+            status = error.status_code
+            code = _CODES.get(status, Code(HTTPStatus(status).name.lower()))
+            detail = _DETAILS.get(status, HTTPStatus(status).phrase)
+            return ApiError(code, detail, status=status, retryable=status == 408, headers=error.headers)
         case DamagedArtifact():
             return ApiError(ARTIFACT_DAMAGED, "A stored file is damaged.")
         case DamagedDatabase():
@@ -327,13 +330,6 @@ def _without_surrogates(value: Any) -> Any:
             return [_without_surrogates(item) for item in value]
         case _:
             return value
-
-
-def _from_status(error: HTTPException) -> ApiError:
-    status = error.status_code
-    code = _CODES.get(status, Code(HTTPStatus(status).name.lower()))
-    detail = _DETAILS.get(status, HTTPStatus(status).phrase)
-    return ApiError(code, detail, status=status, retryable=status == 408, headers=error.headers)
 
 
 def _from_store(error: JobStoreError) -> ApiError:

@@ -16,7 +16,6 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from pipeline.core.problems.request_codes import MISSING_FIELD, OUT_OF_RANGE, UNKNOWN_FIELD
 from worker.store.errors import NotFound
 from worker.store.model.rights import Link, LinkScope
-from worker.store.tenant_records import TenantRecords
 
 DEFAULT_S = {LinkScope.JOB: 7 * 86_400.0}
 """Lifetimes of links without `expires_in_s`, by scope."""
@@ -113,7 +112,14 @@ def create_link(
     """
     job = records.jobs.get(job_id)
     _check(spec, services)
-    _require_opened(records, job_id, job.session_id, spec)
+    if spec.scope is LinkScope.FILE and spec.name == ALL_RESULTS:
+        records.results.downloads(job_id)
+    elif spec.scope is LinkScope.FILE and spec.name is not None:
+        records.results.get(job_id, spec.name)
+    elif spec.scope is LinkScope.VIDEO:
+        cameras = records.sessions.get(job.session_id).preflight.cameras
+        if spec.name not in {camera.name for camera in cameras}:
+            raise NotFound("The session has no camera of this name.")
     lifetime_s = spec.lifetime_s(services.settings.max_link_days * _DAY_S)
     link, secret = records.links.add(job_id, spec.scope, spec.name, lifetime_s)
     return NewLinkOut.from_record(link, url=_address(link, secret))
@@ -161,18 +167,6 @@ def _check(spec: LinkSpec, services: Services) -> None:
         errors.append(ErrorItem(code=OUT_OF_RANGE, message=message, pointer=pointer_to("expires_in_s")))
     if errors:
         raise unprocessable(errors)
-
-
-def _require_opened(records: TenantRecords, job_id: str, session_id: str, spec: LinkSpec) -> None:
-    """Raise the problem of what the link would open."""
-    if spec.scope is LinkScope.FILE and spec.name == ALL_RESULTS:
-        records.results.downloads(job_id)
-    elif spec.scope is LinkScope.FILE and spec.name is not None:
-        records.results.get(job_id, spec.name)
-    elif spec.scope is LinkScope.VIDEO:
-        cameras = records.sessions.get(session_id).preflight.cameras
-        if spec.name not in {camera.name for camera in cameras}:
-            raise NotFound("The session has no camera of this name.")
 
 
 def _address(link: Link, secret: str) -> str:

@@ -107,7 +107,7 @@ class Reading:
         if known:
             self.leave_out([each.name for each in raw if each.matrix is None], "no camera matrix in the file")
         posed = [each for each in known if each.is_posed]
-        unposed = [_with_still_pose(each) for each in known if not each.is_posed]
+        unposed = [replace(each, rotation=np.eye(3), translation_m=np.zeros(3)) for each in known if not each.is_posed]
         if posed:
             self.leave_out([each.name for each in unposed], "no pose in the file")
         if self._unread:
@@ -151,7 +151,3 @@ class Reading:
         if self.problems:
             raise InputError(self.problems)
         return tuple(cameras)
-
-
-def _with_still_pose(raw_camera: RawCamera) -> RawCamera:
-    return replace(raw_camera, rotation=np.eye(3), translation_m=np.zeros(3))

@@ -213,11 +213,7 @@ def _read(path: Path) -> CameraFile:
             raise
         if colmap.is_text(content) or _head(content).startswith(b"<"):
             # Spaces or quotes separate the numbers.
-            return _read_with_points(reader, content, path, comma)
+            contents = reader(with_points(content), path.name)
+            note = f"{path.name}: the numbers have decimal commas, such as {comma}, and are read so."
+            return replace(contents, notes=(*contents.notes, note))
         raise _refusal(path, session_codes.CALIBRATION_UNREADABLE, comma_message(comma), COMMA_HINT) from None
-
-
-def _read_with_points(reader: Reader, content: bytes, path: Path, comma: str) -> CameraFile:
-    contents = reader(with_points(content), path.name)
-    note = f"{path.name}: the numbers have decimal commas, such as {comma}, and are read so."
-    return replace(contents, notes=(*contents.notes, note))

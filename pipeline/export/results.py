@@ -242,7 +242,7 @@ def write_files(
         on_take(1.0)
     check = {
         name: _angles_found_in(people_files.values())
-        if _holds_angles(name)
+        if any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
         else _found_in(people_files, of_takes.distances_mm.get(name))
         for name, people_files in written.items()
     }
@@ -401,11 +401,6 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
     with part.open("rb") as file:
         if any(file.read(len(piece)) != piece for piece in pieces) or file.read(1):
             raise person_files.spoilt(path)
-
-
-def _holds_angles(name: str) -> bool:
-    """Return whether files of a format, or ``skeletons.json``, hold joint angles."""
-    return any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
 
 
 def _angles_found_in(files: Iterable[person_files.KeptFile]) -> dict[str, Any]:

@@ -40,7 +40,21 @@ def listen_in_child(video: VideoInfo) -> NDArray[np.float32] | str:
     ``ChildError`` if the child fails for a reason other than its file.
     """
     if video.parts:
-        return _listen_to_parts(video)
+        energies: list[np.ndarray] = []
+        first = 0
+        for part in video.parts:
+            energy = listen_in_child(part)
+            if isinstance(energy, str):
+                return energy
+            start_ms = round(1000 * float(video.time_s[first]))
+            # The sound of a file may be some milliseconds longer or shorter than its pictures.
+            have_ms = sum(map(len, energies))
+            energies.append(np.zeros(max(0, start_ms - have_ms), np.float32))
+            energies.append(energy[max(0, have_ms - start_ms) :])
+            first += part.num_frames
+        energy = np.concatenate(energies)
+        energy.flags.writeable = False
+        return energy
     if not len(video.pts) or video.path.is_dir() or video.path.suffix.lower() == ".zip":
         return "Images have no sound."
     max_cpu_s = _BASE_CPU_S + reading_s(video.path) + math.ceil(_CPU_S_A_SECOND * float(video.time_s[-1]))
@@ -55,25 +69,6 @@ def listen_in_child(video: VideoInfo) -> NDArray[np.float32] | str:
     header, _, values = output.partition(b"\n")
     answer = json.loads(header)
     return str(answer["reason"]) if "reason" in answer else np.frombuffer(values, np.float32)
-
-
-def _listen_to_parts(video: VideoInfo) -> NDArray[np.float32] | str:
-    """Energy of the sound of all files of a recording, each from its first frame on."""
-    energies: list[np.ndarray] = []
-    first = 0
-    for part in video.parts:
-        energy = listen_in_child(part)
-        if isinstance(energy, str):
-            return energy
-        start_ms = round(1000 * float(video.time_s[first]))
-        # The sound of a file may be some milliseconds longer or shorter than its pictures.
-        have_ms = sum(map(len, energies))
-        energies.append(np.zeros(max(0, start_ms - have_ms), np.float32))
-        energies.append(energy[max(0, have_ms - start_ms) :])
-        first += part.num_frames
-    energy = np.concatenate(energies)
-    energy.flags.writeable = False
-    return energy
 
 
 def measure_energy(path: Path, first_pts: int) -> NDArray[np.float32] | str:

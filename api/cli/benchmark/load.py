@@ -142,14 +142,6 @@ def _upload_as(
                     uploads.errors.append(error)
 
 
-def _wait_until_running(client: Client, job: Json) -> None:
-    deadline_s = time.monotonic() + _START_S
-    while client.get(job["urls"]["self"])["progress"] == 0:
-        if time.monotonic() > deadline_s:
-            raise ServiceError("The workers do not begin.")
-        time.sleep(0.1)
-
-
 def _units_done(client: Client, jobs: Sequence[Json]) -> int:
     return sum(stage["done"] for job in jobs for stage in client.get(job["urls"]["self"])["stages"])
 
@@ -165,7 +157,11 @@ def measure(
             client.submit(f"Work {number}", list(sample.videos.values()), sample.calibration)
             for number in range(math.ceil(duration_s / _JOB_S))
         ]
-        _wait_until_running(client, jobs[0])
+        deadline_s = time.monotonic() + _START_S
+        while client.get(jobs[0]["urls"]["self"])["progress"] == 0:
+            if time.monotonic() > deadline_s:
+                raise ServiceError("The workers do not begin.")
+            time.sleep(0.1)
         before = _units_done(client, jobs)
         paths = [job["urls"]["self"] for job in jobs]
         uploads = pool.submit(upload, client.url, videos, sample.calibration, uploading, duration_s, mbit_per_s)

@@ -212,7 +212,14 @@ def from_people(
         require_outputs(out, report)
         known_points = read_known_points(world_points) if world_points is not None else ()
         config = checked(chosen, source.check)
-        _check_sources(source.keypoints, intrinsics, stature_m)
+        problems = []
+        if source.keypoints is not None and intrinsics is None:
+            message = "Keypoints don't tell the size of the pictures."
+            problems.append(Problem(SOURCES, message, hint="Give --intrinsics too."))
+        if len(stature_m) > MAX_STATURES:
+            problems.append(Problem(SOURCES, f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
+        if problems:
+            raise InputError(problems)
         session: CaptureSession | KeypointSession
         if source.keypoints is not None and intrinsics is not None:
             session = source.open_keypoints(intrinsics, keeps_poses=False)
@@ -285,17 +292,6 @@ def from_scene(
             ),
         )
     show_made(made, out, as_json)
-
-
-def _check_sources(keypoints: Sequence[Path] | None, intrinsics: Path | None, stature_m: list[float]) -> None:
-    problems = []
-    if keypoints is not None and intrinsics is None:
-        message = "Keypoints don't tell the size of the pictures."
-        problems.append(Problem(SOURCES, message, hint="Give --intrinsics too."))
-    if len(stature_m) > MAX_STATURES:
-        problems.append(Problem(SOURCES, f"At most {MAX_STATURES} statures are taken.", field="stature_m"))
-    if problems:
-        raise InputError(problems)
 
 
 def require_outputs(out: Path, report: Path | None) -> None:

@@ -87,10 +87,6 @@ def command(
                 console.print(f"  {path.name}")
             if keep:
                 typer.echo(f"The service keeps running at {client.url}. Ctrl-C stops it.")
-                _wait_for_ctrl_c()
-
-
-def _wait_for_ctrl_c() -> None:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with contextlib.suppress(KeyboardInterrupt):
-        signal.pause()
+                signal.signal(signal.SIGTERM, signal.default_int_handler)
+                with contextlib.suppress(KeyboardInterrupt):
+                    signal.pause()

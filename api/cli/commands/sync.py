@@ -57,21 +57,17 @@ def command(
         found, sound = measured_clocks(session, detections, joints, bars.update)
         document = sync_document(found) | {"sound": sound_document(sound)}
         if report is not None:
-            _write_report(report, document, found)
+            files = {_REPORT: json.dumps(document, indent=1) + "\n", **error_pictures(found)}
+            with console.writing(report):
+                report.mkdir(parents=True, exist_ok=True)
+                for name, text in files.items():
+                    (report / name).write_text(text, encoding="utf-8")
     if as_json:
         console.emit(document)
     else:
         _show(document)
     if not document["certain"]:
         raise typer.Exit(console.EXIT_FAILED)
-
-
-def _write_report(folder: Path, document: Mapping[str, Any], found: Synchronization) -> None:
-    files = {_REPORT: json.dumps(document, indent=1) + "\n", **error_pictures(found)}
-    with console.writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (folder / name).write_text(text, encoding="utf-8")
 
 
 def _show(document: Mapping[str, Any]) -> None:

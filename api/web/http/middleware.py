@@ -228,7 +228,7 @@ class HeadByGet(HttpMiddleware):
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         # A request that was sent as POST gets a body, even if it overrides the method with HEAD.
         is_head = scope["method"] == "HEAD" and "sent_as_post" not in scope["state"]
-        if not is_head or _is_routed(scope):
+        if not is_head or any(route.matches(scope)[0] is Match.FULL for route in scope["app"].routes):
             await self._app(scope, receive, send)
             return
         with anyio.CancelScope() as answering:
@@ -246,11 +246,6 @@ class HeadByGet(HttpMiddleware):
             as_get = {**scope, "method": "GET"}
             await self._app(as_get, receive, send_head)
         scope.update({name: as_get[name] for name in ("route",) if name in as_get})
-
-
-def _is_routed(scope: Scope) -> bool:
-    """Return whether a route accepts the method of a request."""
-    return any(route.matches(scope)[0] is Match.FULL for route in scope["app"].routes)
 
 
 class ForeignPageGuard(HttpMiddleware):

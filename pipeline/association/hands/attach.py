@@ -103,8 +103,11 @@ def attach_hands(
         for values, missing in ((points_px, np.nan), (ideal_px, np.nan), (score, 0.0)):
             _arrange(values, chosen, missing)
         xyz_m = triangulate_frames(projections, ideal_px, score, min_score)
-        _drop_far(xyz_m, wrist_m)
-        hands = _finger_track(track, xyz_m, points_px, score, cameras, timebase, min_score)
+        far = np.linalg.norm(xyz_m - np.repeat(wrist_m, len(_HAND), axis=1), axis=-1) > _LONGEST_HAND_M
+        xyz_m[far] = np.nan
+        source = close_gaps(timebase, xyz_m)
+        error_px, mean_score, views = reproject(cameras, xyz_m, points_px, score, min_score)
+        hands = replace(track, xyz_m=xyz_m, score=mean_score, source=source, error_px=error_px, views=views)
         tracks.append(_whole_track(track, hands, columns))
         points_px, score = _joined(columns, seen.points_px, points_px, 2), _joined(columns, seen.score, score, 2)
         observations.append(replace(seen, points_px=points_px, score=score))
@@ -160,27 +163,6 @@ def _arrange(values: np.ndarray, chosen: Int[np.ndarray, "frames cameras 2"], mi
     hands[chosen < 0] = missing
 
 
-def _drop_far(xyz_m: Float[np.ndarray, "frames fingers 3"], wrist_m: Float[np.ndarray, "frames 2 3"]) -> None:
-    """Set fingers that are too far from their wrist to NaN, in place."""
-    far = np.linalg.norm(xyz_m - np.repeat(wrist_m, len(_HAND), axis=1), axis=-1) > _LONGEST_HAND_M
-    xyz_m[far] = np.nan
-
-
-def _finger_track(
-    body: Track3D,
-    xyz_m: Float[np.ndarray, "frames fingers 3"],
-    points_px: Float[np.ndarray, "frames cameras fingers 2"],
-    score: Float[np.ndarray, "frames cameras fingers"],
-    cameras: Sequence[Camera],
-    timebase: Timebase,
-    min_score: float,
-) -> Track3D:
-    """Track of a person's fingers at the frames of the body's track; short gaps are filled."""
-    source = close_gaps(timebase, xyz_m)
-    error_px, mean_score, views = reproject(cameras, xyz_m, points_px, score, min_score)
-    return replace(body, xyz_m=xyz_m, score=mean_score, source=source, error_px=error_px, views=views)
-
-
 def _whole_track(body: Track3D, hands: Track3D, columns: Sequence[Int[np.ndarray, " _"]]) -> Track3D:
     """Track with the joints of the body and of the hands."""
     return replace(
@@ -216,22 +198,15 @@ def owners(people: People, bodies: Detections2D, timebase: Timebase) -> Int[np.n
     most_alike = np.full(len(bodies.camera), _LEAST_ALIKE)
     for number, (track, seen) in enumerate(zip(people.tracks, people.observations, strict=True)):
         for camera in range(seen.score.shape[1]):
-            rows = _rows_in(track, camera, bodies, nearest)
+            start, stop = np.searchsorted(bodies.camera, [camera, camera + 1])
+            of_camera = nearest[start:stop]
+            first, last = np.searchsorted(of_camera, [track.start_frame, track.start_frame + track.num_frames])
+            rows = np.arange(start + first, start + last)
             alike = _alike(seen, nearest[rows] - track.start_frame, camera, bodies.seen_px[rows], size_px[rows])
             better = alike > most_alike[rows]
             owner[rows[better]] = number
             most_alike[rows[better]] = alike[better]
     return owner
-
-
-def _rows_in(
-    track: Track3D, camera: int, bodies: Detections2D, nearest: Int[np.ndarray, " detections"]
-) -> Int[np.ndarray, " rows"]:
-    """Detections of a camera in the frames of a track; a camera's detections are in order of time."""
-    start, stop = np.searchsorted(bodies.camera, [camera, camera + 1])
-    of_camera = nearest[start:stop]
-    first, last = np.searchsorted(of_camera, [track.start_frame, track.start_frame + track.num_frames])
-    return np.arange(start + first, start + last)
 
 
 def _sizes_px(points_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, " n"]:

@@ -39,7 +39,10 @@ def follow_alone(
     Joints of the frames that are added have the source ``PREDICTED``.
     """
     is_free = _belongs_to_nobody(left, persons)
-    by_frame = _rows_by_frame(left, is_free)
+    rows: dict[int, list[int]] = {}
+    for row in np.flatnonzero(is_free).tolist():
+        rows.setdefault(int(left.frame[row]), []).append(row)
+    by_frame = rows
     followed = list(persons)
     for step in (1, -1):
         followed = [_follow(person, step, left, by_frame, is_free, cameras, timebase, min_score) for person in followed]
@@ -194,10 +197,3 @@ def _alike(
     both = np.isfinite(apart_px)
     mean_px = np.where(both, apart_px, 0.0).sum(-1) / np.maximum(both.sum(-1), 1)
     return np.asarray((both.sum(-1) >= MIN_JOINTS) & (mean_px <= limit_px))
-
-
-def _rows_by_frame(left: Leftovers, is_free: Bool[np.ndarray, " bodies"]) -> dict[int, list[int]]:
-    rows: dict[int, list[int]] = {}
-    for row in np.flatnonzero(is_free).tolist():
-        rows.setdefault(int(left.frame[row]), []).append(row)
-    return rows

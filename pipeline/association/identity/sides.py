@@ -52,7 +52,9 @@ def decide_sides(
     doubtful = _doubtful(track, pairs, candidates, timebase)
     if not doubtful.any():
         return person
-    borders = _moments(doubtful)
+    starts = doubtful | np.append(False, doubtful[:-1])
+    starts[0] = True
+    borders = np.append(np.flatnonzero(starts), len(doubtful))
     arms, legs = (
         _states(person, limbs, candidate, doubtful, borders, cameras, timebase, min_score)
         for limbs, candidate in zip(pairs, candidates, strict=True)
@@ -123,13 +125,6 @@ def _jumps(track: Track3D, limbs: LimbPair, timebase: Timebase) -> Bool[np.ndarr
 
     jumps[after] = (way(limbs.both) - way(limbs.exchanged) > _JUMP) & (step_s <= _LONGEST_STEP_S)
     return jumps
-
-
-def _moments(doubtful: Bool[np.ndarray, " frames"]) -> Int[np.ndarray, " borders"]:
-    """Borders of the moments: each doubtful frame is one, and each stretch between them."""
-    starts = doubtful | np.append(False, doubtful[:-1])
-    starts[0] = True
-    return np.append(np.flatnonzero(starts), len(doubtful))
 
 
 def _states(

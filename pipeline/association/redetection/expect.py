@@ -73,7 +73,9 @@ def expect_leaning(
     found: list[Detections] = []
     for track, observations in people:
         expected_m = expected_body_m(track, joints, timebase.frame_rate_hz)
-        leans = _leans_in_world(expected_m)
+        trunk_m = _trunk(expected_m)
+        upright = trunk_m[:, 2] > np.cos(np.radians(LEAN_IN_WORLD_DEG)) * np.linalg.norm(trunk_m, axis=-1)
+        leans = np.asarray(np.isfinite(trunk_m).all(-1) & ~upright)
         if not leans.any():
             continue
         seen_px = observations.points_px[:, :, joints.indices(COCO_17.names)]
@@ -98,12 +100,6 @@ def expect_leaning(
 def _trunk(body: Float[np.ndarray, "*batch 17 axes"]) -> Float[np.ndarray, "*batch axes"]:
     """Vector from the middle of the hips to the middle of the shoulders."""
     return np.asarray(body[..., _SHOULDERS, :].mean(-2) - body[..., _HIPS, :].mean(-2))
-
-
-def _leans_in_world(expected_m: Float[np.ndarray, "frames 17 3"]) -> Bool[np.ndarray, " frames"]:
-    trunk_m = _trunk(expected_m)
-    upright = trunk_m[:, 2] > np.cos(np.radians(LEAN_IN_WORLD_DEG)) * np.linalg.norm(trunk_m, axis=-1)
-    return np.asarray(np.isfinite(trunk_m).all(-1) & ~upright)
 
 
 def _in_pictures(

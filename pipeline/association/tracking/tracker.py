@@ -47,11 +47,6 @@ def make_rig(cameras: Sequence[Camera]) -> RigGeometry:
     )
 
 
-def make_limits(parameters: TrackingParameters) -> Limits:
-    """Convert parameters to the tuple that the kernels take."""
-    return Limits(**{name: getattr(parameters, name) for name in Limits._fields})
-
-
 def make_frames(
     times: Sequence[FrameTimes],
     bodies: Detections2D,
@@ -102,7 +97,7 @@ class TrackerState:
         self._cameras = cameras
         self._num_joints = num_joints
         self._parameters = parameters
-        self._limits = make_limits(parameters)
+        self._limits = Limits(**{name: getattr(parameters, name) for name in Limits._fields})
         self._rig = make_rig(cameras)
         self._targets = make_targets(_FIRST_SLOTS, len(cameras), num_joints, most_detections)
         self._workspace = make_workspace(_FIRST_SLOTS, most_detections)

@@ -58,20 +58,6 @@ def viewed_point_m(cameras: Sequence[Camera]) -> np.ndarray:
     return np.linalg.solve(left, right)
 
 
-def pixels_per_metre(cameras: Sequence[Camera]) -> float:
-    """Image scale at the viewed point: median over the cameras of focal length over distance."""
-    target_m = viewed_point_m(cameras)
-    return float(
-        np.median(
-            [
-                (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / max(1.0, np.linalg.norm(target_m - center))
-                for camera in cameras
-                for center in [center_in_world(camera)]
-            ]
-        )
-    )
-
-
 def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> TrackingParameters:
     """Derive the default parameters of a session.
 
@@ -82,7 +68,16 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
     time-lapse and photographs: without a velocity the target can't be matched again. What may be chance is left out
     afterwards (``identity.spurious_tracks``).
     """
-    scale_px_m = pixels_per_metre(cameras)
+    target_m = viewed_point_m(cameras)
+    scale_px_m = float(
+        np.median(
+            [
+                (camera.matrix[0, 0] + camera.matrix[1, 1]) / 2 / max(1.0, np.linalg.norm(target_m - center))
+                for camera in cameras
+                for center in [center_in_world(camera)]
+            ]
+        )
+    )
     may_follow = _ALPHA_3D_M * frame_rate_hz >= _WALK_M_S
     return TrackingParameters(
         alpha_2d_px_s=_JOINT_SPEED_M_S * scale_px_m,

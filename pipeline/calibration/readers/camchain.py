@@ -49,7 +49,11 @@ def read(fields: Mapping[str, Any], file: str) -> CameraFile:
     # One camera above the limit suffices to report that there are too many.
     cameras = dict(islice(cameras.items(), MAX_CAMERAS + 1))
     if any("rotation_quaternion" in camera for camera in cameras.values()):
-        order, is_inverse = _conventions(fields, reading)
+        stated = {field: str(fields.get(field, values[0])).lower() for field, values in _CONVENTIONS.items()}
+        for field, values in _CONVENTIONS.items():
+            if stated[field] not in values:
+                reading.complain(CALIBRATION_UNREADABLE, f"The field must be {' or '.join(values)}.", field=field)
+        order, is_inverse = stated["quaternion_order"], stated["extrinsics_convention"] == "world2cam"
         raw = [
             _raw(name, camera, _posed(name, camera, order, is_inverse, reading), reading)
             for name, camera in cameras.items()
@@ -65,15 +69,6 @@ def read(fields: Mapping[str, Any], file: str) -> CameraFile:
 def _cameras(fields: Mapping[str, Any]) -> Mapping[str, Any]:
     listed = fields.get("cameras", fields)
     return listed if isinstance(listed, dict) else {}
-
-
-def _conventions(fields: Mapping[str, Any], reading: Reading) -> tuple[str, bool]:
-    """Order of quaternions, and whether poses are transforms from the world."""
-    stated = {field: str(fields.get(field, values[0])).lower() for field, values in _CONVENTIONS.items()}
-    for field, values in _CONVENTIONS.items():
-        if stated[field] not in values:
-            reading.complain(CALIBRATION_UNREADABLE, f"The field must be {' or '.join(values)}.", field=field)
-    return stated["quaternion_order"], stated["extrinsics_convention"] == "world2cam"
 
 
 def _posed(name: str, camera: Mapping[str, Any], order: str, is_inverse: bool, reading: Reading) -> np.ndarray | None:

@@ -61,7 +61,26 @@ def read(content: bytes, file: str) -> CameraFile:
     # One camera above the limit suffices to report that there are too many.
     raw = [_raw(element, reading) for element in islice(serving, MAX_CAMERAS + 1)]
     if calibration is not None and calibration.get("created") == _POSE2SIM:
-        raw = _by_pose2sim(raw, reading)
+        enlarged = [
+            camera.name
+            for camera in raw
+            if any(camera.distortion) and not is_64th([coefficient / _SUBPIXELS for coefficient in camera.distortion])
+        ]
+        reading.notes.append(
+            f"{reading.file}: Pose2Sim wrote the file. Its picture sizes may be a pixel too large, so the size of the "
+            "videos is used."
+        )
+        reading.note_about(enlarged, "stated by Pose2Sim with 64 times the distortion, which is divided by 64")
+        raw = [
+            replace(
+                camera,
+                size_px=[side - 1 for side in camera.size_px],
+                distortion=[coefficient / _SUBPIXELS for coefficient in camera.distortion],
+            )
+            if camera.name in enlarged
+            else camera
+            for camera in raw
+        ]
     return reading.contents("Qualisys QCA", raw, "mm", axes="Z up, as Qualisys calibrates")
 
 
@@ -73,30 +92,6 @@ def is_64th(distortion: Sequence[float], parts: float = _SUBPIXELS) -> bool:
 
 def _is_written(coefficient: float) -> bool:
     return coefficient == round(coefficient, _NUM_DECIMALS)
-
-
-def _by_pose2sim(raw: Sequence[RawCamera], reading: Reading) -> list[RawCamera]:
-    """Correct the cameras of a QCA file that Pose2Sim made of a TOML file."""
-    enlarged = [
-        camera.name
-        for camera in raw
-        if any(camera.distortion) and not is_64th([coefficient / _SUBPIXELS for coefficient in camera.distortion])
-    ]
-    reading.notes.append(
-        f"{reading.file}: Pose2Sim wrote the file. Its picture sizes may be a pixel too large, so the size of the "
-        "videos is used."
-    )
-    reading.note_about(enlarged, "stated by Pose2Sim with 64 times the distortion, which is divided by 64")
-    return [
-        replace(
-            camera,
-            size_px=[side - 1 for side in camera.size_px],
-            distortion=[coefficient / _SUBPIXELS for coefficient in camera.distortion],
-        )
-        if camera.name in enlarged
-        else camera
-        for camera in raw
-    ]
 
 
 def _films_video(element: Any) -> bool:

@@ -164,19 +164,14 @@ class _Server:
                     fork.owner.sendall(NUMBER.pack(code))
         else:
             fork.is_abandoned = True
-            _kill(fork.pid)
+            for kill in (os.kill, os.killpg):
+                with contextlib.suppress(ProcessLookupError):
+                    kill(fork.pid, signal.SIGKILL)
         if fork.has_ended and fork.is_abandoned:
             del self._forks[fork.ended], self._forks[fork.owner.fileno()]
             os.waitpid(fork.pid, 0)
             os.close(fork.ended)
             fork.owner.close()
-
-
-def _kill(pid: int) -> None:
-    """Kill a process and its session, which it may not have begun yet."""
-    for kill in (os.kill, os.killpg):
-        with contextlib.suppress(ProcessLookupError):
-            kill(pid, signal.SIGKILL)
 
 
 def _become(programs: Mapping[str, Program], message: bytes, files: Sequence[int], server: int) -> NoReturn:

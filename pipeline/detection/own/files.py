@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,19 @@ def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> st
         # A copy, so that the checked file is the added file.
         copy = Path(scratch) / "network.onnx"
         _copy(path, copy)
-        shapes = _run_check(copy, path.name, network.input_px)
+        arguments = [str(copy), *map(str, network.input_px)]
+        limits, task = ChildLimits(_MAX_CPU_S, _MAX_MEMORY_BYTES), f"check of {path.name}"
+        try:
+            output = run_confined(
+                "pipeline.detection.own.check_network", arguments, limits, task=task, timeout_s=_TIMEOUT_S
+            )
+        except BeyondLimitsError as error:
+            if error.is_time:
+                raise _endless(path.name) from error
+            raise ModelError(f"{path.name} can't be used: its check took too much memory.") from error
+        shapes: dict[str, Any] = json.loads(output)
+        if "problem" in shapes:
+            raise ModelError(f"{path.name} can't be used: {shapes['problem']}.")
         network = _with_size(network, shapes["input"], has_chosen_size, path.name)
         _check_outputs(network, list(shapes["outputs"].values()), path.name)
         content, description = copy.read_bytes(), encode_description(network)
@@ -111,24 +123,6 @@ def _copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
     except OSError as error:
         raise ModelError(f"{source.name} can't be read or copied: {error.strerror}.") from error
-
-
-def _run_check(path: Path, filename: str, input_px: tuple[int, int]) -> Mapping[str, Any]:
-    """Check a file in a child process; returns the shapes of its input and outputs."""
-    arguments = [str(path), *map(str, input_px)]
-    limits, task = ChildLimits(_MAX_CPU_S, _MAX_MEMORY_BYTES), f"check of {filename}"
-    try:
-        output = run_confined(
-            "pipeline.detection.own.check_network", arguments, limits, task=task, timeout_s=_TIMEOUT_S
-        )
-    except BeyondLimitsError as error:
-        if error.is_time:
-            raise _endless(filename) from error
-        raise ModelError(f"{filename} can't be used: its check took too much memory.") from error
-    answer: dict[str, Any] = json.loads(output)
-    if "problem" in answer:
-        raise ModelError(f"{filename} can't be used: {answer['problem']}.")
-    return answer
 
 
 def _endless(filename: str) -> ModelError:

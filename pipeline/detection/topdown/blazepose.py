@@ -93,7 +93,7 @@ class PoseOutputs:
         Returns pixels of the image and peaks in [0, 1]; NaN and 0 where the expected position is NaN or outside of the
         crop.
         """
-        cells = _from_edge(self.region.crop_from_image(expected_px, CROP_PX)) / _CELL_PX
+        cells = (self.region.crop_from_image(expected_px, CROP_PX) + 0.5) / _CELL_PX
         read_cells, peak = read_near(self.logits, cells)
         return self.region.image_from_crop(_from_center(read_cells * _CELL_PX), CROP_PX), peak
 
@@ -156,11 +156,6 @@ def body_size_px(keypoints_px: Float[np.ndarray, "joints 2"], seen: Bool[np.ndar
 
 def _middle(pair_px: Float[np.ndarray, "2 2"], seen: Bool[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"] | None:
     return pair_px[seen].mean(0) if seen.any() else None
-
-
-def _from_edge(points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Positions from the crop's edge, as the network counts them."""
-    return points_px + 0.5
 
 
 def _from_center(points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

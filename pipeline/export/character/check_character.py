@@ -49,15 +49,6 @@ def describe_character(path: Path, table: Path | None) -> dict[str, Any]:
         hint = "Apply the scales of the nodes above the bones before the export."
         raise InputError([Problem(CHARACTER_UNREADABLE, message, file=path.name, hint=hint)])
     figure = measure(file, map_bones(file, stated))
-    contents = _described(figure)
-    if len(json.dumps(contents)) > MAX_CONTENTS_BYTES:
-        message = "The names of the bones are more than are kept."
-        hint = "Leave out bones that are not the character's, or shorten their names."
-        raise InputError([Problem(CHARACTER_TOO_LARGE, message, file=path.name, hint=hint)])
-    return contents
-
-
-def _described(figure: CharacterFigure) -> dict[str, Any]:
     mapping, rig = figure.mapping, figure.rig
     joints = [
         {
@@ -68,7 +59,7 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         }
         for joint in (*mapping.bones, *mapping.missing)
     ]
-    return {
+    contents = {
         "format": figure.file.format,
         "method": mapping.method,
         "stature": _stature(figure),
@@ -82,6 +73,11 @@ def _described(figure: CharacterFigure) -> dict[str, Any]:
         "warnings": documents(mapping.warnings),
         "skeleton": _skeleton(figure),
     }
+    if len(json.dumps(contents)) > MAX_CONTENTS_BYTES:
+        message = "The names of the bones are more than are kept."
+        hint = "Leave out bones that are not the character's, or shorten their names."
+        raise InputError([Problem(CHARACTER_TOO_LARGE, message, file=path.name, hint=hint)])
+    return contents
 
 
 def _stature(figure: CharacterFigure) -> float:

@@ -85,7 +85,11 @@ def build_character(name: str, document: dict[str, Any], binary: memoryview, for
     """Character of a document and its buffer; see ``checked`` for errors."""
     reader = GltfDocument(document, binary)
     rig, skinned = reader.rig(), []
-    for mesh_node in reader.skinned_nodes():
+    for mesh_node in [
+        (reader.index(node, "mesh", reader.meshes), reader.index(node, "skin", reader.skins))
+        for node in reader.nodes
+        if "mesh" in node and "skin" in node
+    ]:
         found = reader.skinned(mesh_node, rig)
         if found is not None:
             skinned.append(found)
@@ -196,14 +200,6 @@ class GltfDocument:
                     translations[joint], rotations[joint], scales[joint] = found
                     is_bound[joint] = True
         return rig.posed(read_only(translations), read_only(rotations), read_only(scales))
-
-    def skinned_nodes(self) -> list[tuple[int, int]]:
-        """Meshes that bones move: number of the mesh and of the skin."""
-        return [
-            (self.index(node, "mesh", self.meshes), self.index(node, "skin", self.skins))
-            for node in self.nodes
-            if "mesh" in node and "skin" in node
-        ]
 
     def skinned(self, mesh_and_skin: tuple[int, int], rig: CharacterRig) -> Skinned | None:
         """Vertices of a mesh that bones move; ``None`` if they are compressed, or there are none."""

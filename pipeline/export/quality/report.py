@@ -29,7 +29,7 @@ A figure without data is null (``None``).
 
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -40,7 +40,7 @@ from pipeline.association.identity.likenesses import find_likenesses
 from pipeline.capture.synchronization.report import sync_document
 from pipeline.core.data.animation import Floor, FootContact
 from pipeline.core.data.cameras import Camera, CameraMove, Refinement
-from pipeline.core.data.people import Doubt, Source, Track3D
+from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import CERTAIN, Finding
 from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
@@ -112,8 +112,14 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         "bone_length_std_before_cm": _rounded(bone_length_std_cm(located, joints), 3),
         "jitter_m_s2": _rounded(mean_jitter_m_s2(tracks, frame_rate_hz), 3),
         "jitter_before_m_s2": _rounded(mean_jitter_m_s2(located, frame_rate_hz), 3),
-        "cameras_used": _cameras_used(reconstruction.cameras, seen.values()),
-        "track_fragments": count_fragments(tracks, frame_rate_hz),
+        "cameras_used": {
+            camera.name: _rounded(float(np.mean(_known(sees[:, index] for sees in seen.values()))), 4)
+            for index, camera in enumerate(reconstruction.cameras)
+        },
+        "track_fragments": sum(
+            any(_continues(earlier, later, frame_rate_hz) for earlier in tracks if earlier is not later)
+            for later in tracks
+        ),
         "floor": _describe_floor(reconstruction.animation.floor),
         "feet": _summarise_feet([contact for motion in reconstruction.motions for contact in motion.contacts]),
         "people": [
@@ -136,7 +142,13 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
                 "angles": ranges.get(track.track_id, {}),
                 "balance": balances.get(track.track_id),
                 **_describe_hands(whole, figures.error_px, joints),
-                "identity": _describe_identity(doubts),
+                "identity": {
+                    "confidence": round(math.prod(doubt.confidence for doubt in doubts), 4),
+                    "doubts": [
+                        {"frame": doubt.frame, "confidence": round(doubt.confidence, 4), "other": doubt.other or None}
+                        for doubt in doubts
+                    ],
+                },
             }
             for whole, track, figures, doubts in zip(reconstruction.tracks, tracks, views, all_doubts, strict=True)
         ],
@@ -204,16 +216,6 @@ def _describe_move(move: CameraMove) -> dict[str, Any]:
     }
 
 
-def _describe_identity(doubts: Sequence[Doubt]) -> dict[str, Any]:
-    return {
-        "confidence": round(math.prod(doubt.confidence for doubt in doubts), 4),
-        "doubts": [
-            {"frame": doubt.frame, "confidence": round(doubt.confidence, 4), "other": doubt.other or None}
-            for doubt in doubts
-        ],
-    }
-
-
 def all_checks(report: Mapping[str, Any]) -> list[Finding]:
     """Findings of all failed checks of a report: of the session at a few instants, of the capture, of the world."""
     of_take = [Finding.from_json(check) for check in (*report["capture_checks"], *report["world_checks"])]
@@ -270,20 +272,6 @@ def _summarise_error(
         "p95_by_joint": {name: figures[1] for name, figures in by_joint.items()},
         "num_observations": sum(int(np.isfinite(error_px).sum()) for error_px in body_px),
     }
-
-
-def _cameras_used(cameras: Sequence[Camera], seen: Collection[np.ndarray]) -> dict[str, float | None]:
-    return {
-        camera.name: _rounded(float(np.mean(_known(sees[:, index] for sees in seen))), 4)
-        for index, camera in enumerate(cameras)
-    }
-
-
-def count_fragments(tracks: Sequence[Track3D], frame_rate_hz: float) -> int:
-    """Count tracks that begin soon after the end of another track, and close to it."""
-    return sum(
-        any(_continues(earlier, later, frame_rate_hz) for earlier in tracks if earlier is not later) for later in tracks
-    )
 
 
 def _continues(earlier: Track3D, later: Track3D, frame_rate_hz: float) -> bool:

@@ -64,7 +64,14 @@ def encode_page(contents: ReportContents) -> bytes:
             _angles(contents),
             _gait(contents),
             _pictures(contents),
-            _details(contents),
+            _section(
+                "details",
+                "Details",
+                _table("Cameras", ("Camera", "Size", "Median reprojection error"), contents.cameras),
+                _table("Settings", ("Option", "Value", "Default"), contents.settings),
+                _table("Versions", ("Program or network", "Version"), contents.versions),
+                _table("Input files", ("File", "SHA-256"), contents.inputs),
+            ),
         ),
         data("take", contents.motion),
         element("script", Markup(script), type="module"),
@@ -206,17 +213,6 @@ def _pictures(contents: ReportContents) -> Markup:
         parts.append(join(element("h3", moment.title, " ", go), element("div", figures, class_="pictures")))
     return _section(
         "cameras-pictures", "Cameras", parts, (element("p", note, class_="quiet") for note in contents.notes)
-    )
-
-
-def _details(contents: ReportContents) -> Markup:
-    return _section(
-        "details",
-        "Details",
-        _table("Cameras", ("Camera", "Size", "Median reprojection error"), contents.cameras),
-        _table("Settings", ("Option", "Value", "Default"), contents.settings),
-        _table("Versions", ("Program or network", "Version"), contents.versions),
-        _table("Input files", ("File", "SHA-256"), contents.inputs),
     )
 
 

@@ -99,7 +99,22 @@ def write_rerun(
     try:
         part.touch()
         _Recorder(take, part).write(footage, sub_share(on_share, 0.0, 0.9))
-        _require_motions(part, path, take)
+        origin_m = file_origin_m(take.cameras)
+        motions = {f"/{_PEOPLE}/person-{motion.track_id}/{_SKELETON}": motion for motion in take.motions}
+        is_read = {entity: np.zeros(len(motion.root_m), bool) for entity, motion in motions.items()}
+        try:
+            for chunk in _chunks(part):
+                if chunk.entity_path in motions and not chunk.is_static:
+                    batch = chunk.to_record_batch()
+                    rows = batch.column("frame").to_numpy(zero_copy_only=False) - motions[chunk.entity_path].start_frame
+                    found_m = batch.column("Points3D:positions").flatten().flatten().to_numpy(zero_copy_only=False)
+                    _compare(
+                        found_m.reshape(-1, 3) + origin_m, rows, motions[chunk.entity_path], is_read[chunk.entity_path]
+                    )
+        except (ValueError, RuntimeError, KeyError, RerunWarning) as error:
+            raise spoilt(path) from error
+        if not all(rows.all() for rows in is_read.values()):
+            raise spoilt(path)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
@@ -358,26 +373,6 @@ def _blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
     )
     spatial = rrb.Horizontal(rrb.Spatial3DView(origin=_WORLD, name="world"), rrb.Grid(*views))
     return rrb.Blueprint(rrb.Vertical(spatial, series, row_shares=[2, 1]), collapse_panels=True)
-
-
-def _require_motions(part: Path, path: Path, take: Reconstruction) -> None:
-    """Read a file back, block by block; ``OSError`` unless it has the skeleton of everybody in every frame."""
-    origin_m = file_origin_m(take.cameras)
-    motions = {f"/{_PEOPLE}/person-{motion.track_id}/{_SKELETON}": motion for motion in take.motions}
-    is_read = {entity: np.zeros(len(motion.root_m), bool) for entity, motion in motions.items()}
-    try:
-        for chunk in _chunks(part):
-            if chunk.entity_path in motions and not chunk.is_static:
-                batch = chunk.to_record_batch()
-                rows = batch.column("frame").to_numpy(zero_copy_only=False) - motions[chunk.entity_path].start_frame
-                found_m = batch.column("Points3D:positions").flatten().flatten().to_numpy(zero_copy_only=False)
-                _compare(
-                    found_m.reshape(-1, 3) + origin_m, rows, motions[chunk.entity_path], is_read[chunk.entity_path]
-                )
-    except (ValueError, RuntimeError, KeyError, RerunWarning) as error:
-        raise spoilt(path) from error
-    if not all(rows.all() for rows in is_read.values()):
-        raise spoilt(path)
 
 
 def _chunks(path: Path) -> Iterator[Chunk]:

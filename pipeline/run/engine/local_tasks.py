@@ -339,17 +339,12 @@ def scratch_folder(results: Path | None) -> Iterator[Path]:
             stack.enter_context(FileLock(scratch / _LOCK, timeout=0))
         except OSError as error:
             raise not_written(results, error) from error
-        _remove_left(results)
+        for left in results.glob(f"{_UNFINISHED}*"):
+            with contextlib.suppress(Timeout, OSError), FileLock(left / _LOCK, timeout=0):
+                shutil.rmtree(left, ignore_errors=True)
         yield scratch
 
 
 def _remove_empty(folder: Path) -> None:
     with contextlib.suppress(OSError):  # it is not empty
         folder.rmdir()
-
-
-def _remove_left(folder: Path) -> None:
-    """Remove the folders for temporary files whose processes were killed: nobody holds their locks."""
-    for left in folder.glob(f"{_UNFINISHED}*"):
-        with contextlib.suppress(Timeout, OSError), FileLock(left / _LOCK, timeout=0):
-            shutil.rmtree(left, ignore_errors=True)

@@ -298,14 +298,6 @@ class PoseFilter:
     ) -> None:
         """Find the pose that follows, in place."""
         motion.predict(step_s, self._noise_m_s2)
-        self._hold_feet(motion)
-        evidence = PoseEvidence(ray, weight, self._center_m, motion.place_m, motion.place_m2)
-        self._steps.take(poses, evidence, _NUM_STEPS)
-        landmark_m = Posed(poses, self.bones.skeleton).landmark_m[0]
-        motion.correct(landmark_m, evidence.spread_m2(landmark_m), evidence.precision(landmark_m), step_s)
-
-    def _hold_feet(self, motion: _Motion) -> None:
-        """Expect feet that stand at their places, in place."""
         for pair in self._feet:
             places_m = pair.places.places_m
             stands = np.isfinite(places_m).all(-1).tolist()
@@ -317,6 +309,10 @@ class PoseFilter:
                 elif was_held:
                     motion.release(number)
             pair.is_held = stands
+        evidence = PoseEvidence(ray, weight, self._center_m, motion.place_m, motion.place_m2)
+        self._steps.take(poses, evidence, _NUM_STEPS)
+        landmark_m = Posed(poses, self.bones.skeleton).landmark_m[0]
+        motion.correct(landmark_m, evidence.spread_m2(landmark_m), evidence.precision(landmark_m), step_s)
 
     def _shown(self, poses: JointPoses) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]]:
         """Skeleton in a pose, and positions of the detector's joints; rotations continue those before."""

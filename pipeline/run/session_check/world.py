@@ -67,7 +67,9 @@ def check_world(
     """
     if len(poses_m) < _MIN_POSES:
         return []
-    poses = _as_track(poses_m)
+    known = np.isfinite(poses_m[..., 0])
+    source = np.where(known, Source.MEASURED, Source.ABSENT)
+    poses = Track3D(1, 0, poses_m, known.astype(np.float64), source, np.where(known, 0.0, np.nan), 2 * known)
     wrong = [*_check_upright(cameras, poses, joints), *_check_stature(poses, joints), *_check_sides(poses, joints)]
     if not is_certain:
         wrong = [replace(finding, severity="warning") for finding in wrong]
@@ -90,13 +92,6 @@ def select_movers(
     near = cKDTree(middle_m).query_ball_point(middle_m, _SAME_PLACE_M) if len(middle_m) else []
     moves = np.array([len(np.unique(number[rows])) < usual for rows in near], bool)
     return poses_m[moves] if np.count_nonzero(moves) >= _MIN_POSES else poses_m
-
-
-def _as_track(poses_m: Float[np.ndarray, "poses joints 3"]) -> Track3D:
-    """Poses as frames of a track, whose medians are the medians of all people."""
-    known = np.isfinite(poses_m[..., 0])
-    source = np.where(known, Source.MEASURED, Source.ABSENT)
-    return Track3D(1, 0, poses_m, known.astype(np.float64), source, np.where(known, 0.0, np.nan), 2 * known)
 
 
 def _check_upright(cameras: Sequence[Camera], poses: Track3D, joints: JointSet) -> Iterator[Finding]:

@@ -185,7 +185,10 @@ def score_feet(
     ankles = simulation.joints.indices(tuple(f"{side}_ankle" for side in SIDES))
     truth_m = simulation.truth_m[:, :, ankles]
     stands = standing(truth_m, rate_hz)
-    near = _widened(stands, round(_TOLERANCE_S * rate_hz))
+    near = stands.copy()
+    for shift in range(1, round(_TOLERANCE_S * rate_hz) + 1):
+        near[:, shift:] |= stands[:, :-shift]
+        near[:, :-shift] |= stands[:, shift:]
     ankles_m, contact = _laid_out(motions, num_frames)
     matched = match_frames(
         select_joints(tracks, joints, BODY_JOINTS, np.arange(num_frames)),
@@ -214,14 +217,6 @@ def standing(truth_m: Float[np.ndarray, "people frames 2 3"], rate_hz: float) ->
     with np.errstate(invalid="ignore"):
         low = truth_m[..., 2] < np.nanmin(truth_m[..., 2], axis=(1, 2), keepdims=True) + _LOW_M
         return np.asarray((speed_m_s < _STILL_M_S) & low)
-
-
-def _widened(mask: Bool[np.ndarray, "people frames 2"], by: int) -> Bool[np.ndarray, "people frames 2"]:
-    wider = mask.copy()
-    for shift in range(1, by + 1):
-        wider[:, shift:] |= mask[:, :-shift]
-        wider[:, :-shift] |= mask[:, shift:]
-    return wider
 
 
 def _laid_out(

@@ -1,11 +1,9 @@
 """Examine a sequence of images; called in a child process only."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from av.video.frame import VideoFrame
 
 from pipeline.core.errors import UnusableError
 from pipeline.core.problems.session_codes import NO_FRAMES, VIDEO_CHANGES_SIZE
@@ -30,7 +28,21 @@ def probe_images(path: Path) -> VideoInfo:
     frames = list(decode_images(path, chosen.__contains__))
     if not frames:
         raise UnusableError(NO_FRAMES, "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")
-    _check_sizes(frames)
+    first = frames[0]
+    for frame in frames:
+        if (frame.width, frame.height) != (first.width, first.height):
+            raise UnusableError(
+                VIDEO_CHANGES_SIZE,
+                f"The images change their size from {first.width} x {first.height} to {frame.width} x {frame.height} "
+                "pixels.",
+                "Send images of one size.",
+            )
+        if display_orientation(frame) != display_orientation(first):
+            raise UnusableError(
+                VIDEO_CHANGES_SIZE,
+                "The images are not all turned or mirrored alike for display (EXIF orientation).",
+                "Send images of one orientation.",
+            )
     width, height = frames[0].width, frames[0].height
     rotation_deg, is_mirrored = display_orientation(frames[0])
     return VideoInfo(
@@ -52,21 +64,3 @@ def at_rate(images: VideoInfo, frame_rate_hz: float) -> VideoInfo:
     time_s = images.pts / float(without_rounding(frame_rate_hz))
     warnings = (replace(warning, file=images.path.name) for warning in uneven_times(time_s))
     return replace(images, time_s=time_s, frame_rate_hz=frame_rate_hz, warnings=(*images.warnings, *warnings))
-
-
-def _check_sizes(frames: Sequence[VideoFrame]) -> None:
-    first = frames[0]
-    for frame in frames:
-        if (frame.width, frame.height) != (first.width, first.height):
-            raise UnusableError(
-                VIDEO_CHANGES_SIZE,
-                f"The images change their size from {first.width} x {first.height} to {frame.width} x {frame.height} "
-                "pixels.",
-                "Send images of one size.",
-            )
-        if display_orientation(frame) != display_orientation(first):
-            raise UnusableError(
-                VIDEO_CHANGES_SIZE,
-                "The images are not all turned or mirrored alike for display (EXIF orientation).",
-                "Send images of one orientation.",
-            )

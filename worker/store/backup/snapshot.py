@@ -185,7 +185,13 @@ def copy_rows(source: Connection, target: Connection) -> None:
             target.execute(insert(table), [dict(row) for row in rows])
     for table in _numbered():
         if (last := _last_number(source, table)) > 0:
-            _set_last_number(target, table, last)
+            values = {"name": table.name, "last": last}
+            if target.dialect.name == "sqlite":
+                target.execute(text("DELETE FROM sqlite_sequence WHERE name = :name"), {"name": table.name})
+                target.execute(text("INSERT INTO sqlite_sequence (name, seq) VALUES (:name, :last)"), values)
+            else:
+                statement = text("SELECT setval(CAST(pg_get_serial_sequence(:name, 'id') AS regclass), :last)")
+                target.execute(statement.bindparams(bindparam("last", type_=BigInteger)), values)
 
 
 def _numbered() -> list[Table]:
@@ -204,13 +210,3 @@ def _last_number(connection: Connection, table: Table) -> int:
         query = text("SELECT pg_sequence_last_value(CAST(pg_get_serial_sequence(:name, 'id') AS regclass))")
     given = connection.scalar(query, {"name": table.name}) or 0
     return max(given, connection.scalar(select(func.max(table.c.id))) or 0)
-
-
-def _set_last_number(connection: Connection, table: Table, last: int) -> None:
-    values = {"name": table.name, "last": last}
-    if connection.dialect.name == "sqlite":
-        connection.execute(text("DELETE FROM sqlite_sequence WHERE name = :name"), {"name": table.name})
-        connection.execute(text("INSERT INTO sqlite_sequence (name, seq) VALUES (:name, :last)"), values)
-    else:
-        statement = text("SELECT setval(CAST(pg_get_serial_sequence(:name, 'id') AS regclass), :last)")
-        connection.execute(statement.bindparams(bindparam("last", type_=BigInteger)), values)

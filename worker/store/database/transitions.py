@@ -56,21 +56,17 @@ def move_job(connection: Connection, job_id: str, to: JobState, **values: Any) -
             job = connection.execute(select(jobs).where(jobs.c.id == job_id)).one()
             remove_later(connection, interim_prefix(job_id, job.attempt))
             if to is JobState.SUCCEEDED:
-                _drop_earlier_results(connection, job)
+                is_visual = results.c.kind.in_(VISUAL_KINDS)
+                of_same_kind = (
+                    is_visual if job.reconstruction_id is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
+                )
+                drop_results(
+                    connection, job.reconstruction_id or job.id, of_same_kind & (results.c.revision < job.revision)
+                )
         if to in FINISHED:
             count(connection, Total.JOBS_ENDED, to)
             queue_delivery(connection, job_id, of_files=had_files)
     return moved.rowcount == 1
-
-
-def _drop_earlier_results(connection: Connection, job: Row[Any]) -> None:
-    """Drop files of earlier revisions after a job has succeeded; visuals are replaced by visuals alone.
-
-    Blurred videos are of all revisions.
-    """
-    is_visual = results.c.kind.in_(VISUAL_KINDS)
-    of_same_kind = is_visual if job.reconstruction_id is not None else ~is_visual & (results.c.kind != BLURRED_KIND)
-    drop_results(connection, job.reconstruction_id or job.id, of_same_kind & (results.c.revision < job.revision))
 
 
 def delete_visuals_job(connection: Connection, job_id: str) -> None:

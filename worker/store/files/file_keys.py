@@ -101,15 +101,10 @@ def visuals_prefix(job_id: str, revision: int = 0) -> str:
     return f"{job_prefix(job_id)}visuals/{revision}/"
 
 
-def blurred_prefix(job_id: str) -> str:
-    """Prefix of the keys of a job's blurred videos."""
-    return f"{job_prefix(job_id)}blurred/"
-
-
 def result_key(job_id: str, name: str, revision: int = 0, kind: str = "") -> str:
     """Key of a result file of a kind."""
     if kind == BLURRED_KIND:
-        prefix = blurred_prefix(job_id)
+        prefix = f"{job_prefix(job_id)}blurred/"
     else:
         prefix = visuals_prefix(job_id, revision) if kind in VISUAL_KINDS else results_prefix(job_id, revision)
     return f"{prefix}{name}/{name}"

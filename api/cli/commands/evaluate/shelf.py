@@ -99,14 +99,6 @@ def command(
     if as_json:
         emit(result)
         return
-    _print_shelf(result)
-    if live:
-        _print_live(result["live"])
-    if ablation:
-        _print_ablation(result["ablation"])
-
-
-def _print_shelf(result: dict[str, Any]) -> None:
     pcp = result["pcp"]
     parts = [*pcp["parts"].items(), ("all", pcp["actors"])]
     columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
@@ -131,6 +123,10 @@ def _print_shelf(result: dict[str, Any]) -> None:
         ),
     )
     typer.echo("Actors are annotated in some images only: unmatched tracks count as false near an annotated actor.")
+    if live:
+        _print_live(result["live"])
+    if ablation:
+        _print_ablation(result["ablation"])
 
 
 def _print_live(found: dict[str, Any]) -> None:

@@ -51,7 +51,8 @@ async def receive_form(
     boundary = _boundary(request)
     stream = aiter(request.stream())
     try:
-        _check_announced_length(request, limits)
+        if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
+            raise too_large("session", limits.max_session_bytes)
         disk.require_room(announced_bytes(request))
         parts = Parts(folder, limits, kind, places)
         reader = _Reader(boundary, parts)
@@ -75,11 +76,6 @@ def _boundary(request: Request) -> str:
     if not boundary:
         raise _malformed()
     return boundary
-
-
-def _check_announced_length(request: Request, limits: FormLimits) -> None:
-    if announced_bytes(request) > limits.max_session_bytes + _ENVELOPE_BYTES:
-        raise too_large("session", limits.max_session_bytes)
 
 
 class _Reader:

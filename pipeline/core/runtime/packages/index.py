@@ -117,11 +117,6 @@ def _pip_options() -> dict[str, str]:
         ).stdout
     except (OSError, subprocess.SubprocessError) as error:
         raise ModelError("pip can't tell its settings; see what 'pip config list' says.") from error
-    return _parse_pip_options(listing)
-
-
-def _parse_pip_options(listing: str) -> dict[str, str]:
-    """Parse options from lines such as ``global.index-url='...'``; later sections override earlier ones."""
     found = re.findall(r"^(global|download|:env:)\.([\w-]+)=(.+)$", listing, flags=re.MULTILINE)
     return {
         option: ast.literal_eval(value)

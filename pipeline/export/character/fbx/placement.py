@@ -179,10 +179,6 @@ class ModelTree:
             models.append(above)
         return tuple(models)
 
-    def bone_above(self, number: int) -> int | None:
-        """Bone that a model is, or the nearest one above it; ``None`` if there is none."""
-        return next((above for above in self.ancestors(number) if above in self.bones), None)
-
 
 def euler_matrix(angles_deg: Float[np.ndarray, " 3"], order: int = 0) -> Float[np.ndarray, "3 3"]:
     """Rotation by angles about x, y and z, in one of the orders of ``ROTATION_ORDERS``; others count as the first."""
@@ -239,7 +235,7 @@ def bind(
     geometric = tree.geometric(model)
     clusters = tree.clusters.get(geometry, ())
     matrices = [tree.worlds[model] @ geometric]
-    bone = tree.bone_above(model)
+    bone = next((above for above in tree.ancestors(model) if above in tree.bones), None)
     if bone is None and not clusters:
         return None
     bones = [clusters[0].bone if bone is None else bone]

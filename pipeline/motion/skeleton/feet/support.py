@@ -86,7 +86,11 @@ def find_support(
     )
     middle_m = hips_m.mean(1)
     ground_m = belt_m(ankles_m, known, middle_m, frame_rate_hz, marks)
-    along, squared = _shared_motion(ankles_m - ground_m[:, None], middle_m - ground_m, frame_rate_hz)
+    of_ankles, of_hips = (
+        _velocity_m_s(ankles_m - ground_m[:, None], frame_rate_hz),
+        _velocity_m_s(middle_m - ground_m, frame_rate_hz)[:, None],
+    )
+    along, squared = np.nan_to_num((of_ankles * of_hips).sum(-1)), np.nan_to_num((of_hips**2).sum(-1))
     around = _AROUND_S * frame_rate_hz
     common = [gaussian_filter1d(values, around, axis=0, mode="nearest") for values in (along, squared)]
     rides, stays = _is_riding(*common), _is_staying(*common)
@@ -122,14 +126,6 @@ def _velocity_m_s(
         return np.zeros_like(points_m)
     smooth_m = gaussian_filter1d(points_m, _SMOOTH_S * frame_rate_hz, axis=0, mode="nearest")
     return np.asarray(np.gradient(smooth_m, axis=0) * frame_rate_hz)
-
-
-def _shared_motion(
-    ankles_m: Float[np.ndarray, "frames 2 3"], hips_m: Float[np.ndarray, "frames 3"], frame_rate_hz: float
-) -> tuple[Float[np.ndarray, "frames 2"], Float[np.ndarray, "frames 1"]]:
-    """Products of the velocities of ankles and hips, and the squared speed of the hips; 0 where they are unknown."""
-    of_ankles, of_hips = _velocity_m_s(ankles_m, frame_rate_hz), _velocity_m_s(hips_m, frame_rate_hz)[:, None]
-    return np.nan_to_num((of_ankles * of_hips).sum(-1)), np.nan_to_num((of_hips**2).sum(-1))
 
 
 def _is_riding(along: Any, squared: Any) -> Any:

@@ -213,7 +213,13 @@ class CameraRun:
         detections_hz = self._measure_detection(feeds, pool)
         if self._is_stopped:
             return
-        rate_hz = self._measure_rate()
+        end_s = time.monotonic() + 2 * _MEASURED_S
+        streams = [number for number, source in enumerate(self._sources) if source.kind != "file"]
+        while time.monotonic() < end_s and not self._is_stopped and not all(map(self._has_rate, streams)):
+            with contextlib.suppress(queue.Empty):
+                self._note_start(self._events.get(timeout=end_s - time.monotonic()))
+        rates_hz = [self._rate_hz(number) for number in range(len(self._sources))]
+        rate_hz = max(rates_hz)
         every = frames_in_slot(rate_hz, len(feeds), (1 - _REST) * detections_hz)
         period_s = every / rate_hz
         settings = LiveSettings(1 / period_s, window_s=max(_WINDOW_S, _WINDOW_PERIODS * period_s))
@@ -270,16 +276,6 @@ class CameraRun:
                 self._sizes[ready[job_number % len(ready)].camera].add(future.result().spans_px)
             durations_s = [future.result().duration_s for future in futures]
         return self.num_processes / statistics.median(durations_s)
-
-    def _measure_rate(self) -> float:
-        """Rate of the fastest camera: that which a file states, and that in which frames of a stream come."""
-        end_s = time.monotonic() + 2 * _MEASURED_S
-        streams = [number for number, source in enumerate(self._sources) if source.kind != "file"]
-        while time.monotonic() < end_s and not self._is_stopped and not all(map(self._has_rate, streams)):
-            with contextlib.suppress(queue.Empty):
-                self._note_start(self._events.get(timeout=end_s - time.monotonic()))
-        rates_hz = [self._rate_hz(number) for number in range(len(self._sources))]
-        return max(rates_hz)
 
     def _has_rate(self, number: int) -> bool:
         times_s = self._first_s[number]

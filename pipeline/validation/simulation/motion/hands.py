@@ -217,24 +217,17 @@ def finger_motion(
     for cue, rows in zip(cues, cue_rows, strict=True):
         if isinstance(cue, Stay) and cue.gesture in _OF_GESTURE:
             for hand in (0, 1):
-                _gesticulate(angles_rad[:, hand], cue.gesture, rows, rng)
+                postures = _OF_GESTURE[cue.gesture]
+                start = rows.start
+                while start < rows.stop:
+                    posture = postures[rng.integers(len(postures))].copy()
+                    stop = rows.stop
+                    if cue.gesture in _CHANGING:
+                        posture[:3] += rng.uniform(-_WRIST_RAD, _WRIST_RAD)
+                        stop = min(stop, start + round(rng.uniform(*_HOLD_S) * GRID_HZ))
+                    angles_rad[:, hand][start:stop] = posture
+                    start = stop + round(rng.uniform(*_REST_S) * GRID_HZ)
     angles_rad = gaussian_filter1d(angles_rad, _CHANGE_S * GRID_HZ, axis=0, mode="nearest")
     time_s = np.arange(num_rows) / GRID_HZ
     angles_rad += _TREMBLE_RAD * smooth_noise(time_s, angles_rad.shape[1:], 0.1, 0.8, rng)
     return np.clip(angles_rad, *LIMITS_RAD.T)
-
-
-def _gesticulate(
-    angles_rad: Float[np.ndarray, "times 19"], gesture: Gesture, rows: slice, rng: np.random.Generator
-) -> None:
-    """Write the postures of a gesture to the rows of one hand."""
-    postures = _OF_GESTURE[gesture]
-    start = rows.start
-    while start < rows.stop:
-        posture = postures[rng.integers(len(postures))].copy()
-        stop = rows.stop
-        if gesture in _CHANGING:
-            posture[:3] += rng.uniform(-_WRIST_RAD, _WRIST_RAD)
-            stop = min(stop, start + round(rng.uniform(*_HOLD_S) * GRID_HZ))
-        angles_rad[start:stop] = posture
-        start = stop + round(rng.uniform(*_REST_S) * GRID_HZ)

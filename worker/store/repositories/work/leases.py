@@ -150,7 +150,14 @@ class Leases:
                 row = {"output_key": stored.key, "sha256": stored.sha256, "num_bytes": stored.num_bytes}
                 upsert(connection, artifacts, {"session_id": job.session_id, **row})
             list_results(connection, job.reconstruction_id or job.id, results)
-            _record_findings(connection, job.id, warnings, people)
+            if people is not None:
+                connection.execute(delete(found_people).where(found_people.c.job_id == job.id))
+            if people:
+                connection.execute(insert(found_people), [{"job_id": job.id, **asdict(person)} for person in people])
+            # Results of a new revision replace the warnings of the last one, also by none.
+            if warnings or people is not None:
+                documents = [asdict(warning) for warning in warnings]
+                connection.execute(update(jobs).where(jobs.c.id == job.id).values(warnings=documents))
             if calibration is not None:
                 complete(connection, job.id, calibration)
             done = {"done_units": chunk.unit_count, "reused": reused, "lost_tries": 0}
@@ -346,16 +353,3 @@ def _output_damaged(chunk: Row[Any]) -> JobProblem:
         hint="Check the disk that holds the service's artifacts, then retry the job: whole outputs are used again.",
         retryable=True,
     )
-
-
-def _record_findings(
-    connection: Connection, job_id: str, warnings: Sequence[Finding], people: Sequence[PersonSpan] | None
-) -> None:
-    if people is not None:
-        connection.execute(delete(found_people).where(found_people.c.job_id == job_id))
-    if people:
-        connection.execute(insert(found_people), [{"job_id": job_id, **asdict(person)} for person in people])
-    # Results of a new revision replace the warnings of the last one, also by none.
-    if warnings or people is not None:
-        documents = [asdict(warning) for warning in warnings]
-        connection.execute(update(jobs).where(jobs.c.id == job_id).values(warnings=documents))

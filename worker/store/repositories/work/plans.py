@@ -6,7 +6,6 @@ the session, so that its other jobs can reuse them.
 
 from collections.abc import Iterable, Sequence
 from itertools import islice, takewhile
-from typing import Any
 
 from sqlalchemy import Connection, delete, insert, literal, select, true, update
 
@@ -17,7 +16,7 @@ from worker.store.database.tables import artifacts, chunks, jobs, sessions
 from worker.store.database.transitions import lock_job
 from worker.store.errors import VideosDeleted
 from worker.store.model.states import AT_WORK, ChunkState
-from worker.store.model.work import ChunkOutput, ChunkPlan, StagePlan
+from worker.store.model.work import ChunkOutput, StagePlan
 from worker.store.repositories.work.workers import codes_at_work
 
 _ROWS_AT_ONCE = 1000
@@ -96,7 +95,18 @@ def insert_chunks(connection: Connection, job_id: str, stages: Sequence[StagePla
     provider = max(stage.provider for stage in stages)  # they have the same, or none
     connection.execute(update(jobs).where(jobs.c.id == job_id).values(provider=provider))
     rows = (
-        _chunk_row(job_id, stage_index, stage, chunk, is_first=stage_index == num_done)
+        {
+            "job_id": job_id,
+            "stage_index": stage_index,
+            "stage": stage.name,
+            "code": stage.code_sha256,
+            "chunk_index": chunk.index,
+            "payload": dict(chunk.payload),
+            "output_key": chunk.output_key,
+            "unit_count": chunk.unit_count,
+            "memory_bytes": chunk.memory_bytes,
+            "state": ChunkState.READY if (stage_index == num_done) else ChunkState.WAITING,
+        }
         for stage_index, stage in enumerate(stages)
         if stage_index >= num_done
         for chunk in stage.chunks
@@ -140,21 +150,6 @@ def _is_done(connection: Connection, job_id: str, stage_index: int, stage: Stage
     if not STAGE_BY_NAME[stage.name].is_reusable:
         return False
     return [(stage.name, ChunkState.DONE, chunk.output_key) for chunk in stage.chunks] == [tuple(row) for row in rows]
-
-
-def _chunk_row(job_id: str, stage_index: int, stage: StagePlan, chunk: ChunkPlan, is_first: bool) -> dict[str, Any]:
-    return {
-        "job_id": job_id,
-        "stage_index": stage_index,
-        "stage": stage.name,
-        "code": stage.code_sha256,
-        "chunk_index": chunk.index,
-        "payload": dict(chunk.payload),
-        "output_key": chunk.output_key,
-        "unit_count": chunk.unit_count,
-        "memory_bytes": chunk.memory_bytes,
-        "state": ChunkState.READY if is_first else ChunkState.WAITING,
-    }
 
 
 class Outputs:

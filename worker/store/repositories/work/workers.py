@@ -32,7 +32,8 @@ class Workers:
         with self._transactions.writing() as connection:
             lists = {name: list(getattr(status, name)) for name in _LISTS}
             upsert(connection, workers, asdict(status) | lists | {"seen_at": now()})
-            _forget_silent(connection)
+            silent = or_(workers.c.seen_at < now() - _FORGOTTEN_AFTER_S, workers.c.seen_at > now() + _FORGOTTEN_AFTER_S)
+            connection.execute(delete(workers).where(silent))
 
     def remove(self, worker_ids: Collection[str]) -> None:
         """Delete worker processes that have ended."""
@@ -111,8 +112,3 @@ def is_ready() -> ColumnElement[bool]:
 def _is_alive() -> ColumnElement[bool]:
     # Not from the future either: where the clock was put back, such rows would never end.
     return workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
-
-
-def _forget_silent(connection: Connection) -> None:
-    silent = or_(workers.c.seen_at < now() - _FORGOTTEN_AFTER_S, workers.c.seen_at > now() + _FORGOTTEN_AFTER_S)
-    connection.execute(delete(workers).where(silent))
