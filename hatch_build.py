@@ -90,10 +90,8 @@ def nest(source: bytes) -> bytes:
     >>> nest(b"pool = 'worker.run.app:PromptPool'")
     b"pool = 'multicap.worker.process.pool:PromptPool'"
 
-    Raises
-    ------
-    ValueError
-        If the module imports one of the packages by ``import``, which would bind the package's plain name.
+    Raises ``ValueError`` if the module imports one of the packages by ``import``, which would bind the package's plain
+    name.
     """
     lines = source.splitlines(keepends=True)
     places: list[tuple[int, int]] = []

@@ -53,14 +53,8 @@ def new_authority(machine: str, names: Sequence[str], now: datetime.datetime) ->
     names and addresses only; a name of one word would stand for a whole top-level domain and is left out, but for
     ``localhost``.
 
-    Parameters
-    ----------
-    machine
-        Name of the machine, which phones show among their authorities.
-    names
-        Host names and addresses.
-    now
-        Time from which it is valid.
+    ``machine``: name of the machine, which phones show among their authorities. ``names``: host names and addresses.
+    ``now``: time from which it is valid.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _subject(f"Multicap on {machine}, {now:%Y-%m-%d %H:%M}"[:64])

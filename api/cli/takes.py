@@ -97,19 +97,9 @@ def find_takes(
 ) -> Sequence[TakeSource]:
     """Takes of a folder, in the natural order of their names, or of a list, in its order.
 
-    Parameters
-    ----------
-    source
-        Folder with a folder for each take, or a JSON file with ``takes``; its paths are relative to the file.
-    results
-        Folder of results, which is no take.
-    calibration, frame_rate_hz
-        Of takes without their own.
-
-    Raises
-    ------
-    InputError
-        If there is no take, or the list can't be read; with all problems of the list.
+    ``source``: folder with a folder for each take, or a JSON file with ``takes``; its paths are relative to the file.
+    ``results``: folder of results, which is no take. ``calibration``, ``frame_rate_hz``: of takes without their own.
+    Raises ``InputError`` if there is no take, or the list can't be read; with all problems of the list.
     """
     if not source.is_dir():
         return list(_listed(source, calibration, frame_rate_hz))

@@ -59,10 +59,7 @@ class Reading:
         A field that may hold the distortion decides, and so does one that may hold the size of the picture where no
         other field does: it is a problem, one for all cameras that have it.
 
-        Parameters
-        ----------
-        raw
-            Camera of the fields; ``None``: the fields stand beside the cameras.
+        ``raw``: camera of the fields; ``None``: the fields stand beside the cameras.
         """
         self._unread |= {field: None for field in fields if field not in known}
         doubts = dict.fromkeys(lens_fields(fields, known, raw and raw.distortion), session_codes.UNSUPPORTED_LENS)
@@ -84,19 +81,9 @@ class Reading:
     def contents(self, format_name: str, raw: Sequence[RawCamera], unit: Units | None, **statements: Any) -> CameraFile:
         """Check all cameras and build the contents of the file.
 
-        Parameters
-        ----------
-        raw
-            Cameras in the unit of the file. Cameras without a matrix are left out if others have one.
-        unit
-            Unit of lengths; ``None``: the format does not determine it.
-        statements
-            Further fields of ``CameraFile``.
-
-        Raises
-        ------
-        InputError
-            With all problems of all cameras.
+        ``raw``: cameras in the unit of the file. Cameras without a matrix are left out if others have one. ``unit``:
+        unit of lengths; ``None``: the format does not determine it. ``statements``: further fields of ``CameraFile``.
+        Raises ``InputError``: with all problems of all cameras.
         """
         for (field, code), cameras in self._doubts.items():
             content = "distortion" if code == session_codes.UNSUPPORTED_LENS else "size of the picture"

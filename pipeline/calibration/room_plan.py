@@ -74,14 +74,9 @@ def plan_room(
 ) -> RoomPlan:
     """Expected views and errors at the places of a room.
 
-    Parameters
-    ----------
-    cameras
-        Cameras with sizes of pictures; world in metres, Z up, the middle of the floor at the origin.
-    num_people
-        People in the room: all but one of them hide joints of the one.
-    error_share
-        Standard deviation of a pixel coordinate, as a share of the height of a person in the picture.
+    ``cameras``: cameras with sizes of pictures; world in metres, Z up, the middle of the floor at the origin.
+    ``num_people``: people in the room: all but one of them hide joints of the one. ``error_share``: standard deviation
+    of a pixel coordinate, as a share of the height of a person in the picture.
     """
     x_m, y_m = (
         (np.arange(count) + 0.5) * side_m / count - side_m / 2

@@ -42,18 +42,11 @@ def fit_to_video(
 ) -> tuple[Camera, str] | None:
     """Adapt a camera to a video, whose stored pixels may be other than square.
 
-    Parameters
-    ----------
-    size_px, rotation_deg, is_mirrored
-        See ``fit_to_picture``.
-    stored_size_px
-        Width and height of the stored picture, before its pixels become square and before rotation.
-
-    Returns
-    -------
-        Camera of the shown picture and a sentence that says what was done, empty if nothing; ``None`` if the sizes
-        don't fit. The calibration may be of the shown picture or of the picture with stored pixels; in the latter case
-        it is stretched as the picture is. A calibration without a size is of the pixels that its focal lengths fit.
+    ``size_px``, ``rotation_deg``, ``is_mirrored``: see ``fit_to_picture``. ``stored_size_px``: width and height of the
+    stored picture, before its pixels become square and before rotation. Returns camera of the shown picture and a
+    sentence that says what was done, empty if nothing; ``None`` if the sizes don't fit. The calibration may be of the
+    shown picture or of the picture with stored pixels; in the latter case it is stretched as the picture is. A
+    calibration without a size is of the pixels that its focal lengths fit.
     """
     unstretched_px = stored_size_px if rotation_deg % 180 == 0 else stored_size_px[::-1]
     is_square = unstretched_px == size_px
@@ -80,21 +73,12 @@ def fit_to_picture(
 ) -> tuple[Camera, str] | None:
     """Adapt a camera to a video of another size, where one way alone explains the difference.
 
-    Parameters
-    ----------
-    size_px
-        Width and height of the video's picture as shown; not the size of ``camera``.
-    rotation_deg
-        Counterclockwise turn of the stored picture for display: 0, 90, 180 or 270.
-    is_mirrored
-        Whether left and right of the stored picture are exchanged before the turn.
-
-    Returns
-    -------
-        Camera of the shown picture and a sentence that says what was done; ``None`` if the sizes don't fit. A camera
-        of unknown size fits if its principal point is near the middle of the picture. A
-        transposed size fits only if the file turns its picture by a quarter: else either quarter turn is possible. It
-        does not fit a mirrored picture: no camera of the stored picture is one of the shown picture.
+    ``size_px``: width and height of the video's picture as shown; not the size of ``camera``. ``rotation_deg``:
+    counterclockwise turn of the stored picture for display: 0, 90, 180 or 270. ``is_mirrored``: whether left and right
+    of the stored picture are exchanged before the turn. Returns camera of the shown picture and a sentence that says
+    what was done; ``None`` if the sizes don't fit. A camera of unknown size fits if its principal point is near the
+    middle of the picture. A transposed size fits only if the file turns its picture by a quarter: else either quarter
+    turn is possible. It does not fit a mirrored picture: no camera of the stored picture is one of the shown picture.
     """
     width, height = camera.size_px
     if camera.size_px == UNKNOWN_SIZE:

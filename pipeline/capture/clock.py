@@ -35,14 +35,9 @@ def clock_problems(
 ) -> list[Problem]:
     """Find all problems of a session's clock.
 
-    Parameters
-    ----------
-    times
-        Frame times by camera name, ascending, at least one frame a camera.
-    start_s
-        Time of the first output frame in seconds.
-    rate_hz
-        Rate of the output frames. The number of frames is checked only if the rate is within its own limits.
+    ``times``: frame times by camera name, ascending, at least one frame a camera. ``start_s``: time of the first output
+    frame in seconds. ``rate_hz``: rate of the output frames. The number of frames is checked only if the rate is within
+    its own limits.
     """
     of_cameras = [*_overlap_problems(times, source), *_length_problems(times, source)]
     return of_cameras or list(_session_problems(times, start_s, rate_hz, source))

@@ -47,16 +47,9 @@ def cameras_in_names(names: Sequence[str], cameras: Mapping[str, Sequence[str]])
     several cameras, those in words that all files share at their start or end are ignored: they tell no camera from
     another.
 
-    Parameters
-    ----------
-    names
-        Names of the files without endings.
-    cameras
-        Second names of each camera, by its first name. A second name counts unless another camera has it as its first.
-
-    Returns
-    -------
-        Cameras of each file, by its name: one, none, or several if its name is ambiguous.
+    ``names``: names of the files without endings. ``cameras``: second names of each camera, by its first name. A second
+    name counts unless another camera has it as its first. Returns cameras of each file, by its name: one, none, or
+    several if its name is ambiguous.
     """
     exact = {nfc(second): camera for camera, seconds in cameras.items() for second in seconds if second}
     exact |= {nfc(camera): camera for camera in cameras}

@@ -19,16 +19,8 @@ _TOLERANCE = 0.05
 def slow_motion(times: Mapping[str, FrameTimes], files: Mapping[str, str]) -> list[Finding]:
     """Name videos that were filmed at a higher rate than they are stored at.
 
-    Parameters
-    ----------
-    times
-        Frame times of all cameras, by camera name.
-    files
-        Names of the videos whose rates are not stated, by camera name.
-
-    Returns
-    -------
-        A finding of each such video with both rates, if more cameras than not agree on the length.
+    ``times``: frame times of all cameras, by camera name. ``files``: names of the videos whose rates are not stated, by
+    camera name. Returns a finding of each such video with both rates, if more cameras than not agree on the length.
     """
     rates_hz = {name: measured_rate_hz(of_camera.time_s) for name, of_camera in times.items()}
     lengths_s = {name: len(of_camera.time_s) / rates_hz[name] for name, of_camera in times.items()}

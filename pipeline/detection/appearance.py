@@ -45,15 +45,9 @@ def colour_histograms(
 
     The torso is the quadrilateral of shoulders and hips; the legs are bands from hip to knee and from knee to ankle.
 
-    Parameters
-    ----------
-    keypoints_px, score
-        Joints of the bodies in pixels of the image, NaN where a joint was not found, and their scores.
-
-    Returns
-    -------
-        Histogram of each of ``PARTS``, with a sum of about 255. Zeros for a part with a joint that is missing, outside
-        the image or low in score; legs are known if one of them is.
+    ``keypoints_px``, ``score``: joints of the bodies in pixels of the image, NaN where a joint was not found, and their
+    scores. Returns histogram of each of ``PARTS``, with a sum of about 255. Zeros for a part with a joint that is
+    missing, outside the image or low in score; legs are known if one of them is.
     """
     keypoints_px = keypoints_px.astype(np.float64)  # as they are stored: a second measurement gives the same bytes
     num_bodies = len(keypoints_px)

@@ -108,17 +108,9 @@ CheckedPictures = tuple[str, Int[np.ndarray, " _"], PictureChanges]
 def damaged_videos(session: CaptureSession, pictures: Iterable[CheckedPictures]) -> tuple[DamagedVideo, ...]:
     """Summarise the damaged and doubled frames of each video, in the cameras' order.
 
-    Parameters
-    ----------
-    session
-        Session, restricted to the output frames of the reconstruction.
-    pictures
-        Pictures of ranges; the ranges of a camera are in order of time.
-
-    Raises
-    ------
-    InputError
-        If the share of damaged frames exceeds ``MAX_DAMAGED_SHARE`` in a video; lists all such videos.
+    ``session``: session, restricted to the output frames of the reconstruction. ``pictures``: pictures of ranges; the
+    ranges of a camera are in order of time. Raises ``InputError`` if the share of damaged frames exceeds
+    ``MAX_DAMAGED_SHARE`` in a video; lists all such videos.
     """
     whole = session_timebase(session.times)
     output_frames = session.frames or range(whole.num_frames)

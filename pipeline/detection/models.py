@@ -108,16 +108,10 @@ def install(name: str, on_bytes: OnBytes = silent) -> Path:
 def add(name: str, source: str, on_bytes: OnBytes = silent) -> Path:
     """Install a network from a local file or a URL; return its path.
 
-    Parameters
-    ----------
-    source
-        Path or URL of the network's package, its weights or its converted ONNX file. For weights in several files, the
-        path or URL of one file, with the others beside it under the same stem, or the path of their folder.
-
-    Raises
-    ------
-    ModelError
-        If the network is unknown, a file can't be read or downloaded, or has none of the expected checksums.
+    ``source``: path or URL of the network's package, its weights or its converted ONNX file. For weights in several
+    files, the path or URL of one file, with the others beside it under the same stem, or the path of their folder.
+    Raises ``ModelError`` if the network is unknown, a file can't be read or downloaded, or has none of the expected
+    checksums.
     """
     entry = find_entry(name)
     origin = entry.source

@@ -106,19 +106,9 @@ def write_person(
 
     Each file is written and read back under a temporary name, so that no incomplete file has its final name.
 
-    Parameters
-    ----------
-    paths
-        Path of the file of each format, and of the part of ``skeletons.json`` under ``SKELETONS``.
-
-    Yields
-    ------
-        Format, and what was found in its file, when the file is complete.
-
-    Raises
-    ------
-    OSError
-        If a file can't be written, the disk is full, or the content of a file differs from the written content.
+    ``paths``: path of the file of each format, and of the part of ``skeletons.json`` under ``SKELETONS``. Yields
+    format, and what was found in its file, when the file is complete. Raises ``OSError`` if a file can't be written,
+    the disk is full, or the content of a file differs from the written content.
     """
     skeleton_m = cache(lambda: forward_kinematics(person.motion))
     angles = cache(lambda: joint_angles(person.motion, person.track, person.joints))

@@ -139,16 +139,8 @@ def triangulate_robust(
     linear in the number of cameras. If views still disagree and a guess is given, such as a prediction from the past,
     a second run starts from the guess, and the lower robust cost wins.
 
-    Parameters
-    ----------
-    image_from_world, points_px, weights
-        As in ``triangulate``.
-    guess_m
-        World coordinates of a second start, NaN where there is none.
-
-    Returns
-    -------
-        World coordinates in metres, NaN where fewer than two cameras see the point.
+    ``image_from_world``, ``points_px``, ``weights``: as in ``triangulate``. ``guess_m``: world coordinates of a second
+    start, NaN where there is none. Returns world coordinates in metres, NaN where fewer than two cameras see the point.
     """
     rows, base = _system(image_from_world, points_px, weights)
     points_m = _solve(rows, base)

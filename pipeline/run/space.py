@@ -133,14 +133,8 @@ def foreseen_memory(preflight: Preflight, config: ReconstructionConfig) -> Fores
 def memory_of_people(num_joints: float, num_people: float, of_body: int) -> int:
     """Bytes of everybody in a task on the whole session.
 
-    Parameters
-    ----------
-    num_joints
-        Joints that were detected in all frames of all cameras.
-    num_people
-        People in all frames of the session.
-    of_body
-        Joints of a body, fingers included.
+    ``num_joints``: joints that were detected in all frames of all cameras. ``num_people``: people in all frames of the
+    session. ``of_body``: joints of a body, fingers included.
     """
     return round(_times_of_fingers(of_body) * (_MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people))
 
@@ -162,14 +156,9 @@ def estimate_space(
 ) -> ForeseenSpace:
     """Space that the reconstruction of a session needs.
 
-    Parameters
-    ----------
-    num_frames, frame_rate_hz, stretches
-        Output frames of the session, and those that have to be worked on.
-    has_viewers
-        Whether files for viewers are made, and pieces are kept for edits of people.
-    character_bytes
-        Size of the character that moves as each person, if there is one.
+    ``num_frames``, ``frame_rate_hz``, ``stretches``: output frames of the session, and those that have to be worked on.
+    ``has_viewers``: whether files for viewers are made, and pieces are kept for edits of people. ``character_bytes``:
+    size of the character that moves as each person, if there is one.
     """
     wanted = config.frames or range(num_frames)
     num_worked = FrameCut(wanted, stretches, config.chunk_frames).num_frames

@@ -67,19 +67,11 @@ def decode_from(
 
     Packets that can't be decoded are skipped, and their frames are missing.
 
-    Parameters
-    ----------
-    seek_pts
-        Timestamps of keyframes to start at, the best first. A seek may lead past the keyframe (damaged index,
-        MPEG-TS), or to a frame that is wrongly marked as a keyframe. Then the next timestamp is tried, and finally the
-        start of the file. An MPEG program stream is always decoded from its start.
-    wanted_pts
-        Timestamps of the wanted frames; others may be missing. ``None``: all are wanted.
-
-    Raises
-    ------
-    DECODE_ERRORS
-        If the file can't be opened or read.
+    ``seek_pts``: timestamps of keyframes to start at, the best first. A seek may lead past the keyframe (damaged index,
+    MPEG-TS), or to a frame that is wrongly marked as a keyframe. Then the next timestamp is tried, and finally the
+    start of the file. An MPEG program stream is always decoded from its start. ``wanted_pts``: timestamps of the wanted
+    frames; others may be missing. ``None``: all are wanted. Raises ``DECODE_ERRORS`` if the file can't be opened or
+    read.
     """
     for keyframe_pts in seek_pts:
         with open_container(path) as container:

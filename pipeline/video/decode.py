@@ -50,19 +50,9 @@ def decoded_frames(request: Request, timeout_s: float | None = None) -> Generato
 
     Close the generator if it is not read to its end: that ends the process.
 
-    Parameters
-    ----------
-    timeout_s
-        Longest wait for one frame; ``None``: 45 s.
-
-    Raises
-    ------
-    FileRefusedError
-        If the file can't be opened or read.
-    BeyondLimitsError
-        If the decoder crashes, or exceeds the limits on time and memory.
-    ChildError
-        If the process fails for a reason other than its file.
+    ``timeout_s``: longest wait for one frame; ``None``: 45 s. Raises ``FileRefusedError`` if the file can't be opened
+    or read. Raises ``BeyondLimitsError`` if the decoder crashes, or exceeds the limits on time and memory. Raises
+    ``ChildError`` if the process fails for a reason other than its file.
     """
     with _shared_file() as shared:
         shared.truncate(request.picture_bytes)

@@ -24,10 +24,7 @@ def join_parts(parts: Sequence[VideoInfo]) -> VideoInfo:
     The frames of the whole are numbered through. Its times are those that the recording would have in one file, to the
     tick, if the parts have the same clock. Only ``decode`` and the like know of the parts.
 
-    Parameters
-    ----------
-    parts
-        Videos in order, at least one, without ``seam_problems``.
+    ``parts``: videos in order, at least one, without ``seam_problems``.
     """
     if len(parts) == 1:
         return parts[0]

@@ -43,16 +43,9 @@ _ORPHANS_EVERY_S = 6 * 3600.0
 class Reaper:
     """Steps that repair and remove.
 
-    Parameters
-    ----------
-    store, artifacts, disk
-        Where the work is, its files, and the disk that they share with the database.
-    publish
-        Wakes a worker; ``False`` if the broker does not respond.
-    lease_s
-        See ``WorkerSettings``.
-    visuals_rest_s
-        Time after the last edit of a job's people at which its visuals are rebuilt; 0: never.
+    ``store``, ``artifacts``, ``disk``: where the work is, its files, and the disk that they share with the database.
+    ``publish``: wakes a worker; ``False`` if the broker does not respond. ``lease_s``: see ``WorkerSettings``.
+    ``visuals_rest_s``: time after the last edit of a job's people at which its visuals are rebuilt; 0: never.
     """
 
     def __init__(

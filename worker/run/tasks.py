@@ -234,10 +234,7 @@ def _end_process() -> None:
 def machine_memory_bytes(cgroups: Path = _CGROUPS, process_group: Path = _PROCESS_GROUP) -> int:
     """Memory for all chunks at once: nine tenths of the machine's, or of the least limit of the process's cgroups.
 
-    Parameters
-    ----------
-    cgroups, process_group
-        Folder of cgroups (version 2), and file that names the cgroup of this process.
+    ``cgroups``, ``process_group``: folder of cgroups (version 2), and file that names the cgroup of this process.
     """
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     try:

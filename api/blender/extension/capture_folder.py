@@ -29,10 +29,7 @@ class CaptureFiles:
 def find_capture(folder: Path, calibration: Path | None = None) -> CaptureFiles:
     """Find the videos of a folder, and the calibration: the file that is given, or the only one of the folder.
 
-    Raises
-    ------
-    RequestError
-        If there are too few videos, or not exactly one calibration.
+    Raises ``RequestError`` if there are too few videos, or not exactly one calibration.
     """
     if not folder.is_dir():
         raise RequestError("Choose the folder with the videos.")

@@ -79,10 +79,7 @@ def service_address(text: str) -> str:
     >>> service_address(" 127.0.0.1:8000/#/captures ")
     'http://127.0.0.1:8000'
 
-    Raises
-    ------
-    RequestError
-        If it is no address of a web service.
+    Raises ``RequestError`` if it is no address of a web service.
     """
     text = text.strip()
     wrong = RequestError("This is not the address of a service. An example is http://127.0.0.1:8000.")
@@ -116,17 +113,8 @@ def is_on_this_machine(address: str) -> bool:
 class BlenderClient:
     """Client of a service.
 
-    Parameters
-    ----------
-    address
-        Address from ``service_address``.
-    key
-        API key; empty for a service without keys.
-
-    Raises
-    ------
-    RequestError
-        From every method: the service is away, refuses, or answers what is not understood.
+    ``address``: address from ``service_address``. ``key``: API key; empty for a service without keys. Raises
+    ``RequestError``: from every method: the service is away, refuses, or answers what is not understood.
     """
 
     address: str

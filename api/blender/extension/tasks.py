@@ -15,10 +15,7 @@ class BackgroundTask:
     The function gets the task, calls ``report`` now and then, and touches nothing of Blender. A thread that waits for a
     silent service ends some time after ``stop``; nobody waits for it, and what it still returns is dropped.
 
-    Parameters
-    ----------
-    title
-        Title of the work for the user, such as ``Send a capture``.
+    ``title``: title of the work for the user, such as ``Send a capture``.
     """
 
     def __init__(self, title: str, work: Callable[["BackgroundTask"], Any]) -> None:

@@ -255,14 +255,8 @@ class JobCost:
 def measure_job(open_input: Callable[[], Session], config: ReconstructionConfig, provider: ProviderName) -> JobCost:
     """Measure a job, from opening its session to its result files, in a process of its own.
 
-    Parameters
-    ----------
-    open_input
-        Opens the session; a function that can be pickled.
-    config
-        What to do.
-    provider
-        Provider of the networks.
+    ``open_input``: opens the session; a function that can be pickled. ``config``: what to do. ``provider``: provider of
+    the networks.
     """
     with ProcessPool(1, choose_provider, (provider,)) as pool:
         cost: JobCost = pool.submit(_measure_here, open_input, config).result()

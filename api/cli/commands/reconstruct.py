@@ -43,10 +43,7 @@ def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
 def print_summary(metrics: Mapping[str, Any], notes: Mapping[Code, str] | None = None) -> None:
     """People, frames, reprojection error, coverage, bone length deviation, and what looks wrong.
 
-    Parameters
-    ----------
-    notes
-        Sentences to add to warnings, by code.
+    ``notes``: sentences to add to warnings, by code.
     """
 
     def shown(value: float | None, unit: str, digits: int) -> str:

@@ -111,10 +111,7 @@ class KeptKeypoints(LiveListener):
 
     What was written is a session at any time, also when the disk is full or the command is killed.
 
-    Parameters
-    ----------
-    folder
-        New or empty folder.
+    ``folder``: new or empty folder.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -43,15 +43,7 @@ _MAX_CONNECTIONS, _MAX_RECEIVED_BYTES = 64, 1024
 class PreviewPage(LiveListener):
     """Page of a live capture, to be used in a ``with`` block.
 
-    Parameters
-    ----------
-    port
-        Port on loopback; 0 for a free one.
-
-    Raises
-    ------
-    InputError
-        If the port can't be used.
+    ``port``: port on loopback; 0 for a free one. Raises ``InputError`` if the port can't be used.
     """
 
     def __init__(self, port: int) -> None:

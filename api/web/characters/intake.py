@@ -47,10 +47,7 @@ class CheckedCharacter:
 async def check_character(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedCharacter:
     """Check a character: its file and the corrections of its bones.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong.
+    Raises ``ApiError``: with all that is wrong.
     """
     owner = request.state.caller.owner
     if isinstance(sent.content, UploadedCharacter):
@@ -103,10 +100,7 @@ async def check_again(
 ) -> preflight.CharacterContents:
     """Recognise the bones of a stored character again, with other corrections.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong with the corrections; or if the file is missing or damaged.
+    Raises ``ApiError``: with all that is wrong with the corrections; or if the file is missing or damaged.
     """
     async with spool_folder(services.settings.spool_dir) as folder:
         try:

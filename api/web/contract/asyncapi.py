@@ -21,14 +21,9 @@ _SCHEMES: Mapping[str, Any] = {
 class SocketChannel:
     """Channel of a WebSocket.
 
-    Parameters
-    ----------
-    received, sent
-        Models of the messages in JSON that clients send, and that the service sends.
-    packed_received, packed_sent
-        Summaries of messages of bytes, by their names.
-    security
-        Names of the ways to sign in.
+    ``received``, ``sent``: models of the messages in JSON that clients send, and that the service sends.
+    ``packed_received``, ``packed_sent``: summaries of messages of bytes, by their names. ``security``: names of the
+    ways to sign in.
     """
 
     name: str

@@ -20,14 +20,8 @@ from pipeline.core.problems.request_codes import ANSWERS
 class Resource:
     """A resource, or a part of it; ``api.web.resources`` registers each.
 
-    Parameters
-    ----------
-    router
-        Routes of the resource.
-    is_open
-        Whether its routes need no key.
-    forms
-        Kinds of the forms that its routes take.
+    ``router``: routes of the resource. ``is_open``: whether its routes need no key. ``forms``: kinds of the forms that
+    its routes take.
     """
 
     router: APIRouter

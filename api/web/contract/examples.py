@@ -19,10 +19,7 @@ def derive_example(schema: Mapping[str, Any], models: Mapping[str, Any]) -> Any:
     An example of the schema goes before its default, and null before other types. Objects have their required fields,
     and optional fields that have an example.
 
-    Parameters
-    ----------
-    models
-        Schemas that references name.
+    ``models``: schemas that references name.
     """
     match schema:
         case {"examples": [given, *_]} | {"default": given} | {"const": given} | {"enum": [given, *_]}:

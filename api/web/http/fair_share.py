@@ -69,15 +69,8 @@ class FairShare:
     async def turn(self, owner: str, further_wait_s: float = 0.0) -> AsyncIterator[None]:
         """Wait for a turn, and keep it during the block.
 
-        Parameters
-        ----------
-        further_wait_s
-            Waiting time of this request in addition to ``max_wait_s``.
-
-        Raises
-        ------
-        ApiError
-            After the waiting time: 429 if the owner has a turn, else 503.
+        ``further_wait_s``: waiting time of this request in addition to ``max_wait_s``. Raises ``ApiError`` after the
+        waiting time: 429 if the owner has a turn, else 503.
         """
         await self._take(owner, self._limits.max_wait_s + further_wait_s)
         try:

@@ -54,16 +54,9 @@ class Answer:
 class IdempotentRequest:
     """A request that may come again.
 
-    Parameters
-    ----------
-    key
-        Key of the client; ``None``: the request is done each time it comes.
-    records
-        Records of the caller.
-    operation
-        Method and path: part of the fingerprint.
-    lease_s
-        Time for which the key stays taken if this process is killed; renewed while the request is at work.
+    ``key``: key of the client; ``None``: the request is done each time it comes. ``records``: records of the caller.
+    ``operation``: method and path: part of the fingerprint. ``lease_s``: time for which the key stays taken if this
+    process is killed; renewed while the request is at work.
     """
 
     key: str | None
@@ -100,10 +93,7 @@ class IdempotentRequest:
     def store(self, work: TenantRecords, answer: Answer) -> Answer:
         """Store the answer in the transaction of the work that it reports, and return it.
 
-        Raises
-        ------
-        Conflict
-            The request took too long, and was sent again in the meantime.
+        Raises ``Conflict``: the request took too long, and was sent again in the meantime.
         """
         if self._claim is not None:
             work.idempotency_keys.answer(self._claim, asdict(answer))

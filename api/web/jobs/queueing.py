@@ -86,10 +86,7 @@ def check_spec(spec: JobSpec, session: Preflight | None, limits: SpecLimits) -> 
     Problems of choices have their field. A job without ``force`` is also refused for errors of the session with which
     no person could be located; the job judges the other errors with the people.
 
-    Parameters
-    ----------
-    session
-        Session of the job; ``None`` if its files are wrong.
+    ``session``: session of the job; ``None`` if its files are wrong.
     """
     problems = []
     if session is not None:
@@ -137,17 +134,9 @@ def queued_job(
 
     The block gets the open transaction and the job. A worker is woken after it.
 
-    Parameters
-    ----------
-    files, record_session
-        Store the files of a new session, and record it in the same transaction as its job.
-
-    Raises
-    ------
-    Conflict
-        If the character was deleted meanwhile.
-    ApiError
-        If its file is missing or damaged, or the disk has too little space.
+    ``files``, ``record_session``: store the files of a new session, and record it in the same transaction as its job.
+    Raises ``Conflict`` if the character was deleted meanwhile. Raises ``ApiError`` if its file is missing or damaged,
+    or the disk has too little space.
     """
     has_edits = record_session is None and spec.apply_edits
     edits = records.edits.get(session.id) if has_edits else SessionEdits()

@@ -42,10 +42,7 @@ OnMessage = Callable[[str, RelayKind, bytes], None]
 class RecordingRelay:
     """Relay of one process.
 
-    Parameters
-    ----------
-    broker_url
-        Celery's.
+    ``broker_url``: Celery's.
     """
 
     def __init__(self, broker_url: str) -> None:

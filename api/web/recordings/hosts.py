@@ -25,12 +25,8 @@ _STATES_PER_S = 4.0
 class HostConnection:
     """Connection of a host.
 
-    Parameters
-    ----------
-    records
-        Records of the host.
-    disk
-        Disk of the service: no take begins on a full one, and what begins can be ended on it.
+    ``records``: records of the host. ``disk``: disk of the service: no take begins on a full one, and what begins can
+    be ended on it.
     """
 
     def __init__(

@@ -38,10 +38,7 @@ _MAX_THUMBNAIL_PX = 1024
 class RecordingIntake:
     """Messages of one connection, of an allowed size and at an allowed rate.
 
-    Parameters
-    ----------
-    must_send
-        Whether the connection ends if it is silent for ``recording_idle_s``.
+    ``must_send``: whether the connection ends if it is silent for ``recording_idle_s``.
     """
 
     def __init__(self, websocket: WebSocket, settings: Settings, *, must_send: bool) -> None:

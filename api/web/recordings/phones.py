@@ -39,10 +39,7 @@ class _Told:
 class PhoneConnection:
     """Connection of a phone that has said ``hello``.
 
-    Parameters
-    ----------
-    records
-        Records of the recording's tenant.
+    ``records``: records of the recording's tenant.
     """
 
     def __init__(

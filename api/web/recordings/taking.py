@@ -43,14 +43,8 @@ _MAX_BESIDE_S = 60.0
 class TakeVideos:
     """Videos of a take.
 
-    Parameters
-    ----------
-    files
-        Part of a clip of each camera that is used, by the name of its phone.
-    names
-        Names of the files, by the name of the phone.
-    warnings
-        Findings about clips that are not used.
+    ``files``: part of a clip of each camera that is used, by the name of its phone. ``names``: names of the files, by
+    the name of the phone. ``warnings``: findings about clips that are not used.
     """
 
     files: Mapping[str, ClipFile]
@@ -122,10 +116,7 @@ async def made_session(
 ) -> Answer:
     """Make the session of a take, with its job if the spec has one; files go through ``folder``.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong.
+    Raises ``ApiError``: with all that is wrong.
     """
     records, kind = idempotent.records, SESSION_FORM if spec.job is None else CAPTURE_FORM
     name = spec.name or f"{recording.name}, {take.name}"
@@ -160,10 +151,7 @@ async def made_calibration(
 ) -> Answer:
     """Begin the calibration of a take's phones; files go through ``folder``.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong.
+    Raises ``ApiError``: with all that is wrong.
     """
     records, videos = idempotent.records, take_videos(recording, take)
     choices = spec.spec(tuple(camera.model_dump(mode="json") for camera in videos.cameras()), take.name)

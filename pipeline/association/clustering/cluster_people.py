@@ -83,18 +83,9 @@ def find_people(
 ) -> Poses3D:
     """Find the poses of all people in some output frames; the result does not depend on the other frames.
 
-    Parameters
-    ----------
-    evidence
-        Evidence of the cameras at least for these frames.
-    frames
-        Numbers of output frames, ascending.
-    lengths
-        Lengths of bones in metres; ``unknown_lengths`` for the first pass.
-
-    Returns
-    -------
-        Poses with joints (poses, joints, 3) in metres, NaN where a joint was not found.
+    ``evidence``: evidence of the cameras at least for these frames. ``frames``: numbers of output frames, ascending.
+    ``lengths``: lengths of bones in metres; ``unknown_lengths`` for the first pass. Returns poses with joints (poses,
+    joints, 3) in metres, NaN where a joint was not found.
     """
     projections = np.array([image_from_world(camera) for camera in cameras])
     if not parameters.use_lengths:
@@ -155,16 +146,9 @@ def link_people(
 ) -> tuple[tuple[Track3D, ...], tuple[Observations, ...]]:
     """Link poses in time to tracks (section 3.5).
 
-    Parameters
-    ----------
-    poses
-        Poses of all ranges; see ``join_poses``.
-    on_share
-        Called with the completed share after every instant and after every track.
-
-    Returns
-    -------
-        Tracks on the output frames, in order of first appearance, and the observations behind them.
+    ``poses``: poses of all ranges; see ``join_poses``. ``on_share``: called with the completed share after every
+    instant and after every track. Returns tracks on the output frames, in order of first appearance, and the
+    observations behind them.
     """
     skeleton = clustering_skeleton(joints)
     on_links, on_people = split(on_share, (1, 1))

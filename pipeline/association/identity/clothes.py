@@ -154,18 +154,9 @@ def learn_contrast(
 ) -> Contrast:
     """Measure how much the clothes of a session tell.
 
-    Parameters
-    ----------
-    pieces
-        Colours of pieces of tracks over which identity is not in doubt.
-    halves
-        Colours of the first and of the second half of each piece.
-    are_different
-        Whether two pieces are certainly of different people: they exist at the same time.
-
-    Returns
-    -------
-        Contrast of the session; ratios are 0 where none of the pieces are of different people.
+    ``pieces``: colours of pieces of tracks over which identity is not in doubt. ``halves``: colours of the first and of
+    the second half of each piece. ``are_different``: whether two pieces are certainly of different people: they exist
+    at the same time. Returns contrast of the session; ratios are 0 where none of the pieces are of different people.
     """
     most_seen = sorted(range(len(pieces)), key=lambda k: (-int(pieces[k].num_detections.sum()), k))[:_MAX_PIECES]
     roots, is_known = _stacked([pieces[k] for k in most_seen])

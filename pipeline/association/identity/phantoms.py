@@ -41,10 +41,8 @@ def end_phantoms(
 
     Observations with a score below ``min_score`` are not used.
 
-    Returns
-    -------
-        Each person without the frames of phantoms, ``None`` if too few frames are left; and the phantoms of each, with
-        the number of the track.
+    Returns each person without the frames of phantoms, ``None`` if too few frames are left; and the phantoms of each,
+    with the number of the track.
     """
     size = 2 * round(_WINDOW_S * timebase.frame_rate_hz / 2) + 1
     is_seen = [(seen.score >= min_score) & np.isfinite(seen.points_px[..., 0]) for _, seen in persons]

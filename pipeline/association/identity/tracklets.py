@@ -260,14 +260,9 @@ def viewed_area_m2(paths: Sequence[Path]) -> float:
 def link_scores(last: Ends, first: Ends, area_m2: float) -> Float[np.ndarray, "*batch"]:
     """Log-likelihood ratio that a person's tracklet is followed by another one: the same person, or not.
 
-    Parameters
-    ----------
-    last, first
-        Ends of the earlier and beginnings of the later tracklets; their arrays are broadcast against each other.
-
-    Returns
-    -------
-        Ratio of each pair; minus infinity where the later tracklet does not come later, or nobody is as fast.
+    ``last``, ``first``: ends of the earlier and beginnings of the later tracklets; their arrays are broadcast against
+    each other. Returns ratio of each pair; minus infinity where the later tracklet does not come later, or nobody is as
+    fast.
     """
     gap_s = first.time_s - last.time_s
     ahead_s = np.clip(gap_s / 2, 0.0, _EXTRAPOLATED_S)[..., None]

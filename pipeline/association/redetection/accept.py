@@ -39,16 +39,9 @@ def accept(
     bodies far from everybody are nobody's. Its joints replace the joints of the observation; joints that were not read
     again stay, and so do those that both detections mark alike, of which the first one is more exact.
 
-    Parameters
-    ----------
-    people
-        People with the joints of ``joints``, and their observations.
-    found
-        Bodies of each camera, by name.
-    min_score
-        Observations with a lower score are not used.
-    lambda_t_hz
-        Rate at which the weight of observations falls with their distance in time; see ``TrackingParameters``.
+    ``people``: people with the joints of ``joints``, and their observations. ``found``: bodies of each camera, by name.
+    ``min_score``: observations with a lower score are not used. ``lambda_t_hz``: rate at which the weight of
+    observations falls with their distance in time; see ``TrackingParameters``.
     """
     bodies = gather(cameras, times, found)
     tracks, observations = list(people.tracks), list(people.observations)

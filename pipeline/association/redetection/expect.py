@@ -56,19 +56,10 @@ def expect_leaning(
     A body whose detection agrees with its track is not expected: to look again would tell nothing new. See also
     ``enough``.
 
-    Parameters
-    ----------
-    people
-        Tracks with at least the joints ``COCO_17``, and their observations by the cameras, read one at a time.
-    times
-        Times of each camera's frames, by name.
-    turns_deg
-        Counterclockwise turns that bring the pictures upright, by name of the camera.
-
-    Returns
-    -------
-        Expected joints ``COCO_17`` of each camera, with the score 1 where they are known; as many as cameras, in their
-        order.
+    ``people``: tracks with at least the joints ``COCO_17``, and their observations by the cameras, read one at a time.
+    ``times``: times of each camera's frames, by name. ``turns_deg``: counterclockwise turns that bring the pictures
+    upright, by name of the camera. Returns expected joints ``COCO_17`` of each camera, with the score 1 where they are
+    known; as many as cameras, in their order.
     """
     found: list[Detections] = []
     for track, observations in people:

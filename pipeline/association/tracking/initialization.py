@@ -44,19 +44,10 @@ def epipolar_affinity(
 ) -> Float[np.ndarray, "left right"]:
     """Affinity A_e of detections in two cameras (eq. 12-13).
 
-    Parameters
-    ----------
-    fundamental
-        Fundamental matrix of the left and the right camera; see ``geometry.epipolar``.
-    left_px, right_px
-        Undistorted pixels, NaN where a joint is unseen.
-    alpha_px
-        Epipolar distance at which the affinity is 0.
-
-    Returns
-    -------
-        A_e, a mean over shared joints; ``-inf`` for a pair that shares fewer than three joints. A joint's term is at
-        least -1, so that a single wrong joint does not decide.
+    ``fundamental``: fundamental matrix of the left and the right camera; see ``geometry.epipolar``. ``left_px``,
+    ``right_px``: undistorted pixels, NaN where a joint is unseen. ``alpha_px``: epipolar distance at which the affinity
+    is 0. Returns a_e, a mean over shared joints; ``-inf`` for a pair that shares fewer than three joints. A joint's
+    term is at least -1, so that a single wrong joint does not decide.
     """
     left, right = np.broadcast_arrays(left_px[:, None], right_px[None])
     terms = np.maximum(1 - epipolar_distance_px(fundamental, left, right) / alpha_px, -1.0)

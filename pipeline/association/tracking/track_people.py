@@ -27,20 +27,10 @@ def assign_detections(
 ) -> dict[str, Int[np.ndarray, " _"]]:
     """Assign detections to people (Chen et al. 2020, algorithm 1).
 
-    Parameters
-    ----------
-    cameras
-        Calibrated cameras, in any order.
-    times, detections
-        Times of the frames in seconds, and bodies in distorted pixels, by name of the camera. Joints are NaN where the
-        detector found none. Cameras need not be synchronised.
-    parameters
-        Parameters of ``derive_parameters``.
-
-    Returns
-    -------
-        Identity of each detection by name of the camera; ``NOBODY`` if it belongs to no target, or to a target that was
-        never confirmed.
+    ``cameras``: calibrated cameras, in any order. ``times``, ``detections``: times of the frames in seconds, and bodies
+    in distorted pixels, by name of the camera. Joints are NaN where the detector found none. Cameras need not be
+    synchronised. ``parameters``: parameters of ``derive_parameters``. Returns identity of each detection by name of the
+    camera; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
     """
     bodies = observations.gather(cameras, times, detections)
     identity = _identify(cameras, times, bodies, observations.undistorted(cameras, bodies), parameters, ignore, ignore)
@@ -59,19 +49,10 @@ def locate_people(
 
     Joints are located by weighted incremental triangulation (Chen et al. 2020, eq. 10-11), robust against single views.
 
-    Parameters
-    ----------
-    cameras, times, detections, parameters
-        See ``assign_detections``.
-    identities
-        Result of ``assign_detections``.
-    timebase
-        Output frames.
-
-    Returns
-    -------
-        Tracks, numbered from 1 in order of their first frame, with joints in metres, NaN where a joint is absent; the
-        observations behind each of them; and the bodies that are left.
+    ``cameras``, ``times``, ``detections``, ``parameters``: see ``assign_detections``. ``identities``: result of
+    ``assign_detections``. ``timebase``: output frames. Returns tracks, numbered from 1 in order of their first frame,
+    with joints in metres, NaN where a joint is absent; the observations behind each of them; and the bodies that are
+    left.
     """
     bodies = observations.gather(cameras, times, detections)
     identity = np.concatenate([identities[camera.name] for camera in cameras])

@@ -120,17 +120,11 @@ class TrackerState:
     ) -> None:
         """Process frames in time order, none before frames of earlier calls.
 
-        Parameters
-        ----------
-        frames
-            Frames; the detections that ``carry`` returned are the first rows of their detections.
-        identity
-            Output: number of each detection's target; unchanged where a detection belongs to no target. Detections that
-            were carried may get a target, too.
-        on_share
-            Called with the completed share of the frames, at least every 64 frames.
-        on_approximate
-            Called with each time at which new people were not grouped exactly, or exceeded the limit of targets.
+        ``frames``: frames; the detections that ``carry`` returned are the first rows of their detections. ``identity``:
+        output: number of each detection's target; unchanged where a detection belongs to no target. Detections that
+        were carried may get a target, too. ``on_share``: called with the completed share of the frames, at least every
+        64 frames. ``on_approximate``: called with each time at which new people were not grouped exactly, or exceeded
+        the limit of targets.
         """
         event, num_frames = 0, len(frames.time_s)
         self._make_room(int((frames.last - frames.first).max(initial=1)))

@@ -30,18 +30,11 @@ def correlated_sigma(
 ) -> parameters.Parameters:
     """Compute standard deviations of the cameras' parameters, each camera's in the world that the others hold.
 
-    Parameters
-    ----------
-    problem, adjusted
-        An adjustment of free points without deviations, of which some extrinsics hold the world.
-    levels
-        Number of the subject of each observation, such as a joint of a person, of nested levels: coarse ones first. A
-        camera's observations of a subject have a common error.
-
-    Returns
-    -------
-        Standard deviations: 0 where a parameter other than extrinsics was not free. Those of extrinsics are of the
-        errors that are left after the similarity that fits the other cameras best.
+    ``problem``, ``adjusted``: an adjustment of free points without deviations, of which some extrinsics hold the world.
+    ``levels``: number of the subject of each observation, such as a joint of a person, of nested levels: coarse ones
+    first. A camera's observations of a subject have a common error. Returns standard deviations: 0 where a parameter
+    other than extrinsics was not free. Those of extrinsics are of the errors that are left after the similarity that
+    fits the other cameras best.
     """
     normal = build(problem, adjusted.state, adjusted.sigma_px)
     eliminated = normal.eliminated()

@@ -65,12 +65,8 @@ def posterior(
 ) -> Posterior:
     """Compute the posterior of the deviations.
 
-    Parameters
-    ----------
-    by_view
-        Normal matrices of each camera's view of each body.
-    bodies
-        Normal matrices of the bodies, with the deviations eliminated.
+    ``by_view``: normal matrices of each camera's view of each body. ``bodies``: normal matrices of the bodies, with the
+    deviations eliminated.
     """
     own = np.linalg.inv(by_view + (deviations.sigma**-2.0)[..., None] * np.eye(6))
     is_seen = by_view.any((2, 3))

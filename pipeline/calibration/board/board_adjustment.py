@@ -194,16 +194,10 @@ def adjust_board_rig(
 
     Each camera may see a board at a pose of its own (``adjustment.deviations``): cameras are not exactly synchronous.
 
-    Parameters
-    ----------
-    root
-        Number of the camera that stays.
-    boards
-        Instants at which the board has the same pose: usually one, and many where it lies still.
-    coefficients
-        Numbers of each camera's distortion coefficients that may change; ``None``: the intrinsics are given, and stay.
-    speed
-        Steps a second by which the boards move; ``None``: they are not known.
+    ``root``: number of the camera that stays. ``boards``: instants at which the board has the same pose: usually one,
+    and many where it lies still. ``coefficients``: numbers of each camera's distortion coefficients that may change;
+    ``None``: the intrinsics are given, and stay. ``speed``: steps a second by which the boards move; ``None``: they are
+    not known.
     """
     free, prior = parameters.none_free(len(cameras)), parameters.no_prior(len(cameras))
     free[:, parameters.EXTRINSICS] = True

@@ -43,13 +43,8 @@ class BoardWorld:
 def find_places(motion: BoardMotion, centers_m: Float[np.ndarray, "cameras 3"], floor_time_s: float | None) -> Places:
     """Find where the board lies on the floor: all places in one plane.
 
-    Parameters
-    ----------
-    centers_m
-        Centres of the cameras, in their frame.
-    floor_time_s
-        Time at which the board lies on the floor; ``None``: the plane in which it lies still for the longest time, with
-        all cameras above.
+    ``centers_m``: centres of the cameras, in their frame. ``floor_time_s``: time at which the board lies on the floor;
+    ``None``: the plane in which it lies still for the longest time, with all cameras above.
     """
     times_s, placed, middle_m = motion.time_s, motion.boards, motion.middle_m
     above = np.array([_above_m(board.root_from_board, centers_m).min() > _CLEARANCE_M for board in placed])

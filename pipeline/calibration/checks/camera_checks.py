@@ -140,14 +140,8 @@ _NUM_DISTANCES = 100
 def check_cameras(cameras: Sequence[Camera]) -> list[Finding]:
     """Check a calibration without any picture.
 
-    Parameters
-    ----------
-    cameras
-        Cameras of a file or of a session, in metres. Lenses are checked at the size of the picture, where it is known.
-
-    Returns
-    -------
-        Findings about lenses, places, the unit, the up axis and common views; empty if nothing is wrong.
+    ``cameras``: cameras of a file or of a session, in metres. Lenses are checked at the size of the picture, where it
+    is known. Returns findings about lenses, places, the unit, the up axis and common views; empty if nothing is wrong.
     """
     findings = [*_check_number(cameras), *check_places(cameras)]
     for camera in cameras:

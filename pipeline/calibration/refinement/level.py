@@ -51,16 +51,9 @@ class Level:
 def find_level(cameras: Sequence[Camera], poses: Sequence[Poses3D], joints: JointSet) -> Level | None:
     """Find the move that levels the world.
 
-    Parameters
-    ----------
-    cameras
-        Cameras of the given world, by which the feet are located.
-    poses
-        Poses of people, such as from ``sightings.sampled_poses``; only their 2D joints are used.
-
-    Returns
-    -------
-        ``None`` if the world is level, or if the people don't determine the floor.
+    ``cameras``: cameras of the given world, by which the feet are located. ``poses``: poses of people, such as from
+    ``sightings.sampled_poses``; only their 2D joints are used. Returns ``None`` if the world is level, or if the people
+    don't determine the floor.
     """
     needed = ("left_ankle", "right_ankle", "left_shoulder", "right_shoulder")
     if not set(needed) <= set(joints.names) or sum(len(some.frame) for some in poses) < _MIN_POSES:

@@ -38,19 +38,10 @@ def adjust_to_sightings(
 ) -> Adjustment:
     """Adjust cameras to sightings.
 
-    Parameters
-    ----------
-    given
-        Cameras as calibrated, means of the prior.
-    start
-        Cameras with which the search begins; parameters that may not change are taken from ``given``.
-    free
-        Parameters that may change: of rotations, positions and focal lengths.
-
-    Returns
-    -------
-        Standard deviations hold the world's position, orientation and scale; deviations of ``PRIOR_SIGMA``
-        where the sightings say nothing.
+    ``given``: cameras as calibrated, means of the prior. ``start``: cameras with which the search begins; parameters
+    that may not change are taken from ``given``. ``free``: parameters that may change: of rotations, positions and
+    focal lengths. Returns standard deviations; they hold the world's position, orientation and scale; deviations of
+    ``PRIOR_SIGMA`` where the sightings say nothing.
     """
     steps = offsets(given, start) * free
     start = tuple(move_camera(camera, step) for camera, step in zip(given, steps, strict=True))

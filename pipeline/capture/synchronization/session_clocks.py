@@ -49,10 +49,8 @@ def synchronize_declared(
     warning, if it is certain without the declared offsets too. If motion tells nothing, and the declared offsets are
     fine enough, the clocks are as declared.
 
-    Parameters
-    ----------
-    declared_std_s
-        Standard deviation of the declared offset by camera; cameras without one are looked for over the whole take.
+    ``declared_std_s``: standard deviation of the declared offset by camera; cameras without one are looked for over the
+    whole take.
     """
     known = {name: std_s for name, std_s in declared_std_s.items() if _MAX_SIGMAS * std_s <= KNOWN_WITHIN_S}
     if len(known) < 2:

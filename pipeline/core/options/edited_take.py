@@ -106,16 +106,9 @@ def apply_edits(
 ) -> EditedTake:
     """Find out what is whose after all edits.
 
-    Parameters
-    ----------
-    people
-        People of a run, before any edit.
-    edits
-        In the order in which they were made.
-    frames
-        Frames of the run, in the session's numbering.
-    known
-        Cameras and joints of the run; fields that are missing are not checked.
+    ``people``: people of a run, before any edit. ``edits``: in the order in which they were made. ``frames``: frames of
+    the run, in the session's numbering. ``known``: cameras and joints of the run; fields that are missing are not
+    checked.
     """
     take = _Take.of(people, frames)
     take.known = known
@@ -133,11 +126,8 @@ def place_edits(people: Sequence[PersonSpan], edits: Sequence[PeopleEdit], frame
 
     Parameters as in ``apply_edits``.
 
-    Raises
-    ------
-    InputError
-        With the problems of the first edit that is malformed, or that names people by numbers and can't be applied;
-        the field is ``edits/NUMBER/NAME``, numbers from 0.
+    Raises ``InputError``: with the problems of the first edit that is malformed, or that names people by numbers and
+    can't be applied; the field is ``edits/NUMBER/NAME``, numbers from 0.
     """
     take = _Take.of(people, frames)
     placed: list[PeopleEdit] = []

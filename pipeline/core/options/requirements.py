@@ -38,14 +38,8 @@ def faults(schema: Schema, value: Any, steps: Steps = ()) -> Iterator[tuple[Step
 
     Tuples are lists. NumPy's numbers are numbers, and a whole number may be written as 2.0.
 
-    Parameters
-    ----------
-    steps
-        Steps to the value.
-
-    Yields
-    ------
-        Steps to each wrong value, the code of its problem, and the schema that it violates.
+    ``steps``: steps to the value. Yields steps to each wrong value, the code of its problem, and the schema that it
+    violates.
     """
     if not (branches := schema_branches(schema)):
         yield from _faults(schema, value, steps)

@@ -147,10 +147,7 @@ def file_problems(
 ) -> Iterator[Problem]:
     """Find out whether result files have more frames than they may.
 
-    Parameters
-    ----------
-    output_rate_hz
-        Rate of the motion in the files; ``None``: the session's rate.
+    ``output_rate_hz``: rate of the motion in the files; ``None``: the session's rate.
     """
     if output_rate_hz is not None:
         num_frames = num_resampled(num_frames, frame_rate_hz, output_rate_hz)
@@ -163,10 +160,7 @@ def file_problems(
 def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:
     """Find formats whose package, or whose file, is missing.
 
-    Parameters
-    ----------
-    installed
-        Formats that can be written.
+    ``installed``: formats that can be written.
     """
     for export, form in FILE_FORMATS.items():
         if form.package is None or export not in exports or export in installed:
@@ -232,18 +226,9 @@ _Parameters = TypeVar("_Parameters", bound=Any)
 def change_parameters(parameters: _Parameters, changes: Mapping[str, float]) -> _Parameters:
     """Set fields of a dataclass of parameters.
 
-    Parameters
-    ----------
-    parameters
-        Dataclass instance with fields of type float, int or bool.
-    changes
-        New values by field name; 0 or 1 for a bool.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value is not allowed; lists all of them. Values are positive numbers; fields whose
-        name begins with ``weight`` may be 0.
+    ``parameters``: dataclass instance with fields of type float, int or bool. ``changes``: new values by field name; 0
+    or 1 for a bool. Raises ``InputError`` if a name is unknown or a value is not allowed; lists all of them. Values are
+    positive numbers; fields whose name begins with ``weight`` may be 0.
     """
     known = {field.name: type(getattr(parameters, field.name)) for field in fields(parameters)}
     problems = []

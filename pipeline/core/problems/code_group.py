@@ -24,13 +24,10 @@ class CodeGroup:
     def code(self, name: str, *places: int | Place) -> Code:
         """Declare a code. A text follows the declaration: the code's meaning, a bar, and the remedy.
 
-        Parameters
-        ----------
-        places
-            Places in which clients meet the code: HTTP statuses of answers, the usual one first; ``job`` (the error of
-            a job), ``waiting`` (what a job waits for), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the
-            errors of ``/readyz``), ``command`` (the command line), ``warning`` (a warning of a job and in
-            ``metrics.json``), ``finding`` (of a check), ``live`` and ``recording`` (a message of their WebSockets).
+        ``places``: places in which clients meet the code: HTTP statuses of answers, the usual one first; ``job`` (the
+        error of a job), ``waiting`` (what a job waits for), ``attempt`` (a failed attempt at a chunk), ``readyz`` (the
+        errors of ``/readyz``), ``command`` (the command line), ``warning`` (a warning of a job and in
+        ``metrics.json``), ``finding`` (of a check), ``live`` and ``recording`` (a message of their WebSockets).
         """
         code = Code(name)
         self.places[code] = places

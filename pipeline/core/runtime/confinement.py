@@ -248,12 +248,8 @@ def run_in_forks(tasks: Sequence[tuple[Callable[[], object], float]], at_once: i
 
     Close the generator if it is not read to its end: that kills the forks. They also end with this process.
 
-    Parameters
-    ----------
-    tasks
-        Functions that write to stdout, each with its time limit in seconds.
-    at_once
-        Largest number of forks at a time.
+    ``tasks``: functions that write to stdout, each with its time limit in seconds. ``at_once``: largest number of forks
+    at a time.
     """
     waiting = list(enumerate(tasks))[::-1]
     running: list[_Running] = []

@@ -31,17 +31,9 @@ class _BoundedReader(io.BufferedReader):
 def list_entries(archive: Path, endings: Collection[str], max_file_bytes: int) -> Sequence[zipfile.ZipInfo]:
     """List the files of some endings in the directory of an archive; they lie at its top or in one folder.
 
-    Parameters
-    ----------
-    endings
-        Endings in lower case with their points; other files are ignored.
-    max_file_bytes
-        Largest size that the directory may state of a file.
-
-    Raises
-    ------
-    ArchiveError
-        If the archive is damaged, encrypted or too large, or contains links, several folders, or a name twice.
+    ``endings``: endings in lower case with their points; other files are ignored. ``max_file_bytes``: largest size that
+    the directory may state of a file. Raises ``ArchiveError`` if the archive is damaged, encrypted or too large, or
+    contains links, several folders, or a name twice.
     """
     try:
         with _BoundedReader(io.FileIO(archive)) as file, zipfile.ZipFile(file) as entries:

@@ -79,19 +79,10 @@ def _constant(options: dict[str, str], weights: bytes) -> np.ndarray:
 def convert(xml: bytes, weights: bytes, input_name: str, outputs: Mapping[str, int]) -> bytes:
     """Convert a whole network to a serialised ONNX model, float32 and NCHW.
 
-    Parameters
-    ----------
-    xml, weights
-        Contents of the XML file and of the binary file.
-    input_name
-        Name in ONNX of the input image, which has three channels.
-    outputs
-        Number of channels of each output by its name in ONNX; outputs are identified by this number.
-
-    Raises
-    ------
-    ModelError
-        If the network is damaged, lacks an output, or has a layer that is not supported.
+    ``xml``, ``weights``: contents of the XML file and of the binary file. ``input_name``: name in ONNX of the input
+    image, which has three channels. ``outputs``: number of channels of each output by its name in ONNX; outputs are
+    identified by this number. Raises ``ModelError`` if the network is damaged, lacks an output, or has a layer that is
+    not supported.
     """
     layers = read_ir(xml, weights)
     conversion = _Conversion(layers, input_name)

@@ -120,19 +120,10 @@ def _array(tensor: Any) -> np.ndarray:
 def convert(content: bytes, input_name: str, source: str, outputs: Mapping[str, int]) -> bytes:
     """Convert the graph from its placeholder to one of its nodes to a serialised ONNX model, float32 and NCHW.
 
-    Parameters
-    ----------
-    content
-        Serialised ``GraphDef`` whose variables are constants.
-    input_name
-        Name in ONNX of the input image, which has three channels.
-    source, outputs
-        Node whose channels are split into the outputs, and the number of channels of each output by name.
-
-    Raises
-    ------
-    ModelError
-        If the graph is damaged, lacks a node, or has an operation that is not supported.
+    ``content``: serialised ``GraphDef`` whose variables are constants. ``input_name``: name in ONNX of the input image,
+    which has three channels. ``source``, ``outputs``: node whose channels are split into the outputs, and the number of
+    channels of each output by name. Raises ``ModelError`` if the graph is damaged, lacks a node, or has an operation
+    that is not supported.
     """
     conversion = _Conversion(read_graph(content), input_name)
     conversion.onnx.emit_split(conversion.activation(source), dict(outputs))

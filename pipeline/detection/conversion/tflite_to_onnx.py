@@ -243,19 +243,9 @@ HANDLERS: Mapping[str, Handler] = {
 def convert(model: bytes, inputs: Mapping[str, str], outputs: Mapping[str, str], is_fixed: bool = False) -> bytes:
     """Convert the part of a model between some of its tensors to a serialised ONNX model, float32 and NCHW.
 
-    Parameters
-    ----------
-    model
-        TensorFlow Lite flatbuffer.
-    inputs, outputs
-        Names in ONNX by names in TensorFlow Lite, up to the first semicolon.
-    is_fixed
-        Whether height and width are the model's; otherwise they are open.
-
-    Raises
-    ------
-    ModelError
-        If the model is damaged, lacks a tensor, or has an operator that is not supported.
+    ``model``: TensorFlow Lite flatbuffer. ``inputs``, ``outputs``: names in ONNX by names in TensorFlow Lite, up to the
+    first semicolon. ``is_fixed``: whether height and width are the model's; otherwise they are open. Raises
+    ``ModelError`` if the model is damaged, lacks a tensor, or has an operator that is not supported.
     """
     return convert_graph(read_model(model), inputs, outputs, is_fixed)
 

@@ -21,16 +21,9 @@ _MIN_PEAK_SCORE = 0.1
 def group(image: ImageFields, limbs: Int[np.ndarray, "limbs 2"], num_joints: int) -> ImageBodies:
     """Group peaks to bodies.
 
-    Parameters
-    ----------
-    limbs
-        First and second joint of each field's limb, ordered from the root: except for the first limbs, the first joint
-        of a limb is the second joint of an earlier limb.
-
-    Returns
-    -------
-        Bodies in pixels of the image, in descending order of the sum of their limbs' scores; ``center_score`` is the
-        mean of the limbs' scores.
+    ``limbs``: first and second joint of each field's limb, ordered from the root: except for the first limbs, the first
+    joint of a limb is the second joint of an earlier limb. Returns bodies in pixels of the image, in descending order
+    of the sum of their limbs' scores; ``center_score`` is the mean of the limbs' scores.
     """
     of_joint = [np.flatnonzero((image.joint == j) & (image.score >= _MIN_PEAK_SCORE)) for j in range(num_joints)]
     body_of = np.full(len(image.joint), -1)

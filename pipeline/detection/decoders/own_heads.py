@@ -57,16 +57,9 @@ def decode_simcc(
 
     RTMPose and RTMW have this head.
 
-    Parameters
-    ----------
-    bins_x, bins_y
-        Confidence of each bin; the bins divide the input's width and height evenly.
-    input_px
-        Width and height of the network's input.
-
-    Returns
-    -------
-        Pixels of the input, and confidences in [0, 1]: of the less certain axis.
+    ``bins_x``, ``bins_y``: confidence of each bin; the bins divide the input's width and height evenly. ``input_px``:
+    width and height of the network's input. Returns pixels of the input, and confidences in [0, 1]: of the less certain
+    axis.
     """
     columns, rows = bins_x.argmax(1), bins_y.argmax(1)
     points_px = np.stack([columns * (input_px[0] / bins_x.shape[1]), rows * (input_px[1] / bins_y.shape[1])], axis=-1)

@@ -32,20 +32,9 @@ _NUM_NAME = 40
 def add_own(path: Path, network: OwnNetwork, has_chosen_size: bool = True) -> str:
     """Check an ONNX file, and copy it to the folder of models with its description.
 
-    Parameters
-    ----------
-    has_chosen_size
-        Whether the size of the input must be the description's; otherwise a fixed size of the file counts.
-
-    Returns
-    -------
-        Name of the network as a detector: ``own-NAME-DIGEST``. The digest is computed from the file and its
-        description.
-
-    Raises
-    ------
-    ModelError
-        If the file can't be read or used; the message names it, and says what to do.
+    ``has_chosen_size``: whether the size of the input must be the description's; otherwise a fixed size of the file
+    counts. Returns name of the network as a detector: ``own-NAME-DIGEST``. The digest is computed from the file and its
+    description. Raises ``ModelError`` if the file can't be read or used; the message names it, and says what to do.
     """
     if max(network.input_px) > _MAX_INPUT_PX or min(network.input_px) < 1:
         raise ModelError(f"The sides of an input have 1 to {_MAX_INPUT_PX} pixels; see --input-size.")

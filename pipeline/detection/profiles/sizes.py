@@ -77,17 +77,10 @@ def choose_sizes(
 ) -> CameraSizes:
     """Choose the sizes for a camera.
 
-    Parameters
-    ----------
-    spans_px
-        Spans of the bodies in some frames, an array a frame; NaN for a body of unknown size.
-    image_size_px
-        Width and height of the camera's images, upright.
-
-    Returns
-    -------
-        Sizes at which the tallest bodies span ``rule.span_px``, within the limits. Two passes if the smallest bodies
-        are far smaller. The usual size if there are no bodies.
+    ``spans_px``: spans of the bodies in some frames, an array a frame; NaN for a body of unknown size.
+    ``image_size_px``: width and height of the camera's images, upright. Returns sizes at which the tallest bodies span
+    ``rule.span_px``, within the limits. Two passes if the smallest bodies are far smaller. The usual size if there are
+    no bodies.
     """
     known = [known_px for frame in spans_px if len(known_px := frame[np.isfinite(frame)])]
     if not known:

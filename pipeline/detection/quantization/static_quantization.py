@@ -26,17 +26,9 @@ Steps = tuple[int | None, int | None]
 def quantize(content: bytes, ranges: Mapping[str, Steps]) -> bytes:
     """Quantize a network.
 
-    Parameters
-    ----------
-    content
-        ONNX file of the float network, with one output a node.
-    ranges
-        Ranges of the network's input and of the values that nodes give, by the name of the value. Nodes whose values
-        have no range stay in floating point.
-
-    Returns
-    -------
-        ONNX file of the quantized network, with the same input and outputs. Equal arguments give equal bytes.
+    ``content``: ONNX file of the float network, with one output a node. ``ranges``: ranges of the network's input and
+    of the values that nodes give, by the name of the value. Nodes whose values have no range stay in floating point.
+    Returns ONNX file of the quantized network, with the same input and outputs. Equal arguments give equal bytes.
     """
     # Imported here, as its import takes a second and is needed for an installation only.
     from onnxruntime.quantization import QuantType  # noqa: PLC0415

@@ -17,16 +17,9 @@ def read_body(
 ) -> tuple[Float[np.ndarray, "joints 2"], Float[np.ndarray, " joints"]]:
     """Read the joints of a body from sure heatmaps.
 
-    Parameters
-    ----------
-    joints
-        Joints that are wanted: ``COCO_17``, alone or first, and feet; others stay unknown.
-    at_common_marks
-        Whether joints are at the common marks of BlazePose and MultiPose, see ``fusion``; else at MultiPose's.
-
-    Returns
-    -------
-        Pixels of the image, NaN where a joint is not sure, and scores on MultiPose's scale, 0 there.
+    ``joints``: joints that are wanted: ``COCO_17``, alone or first, and feet; others stay unknown. ``at_common_marks``:
+    whether joints are at the common marks of BlazePose and MultiPose, see ``fusion``; else at MultiPose's. Returns
+    pixels of the image, NaN where a joint is not sure, and scores on MultiPose's scale, 0 there.
     """
     points_px, peak = pose.refined()
     keypoints_px, score = np.full((len(joints.names), 2), np.nan), np.zeros(len(joints.names))

@@ -65,14 +65,8 @@ def schedule_detections(time_s: Float[np.ndarray, " frames"], frames: range, lon
     Each second since the camera's first frame begins with a detection. Each further detection is the last frame that is
     at most ``longest_s`` after the one before, or the next frame, and at most four frames away.
 
-    Parameters
-    ----------
-    time_s
-        Times of all frames of the camera, ascending.
-    frames
-        Range of frames that is wanted, not empty. The frames that are chosen in it do not depend on its ends.
-    longest_s
-        Longest time between two detections.
+    ``time_s``: times of all frames of the camera, ascending. ``frames``: range of frames that is wanted, not empty. The
+    frames that are chosen in it do not depend on its ends. ``longest_s``: longest time between two detections.
     """
     second = np.floor(time_s - time_s[0])
     last = min(int(np.searchsorted(second, second[frames.stop - 1], "right")), len(time_s) - 1)
@@ -91,13 +85,9 @@ def bodies_between(
 ) -> Iterator[NumberedPictureBodies]:
     """Detect bodies in the scheduled frames, and in those between as far as they can't be interpolated.
 
-    Parameters
-    ----------
-    images
-        Pictures of ``schedule.frames``, in order; some may be missing. A picture need not be valid for longer than
-        until the next one is requested, and neither are those that are returned.
-    detector
-        Detector of bodies in whole images.
+    ``images``: pictures of ``schedule.frames``, in order; some may be missing. A picture need not be valid for longer
+    than until the next one is requested, and neither are those that are returned. ``detector``: detector of bodies in
+    whole images.
     """
     before: tuple[int, ImageBodies] | None = None  # The last detection
     waiting: list[Picture] = []  # Pictures after it, in one gap between scheduled frames

@@ -168,17 +168,9 @@ def read_near(
 ) -> tuple[Float[np.ndarray, "maps 2"], Float[np.ndarray, " maps"]]:
     """Read each heatmap around an expected position: the mean of the window's cells, weighted by their heat.
 
-    Parameters
-    ----------
-    logits
-        Heatmaps before the sigmoid.
-    expected
-        Positions (x, y) in cells; the centre of the first cell is (0, 0). NaN for a position that is not known.
-
-    Returns
-    -------
-        Positions (x, y) in cells, NaN where the expected position is NaN or outside of the map; and the greatest heat
-        in the window, in [0, 1], 0 there.
+    ``logits``: heatmaps before the sigmoid. ``expected``: positions (x, y) in cells; the centre of the first cell is
+    (0, 0). NaN for a position that is not known. Returns positions (x, y) in cells, NaN where the expected position is
+    NaN or outside of the map; and the greatest heat in the window, in [0, 1], 0 there.
     """
     height, width = logits.shape[1:]
     known = np.asarray(((expected >= -0.5) & (expected < (width - 0.5, height - 0.5))).all(-1))

@@ -102,17 +102,10 @@ def fuse(
     Alone, BlazePose takes limbs of other people in a crowd. Near a joint of this body it can't. The weights are the
     squares of the joint's score and of the heatmap's peak.
 
-    Parameters
-    ----------
-    keypoints_px, score
-        Joints of ``COCO_17`` in pixels of the image, NaN where missing, and their scores.
-    pose
-        Outputs of BlazePose for the body; ``None`` for a body without a crop.
-
-    Returns
-    -------
-        Common marks of both networks in pixels of the image. A joint without a sure heatmap near it is the detector's
-        alone. And scores of the surer network, 0 where the detector found no joint.
+    ``keypoints_px``, ``score``: joints of ``COCO_17`` in pixels of the image, NaN where missing, and their scores.
+    ``pose``: outputs of BlazePose for the body; ``None`` for a body without a crop. Returns common marks of both
+    networks in pixels of the image. A joint without a sure heatmap near it is the detector's alone. Also returns
+    scores of the surer network, 0 where the detector found no joint.
     """
     if pose is None:
         return common_marks_px(keypoints_px), score

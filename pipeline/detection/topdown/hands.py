@@ -71,19 +71,10 @@ def decode_hand(
 ) -> Hand | None:
     """Decode the outputs of one crop.
 
-    Parameters
-    ----------
-    outputs
-        ``landmarks``, 21 times x, y and z in pixels of the crop; ``presence`` and ``handedness`` in [0, 1], the latter
-        near 1 for right hands.
-    body, side
-        Body and side to which the crop belongs.
-    wrist_px
-        Wrist of the body in pixels of the image; NaN if it is missing.
-
-    Returns
-    -------
-        The hand, or ``None`` if there is none in the crop, if it is too small, or if it does not hang on the wrist.
+    ``outputs``: ``landmarks``, 21 times x, y and z in pixels of the crop; ``presence`` and ``handedness`` in [0, 1],
+    the latter near 1 for right hands. ``body``, ``side``: body and side to which the crop belongs. ``wrist_px``: wrist
+    of the body in pixels of the image; NaN if it is missing. Returns the hand, or ``None`` if there is none in the
+    crop, if it is too small, or if it does not hang on the wrist.
     """
     presence, right = (float(outputs[name].reshape(())) for name in ("presence", "handedness"))
     crop_points_px = outputs["landmarks"].reshape(_NUM_POINTS, 3)[:, :2].astype(np.float64)

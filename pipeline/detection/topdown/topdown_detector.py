@@ -125,16 +125,9 @@ def read_feet(
 
     A foot whose ankle is not where the body's ankle is may be another person's, and is left out.
 
-    Parameters
-    ----------
-    ankles_px
-        Left and right ankle of the body in pixels of the image, NaN where missing.
-    size_px
-        Size of the body in pixels of the image; see ``blazepose.body_size_px``.
-
-    Returns
-    -------
-        ``FOOT_JOINTS`` in pixels of the image, NaN where missing, and their scores, 0 there.
+    ``ankles_px``: left and right ankle of the body in pixels of the image, NaN where missing. ``size_px``: size of the
+    body in pixels of the image; see ``blazepose.body_size_px``. Returns ``FOOT_JOINTS`` in pixels of the image, NaN
+    where missing, and their scores, 0 there.
     """
     points_px, peak = pose.refined()
     distance_px = np.linalg.norm(points_px[_ANKLE_LANDMARKS] - ankles_px, axis=-1)

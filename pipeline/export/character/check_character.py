@@ -32,15 +32,8 @@ _DECIMALS = 4
 def describe_character(path: Path, table: Path | None) -> dict[str, Any]:
     """Read a character and say what it contains, as JSON.
 
-    Parameters
-    ----------
-    table
-        File of a table of bones; see ``pipeline.export.character.mapping.read_bone_table``.
-
-    Raises
-    ------
-    InputError
-        If the file or the table can't be used.
+    ``table``: file of a table of bones; see ``pipeline.export.character.mapping.read_bone_table``. Raises
+    ``InputError`` if the file or the table can't be used.
     """
     stated = {} if table is None else read_bone_table(table)
     file = read_character_file(path)

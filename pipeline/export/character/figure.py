@@ -78,10 +78,7 @@ class CharacterFigure:
 def measure(file: CharacterFile, mapping: BoneMapping) -> CharacterFigure:
     """Measure a character.
 
-    Raises
-    ------
-    InputError
-        If a limb has no length, or bones are scaled unevenly or mirrored.
+    Raises ``InputError`` if a limb has no length, or bones are scaled unevenly or mirrored.
     """
     joints = {joint: file.rig.names.index(bone) for joint, bone in mapping.bones.items()}
     _require_turnable(file, joints)

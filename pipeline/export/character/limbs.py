@@ -42,16 +42,9 @@ def reach(
     The limb bends about its hinge, then turns as a whole by the smallest rotation. A limb that is there already stays
     as it is.
 
-    Parameters
-    ----------
-    start
-        Place of its first joint.
-    along, hinge
-        Direction of both bones in the T-pose, and axis about which a positive rotation bends the second one.
-    lengths
-        Lengths of both bones.
-    is_firm
-        Whether a limb that is bent beyond straight bends the other way if it does not reach the place else.
+    ``start``: place of its first joint. ``along``, ``hinge``: direction of both bones in the T-pose, and axis about
+    which a positive rotation bends the second one. ``lengths``: lengths of both bones. ``is_firm``: whether a limb that
+    is bent beyond straight bends the other way if it does not reach the place else.
     """
     first, second = lengths
     upper, lower, axis = times(limb.upper, along), times(limb.lower, along), times(limb.upper, hinge)
@@ -198,12 +191,8 @@ def hold_foot(
 ) -> HeldFoot:
     """Hold a foot so that it stands still in its contacts.
 
-    Parameters
-    ----------
-    ankle, foot
-        Path of the ankle, and rotation of the foot from the T-pose, as the person's foot moves.
-    contacts
-        Contacts of this foot, those that are held.
+    ``ankle``, ``foot``: path of the ankle, and rotation of the foot from the T-pose, as the person's foot moves.
+    ``contacts``: contacts of this foot, those that are held.
     """
     held, on_toes = np.full_like(ankle, np.nan), _rows(contacts, ("toe",), len(ankle))
     if floor is None:

@@ -99,15 +99,9 @@ def bone_table(document: Any, name: str | None = None) -> dict[str, str | None]:
 def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None = None) -> BoneMapping:
     """Recognise the bones of a character.
 
-    Parameters
-    ----------
-    table
-        Bones by joint that go before those that are recognised; ``None``: the joint has no bone.
-
-    Raises
-    ------
-    InputError
-        If bones are missing, or are not in the order of a body, or the table names unknown bones: all problems.
+    ``table``: bones by joint that go before those that are recognised; ``None``: the joint has no bone. Raises
+    ``InputError`` if bones are missing, or are not in the order of a body, or the table names unknown bones: all
+    problems.
     """
     rig, stated = character.rig, dict(table or {})
     problems = _unknown(rig, stated, character.name)
@@ -130,15 +124,8 @@ def map_bones(character: CharacterFile, table: Mapping[str, str | None] | None =
 def connected(rig: CharacterRig, joints: Mapping[str, int]) -> tuple[CharacterRig, tuple[str, ...]]:
     """Hang hands and feet below their limbs.
 
-    Parameters
-    ----------
-    joints
-        Nodes by joint.
-
-    Returns
-    -------
-        The rig in the same rest pose, and the joints whose bones were moved below the bone before them. A bone of
-        another limb, or one that is as far from its limb as no hand or foot, stays where it is.
+    ``joints``: nodes by joint. Returns the rig in the same rest pose, and the joints whose bones were moved below the
+    bone before them. A bone of another limb, or one that is as far from its limb as no hand or foot, stays where it is.
     """
     parents = rig.parents.copy()
     translations, rotations, scales = rig.translations.copy(), rig.rotations.copy(), rig.scales.copy()

@@ -53,10 +53,7 @@ def shift_and_tilt(
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames 3"]]:
     """Shift of the hips, and rotation vector (radians) of their tilt about their middle, in each frame.
 
-    Parameters
-    ----------
-    carries
-        Number of hands that stand on the floor: arms turn for hips that shift.
+    ``carries``: number of hands that stand on the floor: arms turn for hips that shift.
     """
     num_frames = len(carries)
     size = float(np.mean([np.linalg.norm(leg.thigh[0]) + np.linalg.norm(leg.shin[0]) for leg in legs]))
@@ -149,12 +146,8 @@ class CharacterMotion:
 def retarget(source: SkeletonMotion, figure: CharacterFigure, floor: Floor | None) -> CharacterMotion:
     """Move a character as a person.
 
-    Parameters
-    ----------
-    source
-        Motion of the person; its contacts that are pinned are held.
-    floor
-        Floor of the take; ``None``: there is none.
+    ``source``: motion of the person; its contacts that are pinned are held. ``floor``: floor of the take; ``None``:
+    there is none.
     """
     fit = _Fit(source, figure, floor)
     fit.stand()

@@ -35,10 +35,7 @@ _FORMS = ("long", "wide")
 def optional_module(name: str) -> Any:
     """Import a package of the extra ``notebook``.
 
-    Raises
-    ------
-    PipelineError
-        If it is not installed.
+    Raises ``PipelineError`` if it is not installed.
     """
     try:
         return import_module(name)

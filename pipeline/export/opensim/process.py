@@ -41,21 +41,9 @@ class OpenSimLog:
 def run_opensim(folder: Path, num_frames: int, on_share: OnShare) -> tuple[OpenSimLog, str | None]:
     """Scale the model and run the inverse kinematics of the setups in a folder.
 
-    Parameters
-    ----------
-    num_frames
-        Number of frames of the markers.
-    on_share
-        Called with the progress; an exception from it ends the child.
-
-    Returns
-    -------
-        What the log says, and a sentence about what failed; ``None``: nothing did.
-
-    Raises
-    ------
-    ChildError
-        If the child ends for a reason other than OpenSim, such as a signal from outside.
+    ``num_frames``: number of frames of the markers. ``on_share``: called with the progress; an exception from it ends
+    the child. Returns what the log says, and a sentence about what failed; ``None``: nothing did. Raises ``ChildError``
+    if the child ends for a reason other than OpenSim, such as a signal from outside.
     """
     log, rest = OpenSimLog(), b""
 

@@ -33,11 +33,8 @@ def blur_ellipses(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Copy of a picture with blurred ellipses.
 
-    Parameters
-    ----------
-    ellipse_px
-        Centre in x and y, half of the width and half of the height of each ellipse, in pixels. What lies outside of the
-        picture is ignored.
+    ``ellipse_px``: centre in x and y, half of the width and half of the height of each ellipse, in pixels. What lies
+    outside of the picture is ignored.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     height, width = image.shape[:2]
@@ -79,19 +76,9 @@ def write_blurred(
 ) -> None:
     """Write a small copy of a video, without sound, at the times of its frames as a proxy has them.
 
-    Parameters
-    ----------
-    time_s
-        Times of all frames of the video, ascending; in the copy the first is 0.
-    frames
-        Frames for which the heads are known. In place of all others, a black picture is shown.
-    on_frame
-        Called after each frame; an exception from it ends the work.
-
-    Raises
-    ------
-    InputError
-        See ``pipeline.video.decode.decode``.
+    ``time_s``: times of all frames of the video, ascending; in the copy the first is 0. ``frames``: frames for which
+    the heads are known. In place of all others, a black picture is shown. ``on_frame``: called after each frame; an
+    exception from it ends the work. Raises ``InputError``: see ``pipeline.video.decode.decode``.
     """
     size_px = even_size_px(video.size_px, LONG_SIDE_PX)
     black = np.zeros((size_px[1], size_px[0], 3), np.uint8)

@@ -253,14 +253,9 @@ def head_regions(
 ) -> HeadRegions:
     """Ellipses around all heads in each frame of a camera, also of heads that are hidden or out of the picture.
 
-    Parameters
-    ----------
-    frames, time_s
-        Numbers of the frames, and their times on the session's clock.
-    people
-        Heads of the take's people over time.
-    seen
-        Heads that a detector saw. One of a neighbouring frame counts where no other region is.
+    ``frames``, ``time_s``: numbers of the frames, and their times on the session's clock. ``people``: heads of the
+    take's people over time. ``seen``: heads that a detector saw. One of a neighbouring frame counts where no other
+    region is.
     """
     projected = [_projected(camera, people, float(now_s)) for now_s in time_s]
     seen_px = _sized(camera, seen.ellipse_px, [ellipse_px for ellipse_px in projected if len(ellipse_px)])

@@ -92,13 +92,9 @@ def find_shifted(
 ) -> list[CameraShift]:
     """Find the cameras that are shifted for certain, the worst one first; at most half of the cameras.
 
-    Parameters
-    ----------
-    points_px
-        Joints of people in the pictures, NaN where a camera does not see a joint. Joints that fewer than three cameras
-        see are not used.
-    instant
-        Instant of each person. At different instants the errors of the detector differ: a quarter of a second.
+    ``points_px``: joints of people in the pictures, NaN where a camera does not see a joint. Joints that fewer than
+    three cameras see are not used. ``instant``: instant of each person. At different instants the errors of the
+    detector differ: a quarter of a second.
     """
     corrected = list(cameras)
     shifted: list[CameraShift] = []

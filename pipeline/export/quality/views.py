@@ -113,15 +113,9 @@ def reprojection_error_px(
 ) -> Float[np.ndarray, "frames cameras joints"]:
     """Distance of each observation to the projection of the final position, in pixels of the full image.
 
-    Parameters
-    ----------
-    marks_m
-        Returns the positions in a range of frames that observations are compared with; ``None``: the final positions.
-
-    Returns
-    -------
-        Distances in single precision, to save memory. NaN where a camera has no observation with a sufficient score,
-        and where the joint has no position or is behind the camera.
+    ``marks_m``: returns the positions in a range of frames that observations are compared with; ``None``: the final
+    positions. Returns distances in single precision, to save memory. NaN where a camera has no observation with a
+    sufficient score, and where the joint has no position or is behind the camera.
     """
     error_px = np.empty(observations.score.shape, np.float32)
     for rows in windows(track.num_frames, overlap=0):

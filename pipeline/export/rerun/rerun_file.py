@@ -83,17 +83,9 @@ def write_rerun(
 
     The file has its name when it is whole.
 
-    Parameters
-    ----------
-    footage
-        Pictures, and detections that nobody was given; ``None``: the file has none.
-
-    Raises
-    ------
-    InputError
-        If a video can't be decoded; see ``pipeline.video.decode.decode``.
-    OSError
-        If the file can't be written, or does not hold what was written.
+    ``footage``: pictures, and detections that nobody was given; ``None``: the file has none. Raises ``InputError`` if a
+    video can't be decoded; see ``pipeline.video.decode.decode``. Raises ``OSError`` if the file can't be written, or
+    does not hold what was written.
     """
     part = path.with_name(f".part-{path.name}")
     try:

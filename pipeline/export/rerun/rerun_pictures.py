@@ -55,10 +55,7 @@ def small_pictures(
     A picture that would exceed its share of ``max_bytes`` is left out, so that all of them together never do. ``heads``
     are blurred; ``None``: none are.
 
-    Raises
-    ------
-    InputError
-        See ``pipeline.video.decode.decode``.
+    Raises ``InputError``: see ``pipeline.video.decode.decode``.
     """
     video, times = session.camera_videos[camera], session.times[camera]
     frames = frames_in(times, timebase.time_s(-0.5), timebase.time_s(timebase.num_frames - 0.5))
@@ -114,14 +111,8 @@ def is_unmatched(
     A body is a person's if the median of its joints' distances from those that the person was given of this camera, at
     the nearest output frame, is at most a tenth of the diagonal of the body's box.
 
-    Parameters
-    ----------
-    times
-        Times of the camera's frames.
-    camera
-        Position of the camera among the cameras of the observations.
-    people
-        Tracks with the observations behind them.
+    ``times``: times of the camera's frames. ``camera``: position of the camera among the cameras of the observations.
+    ``people``: tracks with the observations behind them.
     """
     frame = np.rint((times.time_s[detections.frame] - timebase.start_time_s) * timebase.frame_rate_hz).astype(int)
     size_px = np.linalg.norm(detections.box_px[:, 2:] - detections.box_px[:, :2], axis=1)

@@ -361,10 +361,8 @@ def read_xyz_m(path: Path, preset: Preset, person: int = 0) -> Iterator[Float[np
 
     ``person`` is the person's place among the people of a take; a file of one person has one.
 
-    Raises
-    ------
-    OSError
-        If the file is no FBX or is damaged, lacks a joint or a curve, or has keys at other times than its frames.
+    Raises ``OSError`` if the file is no FBX or is damaged, lacks a joint or a curve, or has keys at other times than
+    its frames.
     """
     convention = convention_of_fbx(preset)
     try:

@@ -235,11 +235,8 @@ def _write_property(value: Property) -> Iterator[bytes]:
 def read(stored: bytes | memoryview) -> tuple[Node, ...]:
     """Read the nodes of a file; the bytes must stay while arrays are read.
 
-    Raises
-    ------
-    FbxError
-        If the content is no binary FBX of versions 7.x, sizes contradict each other, or there are more than a million
-        nodes or 64 levels of them.
+    Raises ``FbxError`` if the content is no binary FBX of versions 7.x, sizes contradict each other, or there are more
+    than a million nodes or 64 levels of them.
     """
     content, start = memoryview(stored), len(_MAGIC) + _LENGTH.size
     if len(content) < start or content[: len(_MAGIC)] != _MAGIC:

@@ -198,12 +198,8 @@ class FbxScene:
 
         Programs interpolate values linearly between frames.
 
-        Parameters
-        ----------
-        first
-            Numbers in the first frame.
-        values
-            Gives the numbers of X (0), Y (1) or Z (2) in all frames, when the curve is written.
+        ``first``: numbers in the first frame. ``values``: gives the numbers of X (0), Y (1) or Z (2) in all frames,
+        when the curve is written.
         """
         defaults = settings(*(number(f"d|{axis}", start, "A") for axis, start in zip(_AXES, first, strict=True)))
         node = self.add("AnimationCurveNode", _CURVES_OF[of_setting], "AnimCurveNode", "", defaults)

@@ -155,10 +155,7 @@ plainly_annotated(Writer.__init__)
 def find_writer(export: Export) -> Writer:
     """Writer of a format of people's files, whose module is imported; see ``formats_of_people``.
 
-    Raises
-    ------
-    ImportError
-        If the package that the format needs is not installed.
+    Raises ``ImportError`` if the package that the format needs is not installed.
     """
     writer: Writer = resolve_name(str(FILE_FORMATS[export].writer))
     return writer

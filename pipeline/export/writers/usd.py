@@ -319,10 +319,7 @@ def read_xyz_m(path: Path, person: int = 0) -> Iterator[Float[np.ndarray, "_ joi
 
     ``person`` is the person's place among the people of a take; a file of one person has one.
 
-    Raises
-    ------
-    OSError
-        If the file is no USD or is damaged, or lacks a person, a joint, or values in a frame.
+    Raises ``OSError`` if the file is no USD or is damaged, or lacks a person, a joint, or values in a frame.
     """
     try:
         stored = _StoredMotion(path, person)

@@ -41,18 +41,11 @@ class JointAngles:
 def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_sigmas: bool = True) -> JointAngles:
     """Compute the joint angles of a person.
 
-    Parameters
-    ----------
-    motion
-        Motion of the skeleton, whose rotations are known in all frames: in gaps they are interpolated.
-    track
-        Final positions of the joints in the same frames. An angle is unknown where a landmark of one of its segments
-        has no position, or, of hands, where no finger was measured; rotations about the long axis of a limb also where
-        the limb is straight.
-    joints
-        Joints of the track.
-    has_sigmas
-        Whether standard deviations are computed, which take most of the time; otherwise they are NaN.
+    ``motion``: motion of the skeleton, whose rotations are known in all frames: in gaps they are interpolated.
+    ``track``: final positions of the joints in the same frames. An angle is unknown where a landmark of one of its
+    segments has no position, or, of hands, where no finger was measured; rotations about the long axis of a limb also
+    where the limb is straight. ``joints``: joints of the track. ``has_sigmas``: whether standard deviations are
+    computed, which take most of the time; otherwise they are NaN.
     """
     num_frames = len(motion.root_m)
     found_rad, sigma_rad = np.full((2, len(_JOINTS), num_frames, 3), np.nan)
@@ -218,11 +211,8 @@ def normalised_cycles(
 ) -> Float[np.ndarray, "cycles 101"]:
     """Stretch the cycles of an angle to 0 to 100 percent by linear interpolation.
 
-    Parameters
-    ----------
-    cycles
-        First and last row of each cycle, with fractions. Cycles in which the angle is unknown in a frame, or that are
-        not inside the frames, are left out.
+    ``cycles``: first and last row of each cycle, with fractions. Cycles in which the angle is unknown in a frame, or
+    that are not inside the frames, are left out.
     """
     frames, found = np.arange(len(angle_deg)), []
     for start, stop in cycles:

@@ -64,18 +64,9 @@ class Balance:
 def balance_of(motion: SkeletonMotion, track: Track3D, joints: JointSet, subject: Subject) -> Balance | None:
     """Compute the balance of a person.
 
-    Parameters
-    ----------
-    motion
-        Motion of the skeleton, whose rotations turn the segments, with the contacts of the feet.
-    track
-        Final positions of the joints in the same frames.
-    subject
-        Table of segments, sex and mass.
-
-    Returns
-    -------
-        Balance in the frames of the track; ``None`` if the joints of the detector lack one of the body's.
+    ``motion``: motion of the skeleton, whose rotations turn the segments, with the contacts of the feet. ``track``:
+    final positions of the joints in the same frames. ``subject``: table of segments, sex and mass. Returns balance in
+    the frames of the track; ``None`` if the joints of the detector lack one of the body's.
     """
     masses = segment_masses(subject, joints)
     if masses is None:

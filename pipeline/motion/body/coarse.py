@@ -30,14 +30,9 @@ def coarsen(
 ) -> Int[np.ndarray, "coarse_triangles 3"]:
     """Triangles of a coarse mesh, as indices of the given vertices.
 
-    Parameters
-    ----------
-    poses
-        Positions of the vertices in each pose, in any unit. Triangles keep their sides in the first one.
-    triangles
-        Triangles of a mesh in which at most two meet at an edge; with the same vertices in all poses.
-    num_triangles
-        Largest number of triangles; more are left only if no edge can be collapsed any more.
+    ``poses``: positions of the vertices in each pose, in any unit. Triangles keep their sides in the first one.
+    ``triangles``: triangles of a mesh in which at most two meet at an edge; with the same vertices in all poses.
+    ``num_triangles``: largest number of triangles; more are left only if no edge can be collapsed any more.
     """
     mesh = _Mesh(poses.tolist(), triangles.tolist())
     while mesh.num_triangles > num_triangles and mesh.collapse_next():

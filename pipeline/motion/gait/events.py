@@ -42,17 +42,9 @@ def rest_ends(path_m: Float[np.ndarray, " frames"], frame_rate_hz: float, *, has
     path, with t0 tried in steps of a twentieth of a frame: the instant lies between
     frames where the data allow. The standard deviation is of t0 in the linearised problem, from the residuals.
 
-    Parameters
-    ----------
-    path_m
-        Positions along one direction, at rest at the start and moving to larger values at the end.
-    has_speed
-        Whether the point may leave with a speed, as in a jump; otherwise it only accelerates, as a toe that leaves the
-        floor in gait.
-
-    Returns
-    -------
-        Corner; ``None`` for paths of fewer than six frames, or if the point never moves.
+    ``path_m``: positions along one direction, at rest at the start and moving to larger values at the end.
+    ``has_speed``: whether the point may leave with a speed, as in a jump; otherwise it only accelerates, as a toe that
+    leaves the floor in gait. Returns corner; ``None`` for paths of fewer than six frames, or if the point never moves.
     """
     num_frames = len(path_m)
     if num_frames < 6:

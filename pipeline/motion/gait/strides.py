@@ -65,9 +65,7 @@ def find_strides(points: BodyPoints, swings: Sequence[Swing]) -> tuple[tuple[Str
     A bout has at least four foot strikes of alternating sides, each within 1.6 s of the one before, of an upright
     person whose hips go along.
 
-    Returns
-    -------
-        Strides in order of their start, and the events of all bouts in order of time.
+    Returns strides in order of their start, and the events of all bouts in order of time.
     """
     strides: list[Stride] = []
     events: list[FootEvent] = []

@@ -166,15 +166,9 @@ class PersonFitter:
     ) -> tuple[SkeletonMotion, Track3D]:
         """Fit the hands of a person on the fitted body, and add their joints to the motion and to the track.
 
-        Parameters
-        ----------
-        motion, followed
-            Motion and final joints of the body.
-        track, seen
-            Located joints with their observations, fingers included.
-        is_placed
-            True if the body's position is known; otherwise hands are in the natural pose, and fingers stay where they
-            are.
+        ``motion``, ``followed``: motion and final joints of the body. ``track``, ``seen``: located joints with their
+        observations, fingers included. ``is_placed``: true if the body's position is known; otherwise hands are in the
+        natural pose, and fingers stay where they are.
         """
         start = track if self._by_rays else self._smoothed(track, seen)
         views = whole.views_of_hands(start, seen, self.joints, self.timebase.frame_rate_hz)

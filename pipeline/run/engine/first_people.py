@@ -35,11 +35,9 @@ def first_people(
 ) -> bytes:
     """Locate people in a range of frames whose detections are there, of every camera.
 
-    Returns
-    -------
-        JSON for viewers: ``joints``, ``bones`` and ``parents`` of the skeleton, ``rig`` with the cameras, and
-        ``instants``, each with ``time_s`` and ``people``. A person has an ``id``, which holds within the range, and
-        ``joints_m``: places of the joints in the world one after another, null where fewer than two cameras see one.
+    Returns JSON for viewers: ``joints``, ``bones`` and ``parents`` of the skeleton, ``rig`` with the cameras, and
+    ``instants``, each with ``time_s`` and ``people``. A person has an ``id``, which holds within the range, and
+    ``joints_m``: places of the joints in the world one after another, null where fewer than two cameras see one.
     """
     number = max(1, int(len(frames) / timebase.frame_rate_hz * RATE_HZ))
     places = choose_instants([frames], min(number, len(frames)))

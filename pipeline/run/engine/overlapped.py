@@ -26,17 +26,9 @@ def overlapped(
 
     Close the generator if it is not read to its end: that ends the tasks at their next unit, and waits for them.
 
-    Parameters
-    ----------
-    run
-        Runs a task in a thread, and calls a function after each of its units.
-    on_unit
-        Called with the task after each unit, in the thread that reads the generator.
-
-    Raises
-    ------
-    Exception
-        Error of the first of the tasks that fails, as if they ran one after the other. Later ones are ended.
+    ``run``: runs a task in a thread, and calls a function after each of its units. ``on_unit``: called with the task
+    after each unit, in the thread that reads the generator. Raises ``Exception``: error of the first of the tasks that
+    fails, as if they ran one after the other. Later ones are ended.
     """
     events = SimpleQueue[tuple[int, Future[object] | None]]()
     num_wanted = len(tasks)

@@ -170,16 +170,8 @@ class KnownBody:
 class Identities:
     """Numbers of the people of a live capture.
 
-    Parameters
-    ----------
-    joints
-        Joint set of the detector.
-    num_cameras
-        Number of cameras.
-    bodies
-        Lengths of the skeleton's bones of people of earlier takes, in metres; they have the first numbers.
-    offsets
-        Offsets of the detector's marks from the joints' centres.
+    ``joints``: joint set of the detector. ``bodies``: lengths of the skeleton's bones of people of earlier takes, in
+    metres; they have the first numbers. ``offsets``: offsets of the detector's marks from the joints' centres.
     """
 
     def __init__(
@@ -237,20 +229,11 @@ class Identities:
     ) -> KnownBody | None:
         """Take a person's located joints at an instant, and the colours of the clothes.
 
-        Parameters
-        ----------
-        tracked
-            The tracker's number of the person.
-        xyz_m
-            World positions in metres, NaN where unknown.
-        colours
-            Colours of the person's detections by the positions of their cameras, like ``detection.appearance``; none
-            where they were not measured.
-
-        Returns
-        -------
-            Body of the person who was there before, if this is clear now; from then on ``person_number`` gives that
-            person's number. Only people without bones are compared.
+        ``tracked``: the tracker's number of the person. ``xyz_m``: world positions in metres, NaN where unknown.
+        ``colours``: colours of the person's detections by the positions of their cameras, like
+        ``detection.appearance``; none where they were not measured. Returns body of the person who was there before, if
+        this is clear now; from then on ``person_number`` gives that person's number. Only people without bones are
+        compared.
         """
         number = self.person_number(tracked)
         sight = self._sight.setdefault(number, _Sight(time_s, time_s))

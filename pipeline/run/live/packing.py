@@ -22,14 +22,8 @@ def pack_keypoints(
 ) -> bytes:
     """Packet of a camera's frame.
 
-    Parameters
-    ----------
-    camera
-        Place of the camera in the list of the message ``ready``.
-    points_px
-        Points of the layout in pixels, NaN where a point was not found.
-    score
-        Confidence in each point, 0 to 1; 0 where it was not found.
+    ``camera``: place of the camera in the list of the message ``ready``. ``points_px``: points of the layout in pixels,
+    NaN where a point was not found. ``score``: confidence in each point, 0 to 1; 0 where it was not found.
     """
     people = np.concatenate([points_px, np.asarray(score)[..., None]], -1).astype(_FLOAT)
     people[~np.isfinite(people).all(-1)] = 0.0

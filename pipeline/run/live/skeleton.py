@@ -390,17 +390,10 @@ class LiveBody:
     ) -> tuple[LiveSkeleton, Float[np.ndarray, "joints 3"]] | None:
         """Skeleton at an instant, and positions of the joints by it; ``None`` until bones are learnt.
 
-        Parameters
-        ----------
-        xyz_m
-            Located joints, world positions in metres, NaN where unknown.
-        ray, score
-            Viewing rays of the joints as unit vectors, NaN where unseen, and the detector's confidence.
-
-        Returns
-        -------
-            ``None`` also while hips and shoulders were not all located since the person came back into sight.
-            Positions are NaN for joints that the skeleton does not carry.
+        ``xyz_m``: located joints, world positions in metres, NaN where unknown. ``ray``, ``score``: viewing rays of the
+        joints as unit vectors, NaN where unseen, and the detector's confidence. Returns ``None`` also while hips and
+        shoulders were not all located since the person came back into sight. Positions are NaN for joints that the
+        skeleton does not carry.
         """
         if self._filter is not None:
             return self._filter.follow(time_s, xyz_m, ray, score)

@@ -70,10 +70,7 @@ def poses_at(
 def score_poses(predicted: Sequence[InstantPoses], truth_m: Sequence[Float[np.ndarray, "_ joints 3"]]) -> PoseScores:
     """Score poses by the protocol of the module.
 
-    Parameters
-    ----------
-    predicted, truth_m
-        One of each for an instant, with the same joints. Unknown true joints are NaN.
+    ``predicted``, ``truth_m``: one of each for an instant, with the same joints. Unknown true joints are NaN.
     """
     distance_mm, person, score = [np.empty(0)], [np.empty(0, int)], [np.empty(0)]
     num_people = 0

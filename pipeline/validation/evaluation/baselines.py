@@ -38,16 +38,9 @@ def triangulate_last(
 ) -> Float[np.ndarray, "joints 3"]:
     """Triangulate joints from the cameras' last observations: solve ``(w o A) X~ = 0`` by singular values (eq. 10).
 
-    Parameters
-    ----------
-    points_px
-        Last observation of each camera in undistorted pixels, NaN where it has none.
-    penalty
-        ``exp(-lambda_t (t - t_i))`` of each camera.
-
-    Returns
-    -------
-        World positions in metres, NaN for joints that fewer than two cameras have seen.
+    ``points_px``: last observation of each camera in undistorted pixels, NaN where it has none. ``penalty``:
+    ``exp(-lambda_t (t - t_i))`` of each camera. Returns world positions in metres, NaN for joints that fewer than two
+    cameras have seen.
     """
     rows = points_px[..., None] * image_from_world[:, None, 2:, :] - image_from_world[:, None, :2, :]
     seen = np.isfinite(rows).all((-1, -2))

@@ -71,16 +71,9 @@ def match_frames(
 ) -> Int[np.ndarray, "people frames"]:
     """Match tracks to people frame by frame.
 
-    Parameters
-    ----------
-    predicted_m, truth_m
-        World positions, NaN where a joint is unknown or a person is absent.
-    gate_m
-        Largest mean joint distance of a match.
-
-    Returns
-    -------
-        Index of the matched track for each person and frame, ``UNMATCHED`` for no track.
+    ``predicted_m``, ``truth_m``: world positions, NaN where a joint is unknown or a person is absent. ``gate_m``:
+    largest mean joint distance of a match. Returns index of the matched track for each person and frame, ``UNMATCHED``
+    for no track.
     """
     matched = np.full(truth_m.shape[:2], UNMATCHED)
     for frame in range(truth_m.shape[1]):

@@ -20,14 +20,9 @@ _LEAST_SHOWN = 0.3
 def dress(simulation: Simulation, measure_clothes: Callable[[int, float], int]) -> Simulation:
     """Give the people clothes.
 
-    Parameters
-    ----------
-    measure_clothes
-        Number of the clothes that a person wears at a time in seconds; each number has its own colours.
-
-    Returns
-    -------
-        The simulation with colours of its detections, see ``detection.appearance``, zeros for false positives.
+    ``measure_clothes``: number of the clothes that a person wears at a time in seconds; each number has its own
+    colours. Returns the simulation with colours of its detections, see ``detection.appearance``, zeros for false
+    positives.
     """
     rng, detections = np.random.default_rng(0), {}
     for name, of_camera in simulation.detections.items():

@@ -54,16 +54,9 @@ class Acrobatics:
 class Scene:
     """Scene: all settings of a simulation except the seed.
 
-    Parameters
-    ----------
-    rig, clock, detector
-        Cameras, their frame times and their 2D detector.
-    cast
-        People who improvise, exchange places or do acrobatics, or the roles of people with scripts.
-    boxes
-        Furniture that hides people and that they walk around.
-    duration_s
-        Length of the recording.
+    ``rig``, ``clock``, ``detector``: cameras, their frame times and their 2D detector. ``cast``: people who improvise,
+    exchange places or do acrobatics, or the roles of people with scripts. ``boxes``: furniture that hides people and
+    that they walk around. ``duration_s``: length of the recording.
     """
 
     rig: Rig
@@ -283,21 +276,10 @@ def known_joints(name: str) -> Joints:
 def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: Joints = "body") -> Simulation:
     """Simulate a named scene.
 
-    Parameters
-    ----------
-    seed
-        Seed, 0 or greater; the same seed gives the same bytes.
-    num_views
-        Number of the scene's cameras to keep, evenly spread; ``None`` for all. A camera's recording does not depend on
-        the other cameras.
-    joints
-        Joints of the detections and of the truth. The body's joints differ between the choices only in the knees and
-        ankles of rolling feet.
-
-    Raises
-    ------
-    InputError
-        If the scene is unknown or has fewer cameras, or the seed is negative.
+    ``seed``: seed, 0 or greater; the same seed gives the same bytes. ``num_views``: number of the scene's cameras to
+    keep, evenly spread; ``None`` for all. A camera's recording does not depend on the other cameras. ``joints``: joints
+    of the detections and of the truth. The body's joints differ between the choices only in the knees and ankles of
+    rolling feet. Raises ``InputError`` if the scene is unknown or has fewer cameras, or the seed is negative.
     """
     return record(find_scene(scene_name), seed, num_views, joints)
 

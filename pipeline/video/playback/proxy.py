@@ -74,19 +74,9 @@ def make_proxy_in_child(
 ) -> None:
     """Write a small copy of a video that browsers play: H.264 in MP4, without sound, at the true times of the frames.
 
-    Parameters
-    ----------
-    time_s
-        Times of the video's frames, ascending; in the proxy the first is 0.
-    on_frame
-        Called after each frame; an exception from it ends the child.
-
-    Raises
-    ------
-    InputError
-        If the video can't be decoded, or not within the limits on time, memory and size.
-    ChildError
-        If the child fails for a reason other than its file.
+    ``time_s``: times of the video's frames, ascending; in the proxy the first is 0. ``on_frame``: called after each
+    frame; an exception from it ends the child. Raises ``InputError`` if the video can't be decoded, or not within the
+    limits on time, memory and size. Raises ``ChildError`` if the child fails for a reason other than its file.
     """
     width, height = proxy_size_px(video.unrotated_size_px)
     ticks = [round(tick) for tick in ((time_s - time_s[0]) * TICKS_A_SECOND).tolist()]

@@ -22,18 +22,9 @@ def write_pictures(
 ) -> int:
     """Write pictures at their true times, one at a time.
 
-    Parameters
-    ----------
-    pictures
-        Numbers of frames, ascending, and RGB pictures of the size. Frames may be missing.
-    time_s
-        Times of all frames, ascending; in the video the first is 0.
-    size_px
-        Width and height, even numbers.
-
-    Returns
-    -------
-        Number of frames that were written. Frames at the time of the frame before, within 1/90000 s, are left out.
+    ``pictures``: numbers of frames, ascending, and RGB pictures of the size. Frames may be missing. ``time_s``: times
+    of all frames, ascending; in the video the first is 0. ``size_px``: width and height, even numbers. Returns number
+    of frames that were written. Frames at the time of the frame before, within 1/90000 s, are left out.
     """
     ticks = np.rint((time_s - time_s[0]) * TICKS_A_SECOND).astype(np.int64).tolist()
     rate_hz = (len(ticks) - 1) * TICKS_A_SECOND / max(1, ticks[-1])

@@ -252,19 +252,9 @@ def open_artifacts(
 ) -> ArtifactStore:
     """Open the artifact store at a URL.
 
-    Parameters
-    ----------
-    url
-        ``s3://bucket/prefix``; empty: a folder of ``data_dir``.
-    data_dir
-        Data folder, which holds the artifacts, or copies of those in a bucket.
-    cache_bytes, cache_hours
-        Maximum size of the copies, and time that unused copies are kept.
-
-    Raises
-    ------
-    ValueError
-        The URL is of no known store.
+    ``url``: ``s3://bucket/prefix``; empty: a folder of ``data_dir``. ``data_dir``: data folder, which holds the
+    artifacts, or copies of those in a bucket. ``cache_bytes``, ``cache_hours``: maximum size of the copies, and time
+    that unused copies are kept. Raises ``ValueError``: the URL is of no known store.
     """
     if not url:
         return LocalArtifacts(data_dir / "artifacts")

@@ -39,19 +39,9 @@ class IdempotencyKeys:
     def claim(self, key: str, fingerprint: str, lease_s: float) -> KeyClaim | Mapping[str, Any]:
         """Claim a key for a request; returns the claim, or the answer that the same request got before.
 
-        Parameters
-        ----------
-        fingerprint
-            Digest of the request: another request under the same key is refused.
-        lease_s
-            Time for which other requests are refused, unless ``renew`` or ``release`` is called.
-
-        Raises
-        ------
-        KeyReused
-            The key belongs to another request.
-        KeyBusy
-            The same request is at work.
+        ``fingerprint``: digest of the request: another request under the same key is refused. ``lease_s``: time for
+        which other requests are refused, unless ``renew`` or ``release`` is called. Raises ``KeyReused``: the key
+        belongs to another request. Raises ``KeyBusy``: the same request is at work.
         """
         this_key = self._of(key)
         with self._access.writing() as connection:

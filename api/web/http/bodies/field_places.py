@@ -14,10 +14,7 @@ _ITEM = "[]"
 class FieldPlaces:
     """Places at which the body of a request has fields, by their names; read when a hint is asked for.
 
-    Parameters
-    ----------
-    declared
-        Gives the schema of the body, and the document that contains the targets of its references.
+    ``declared``: gives the schema of the body, and the document that contains the targets of its references.
     """
 
     def __init__(self, declared: Callable[[], tuple[Schema, Schema]]) -> None:

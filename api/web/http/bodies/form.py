@@ -74,14 +74,8 @@ class ReceivedFile:
 class Form:
     """Received form.
 
-    Parameters
-    ----------
-    files
-        Files of each part, by the part's name.
-    documents
-        JSON parts by name, unparsed.
-    errors
-        Everything that is wrong with names and parts; files with errors are not in ``files``.
+    ``files``: files of each part, by the part's name. ``documents``: JSON parts by name, unparsed. ``errors``:
+    everything that is wrong with names and parts; files with errors are not in ``files``.
     """
 
     files: Mapping[str, tuple[ReceivedFile, ...]]

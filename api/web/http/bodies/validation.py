@@ -58,12 +58,7 @@ _NOUNS: Mapping[str, str] = {"query": "parameter", "path": "parameter", "header"
 def model_items(error: ValidationError, model: type[BaseModel], places: FieldPlaces, part: str = "") -> list[ErrorItem]:
     """Translate Pydantic's errors of a model, which is the body or a part of the form.
 
-    Parameters
-    ----------
-    places
-        Places of all fields of the body.
-    part
-        Name of the part; empty for the body.
+    ``places``: places of all fields of the body. ``part``: name of the part; empty for the body.
     """
     schema = _model_schema(model)
     # Errors with their inputs would copy a large object once for each field that it lacks.

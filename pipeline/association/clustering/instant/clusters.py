@@ -68,14 +68,9 @@ def find_joints(
 ) -> Joints:
     """Find the 3D joints of all people, level by level of the skeleton (sections 3.2 and 3.3).
 
-    Parameters
-    ----------
-    candidates
-        Candidates of all joints. Of more than ``MAX_CANDIDATES`` candidates of a joint in a view, those with the
-        highest scores are used.
-    known
-        Joints that were found before. They are parents like others, their candidates are not used again, and they are
-        the first joints of the result.
+    ``candidates``: candidates of all joints. Of more than ``MAX_CANDIDATES`` candidates of a joint in a view, those
+    with the highest scores are used. ``known``: joints that were found before. They are parents like others, their
+    candidates are not used again, and they are the first joints of the result.
     """
     joints = no_joints(len(image_from_world)) if known is None else known
     certain = np.setdiff1d(_most_certain(candidates, limits), joints.candidate)

@@ -79,14 +79,9 @@ class AffinityFields:
     The segment is straight in the distorted image. The paper takes the mean over all views; here it is taken over the
     views whose image contains both ends.
 
-    Parameters
-    ----------
-    views
-        Fields of the cameras that have a frame at the instant.
-    limbs
-        First and second joint of each field's limb, as numbers in the detector's order.
-    tau2
-        Least score of a joint with its parent, see ``FieldGrid``; scaled by ``Limb.field_share``.
+    ``views``: fields of the cameras that have a frame at the instant. ``limbs``: first and second joint of each field's
+    limb, as numbers in the detector's order. ``tau2``: least score of a joint with its parent, see ``FieldGrid``;
+    scaled by ``Limb.field_share``.
     """
 
     def __init__(

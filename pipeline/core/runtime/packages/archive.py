@@ -28,19 +28,9 @@ _BROKEN = (
 def read_member(archive: Archive, member: str, max_bytes: int) -> bytes:
     """Read one member of an archive into memory.
 
-    Parameters
-    ----------
-    archive
-        Path or contents of a zip archive (a wheel, for example) or of a tar archive of any compression.
-    member
-        Full name of the member inside the archive.
-    max_bytes
-        Largest allowed size of the member.
-
-    Raises
-    ------
-    ModelError
-        If the archive is damaged or has no such member, or the member is too large.
+    ``archive``: path or contents of a zip archive (a wheel, for example) or of a tar archive of any compression.
+    ``member``: full name of the member inside the archive. ``max_bytes``: largest allowed size of the member. Raises
+    ``ModelError`` if the archive is damaged or has no such member, or the member is too large.
     """
     read = _read_from_zip if zipfile.is_zipfile(archive) else _read_from_tar
     try:

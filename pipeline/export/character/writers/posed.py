@@ -23,14 +23,9 @@ def chained_places(
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """Places of bones in the axes above the tree; a bone that nothing moves has one place for all frames.
 
-    Parameters
-    ----------
-    parents
-        Place of each bone's parent in the list, before the bone; -1 at the top.
-    offsets, turns
-        Place of each bone in its parent, and its rotation and scale, ``None`` for the identity.
-    moving_offsets, moving_turns
-        Places and rotations of bones that move, by place in the list.
+    ``parents``: place of each bone's parent in the list, before the bone; -1 at the top. ``offsets``, ``turns``: place
+    of each bone in its parent, and its rotation and scale, ``None`` for the identity. ``moving_offsets``,
+    ``moving_turns``: places and rotations of bones that move, by place in the list.
     """
     places: list[Float[np.ndarray, "_ 3"]] = []
     worlds: list[Float[np.ndarray, "_ 3 3"]] = []

@@ -157,18 +157,10 @@ def articulate(
 ) -> Articulation:
     """Build the arrays of a person's skeleton.
 
-    Parameters
-    ----------
-    bone_length_m
-        Length of each bone of ``SKELETON``.
-    joints
-        Joint set of the detector.
-    offsets_m
-        Offsets of landmarks in head and feet, by name. Landmarks of head and feet without an offset are ignored. Feet
-        can rotate only if a landmark of feet has an offset.
-    marks_m
-        Offsets of the detector's marks from the centres of joints, by name; see ``skeleton.marks``. The landmarks are
-        the marks. ``None``: no joint has one.
+    ``bone_length_m``: length of each bone of ``SKELETON``. ``joints``: joint set of the detector. ``offsets_m``:
+    offsets of landmarks in head and feet, by name. Landmarks of head and feet without an offset are ignored. Feet can
+    rotate only if a landmark of feet has an offset. ``marks_m``: offsets of the detector's marks from the centres of
+    joints, by name; see ``skeleton.marks``. The landmarks are the marks. ``None``: no joint has one.
     """
     marks_m = marks_m or {}
     on_foot = [name for name in offsets_m if str(joint_of_landmark(name)).endswith("Foot")]

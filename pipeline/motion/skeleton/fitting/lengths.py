@@ -45,16 +45,9 @@ def learn_lengths(
 ) -> Float[np.ndarray, " joints"]:
     """Lengths of bones in metres that fit the evidence best, where they differ clearly from those at the start.
 
-    Parameters
-    ----------
-    bone_length_m
-        Lengths at the start.
-    articulated
-        Returns the person's skeleton with other lengths.
-    windows
-        Windows of frames that represent the track; their poses are changed.
-    frame_rate_hz
-        See ``gauss_newton.refine``.
+    ``bone_length_m``: lengths at the start. ``articulated``: returns the person's skeleton with other lengths.
+    ``windows``: windows of frames that represent the track; their poses are changed. ``frame_rate_hz``: see
+    ``gauss_newton.refine``.
     """
     members = np.zeros((len(_PARTS), len(bone_length_m)), dtype=bool)
     for number, names in enumerate(_PARTS):

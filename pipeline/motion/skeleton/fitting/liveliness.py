@@ -49,14 +49,8 @@ def liveliness(
 ) -> Float[np.ndarray, " frames"]:
     """Ratio of a person's accelerations to usual ones in each frame, at least 1.
 
-    Parameters
-    ----------
-    track
-        Joints as located by association.
-    rays_of
-        Returns the rays in a window of frames.
-    usual_m
-        Usual second difference of each joint's position between frames, in metres.
+    ``track``: joints as located by association. ``rays_of``: returns the rays in a window of frames. ``usual_m``: usual
+    second difference of each joint's position between frames, in metres.
     """
     of_limbs = sorted({joints.index(name) for limb in LIMBS for name in limb if name in joints.names})
     ratio = np.ones(track.num_frames)

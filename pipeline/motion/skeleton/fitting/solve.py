@@ -78,14 +78,9 @@ class _Pose:
     ) -> None:
         """Pose an arm or a leg: upper bone, hinge joint and lower bone.
 
-        Parameters
-        ----------
-        names
-            Joints at the upper bone's start, at the hinge, and at the lower bone's end.
-        joint_m, end_m
-            Targets of the hinge (elbow, knee) and of the end (wrist, ankle), NaN where unknown.
-        hinge
-            Axis in the rest pose about which a positive rotation bends the limb.
+        ``names``: joints at the upper bone's start, at the hinge, and at the lower bone's end. ``joint_m``, ``end_m``:
+        targets of the hinge (elbow, knee) and of the end (wrist, ankle), NaN where unknown. ``hinge``: axis in the rest
+        pose about which a positive rotation bends the limb.
         """
         upper, lower, end = names
         bone = self._directions[INDEX[lower]]
@@ -110,16 +105,9 @@ def solve_pose(
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "frames joints 4"]]:
     """Pose the skeleton of ``pipeline.motion.skeleton.model`` by landmarks.
 
-    Parameters
-    ----------
-    landmarks
-        Positions in at least one frame, with any gaps. Landmarks are looked up by the names of COCO; the detector may
-        have other landmarks, and may lack some.
-
-    Returns
-    -------
-        World positions of the root (metres) and rotations of all joints to their parents (x, y, z, w), without NaN:
-        unknown joints are filled in.
+    ``landmarks``: positions in at least one frame, with any gaps. Landmarks are looked up by the names of COCO; the
+    detector may have other landmarks, and may lack some. Returns world positions of the root (metres) and rotations of
+    all joints to their parents (x, y, z, w), without NaN: unknown joints are filled in.
     """
     offsets_m = rest_offsets_m(bone_length_m)
     torso = solve_torso(landmarks, bone_length_m)

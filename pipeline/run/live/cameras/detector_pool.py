@@ -89,10 +89,7 @@ class PictureSize:
     The rule is the same as for finished sessions, but for one pass that is at most as large as the usual one: what is
     found out about people must not make the detection slower than it was measured at the start.
 
-    Parameters
-    ----------
-    size_px
-        Width and height of the upright pictures.
+    ``size_px``: width and height of the upright pictures.
     """
 
     def __init__(self, choices: MotionChoices, size_px: tuple[int, int]) -> None:
@@ -122,12 +119,7 @@ class DetectorPool(Executor):
 
     What was being computed is computed again. After six starts ``BrokenProcessPool`` is raised.
 
-    Parameters
-    ----------
-    make
-        Starts a pool.
-    tell
-        Called with a sentence, by any thread, when the pool is started again.
+    ``make``: starts a pool. ``tell``: called with a sentence, by any thread, when the pool is started again.
     """
 
     def __init__(self, make: Callable[[], ProcessPool], tell: Callable[[str], None]) -> None:

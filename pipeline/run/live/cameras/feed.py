@@ -182,16 +182,8 @@ FeedEvent = FeedOpened | FrameDecoded | PictureReady | FeedEnded
 class CameraFeed:
     """Feed of a camera; a thread reads what the process of its stream tells.
 
-    Parameters
-    ----------
-    camera
-        Position of the camera.
-    size_px
-        Size of its pictures by the calibration.
-    num_slots
-        Number of pictures that are held at a time.
-    events
-        Queue that gets a ``FeedEvent`` for everything that happens.
+    ``camera``: position of the camera. ``size_px``: size of its pictures by the calibration. ``num_slots``: number of
+    pictures that are held at a time. ``events``: queue that gets a ``FeedEvent`` for everything that happens.
     """
 
     def __init__(

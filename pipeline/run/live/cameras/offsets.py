@@ -22,10 +22,7 @@ _MIN_FRAMES = 10
 class OffsetSearch:
     """Search for the offsets by the first seconds of a capture, in another process; what comes meanwhile is not used.
 
-    Parameters
-    ----------
-    seconds
-        Length of what is searched; ``None``: no search, all offsets are 0.
+    ``seconds``: length of what is searched; ``None``: no search, all offsets are 0.
     """
 
     def __init__(self, cameras: Sequence[Camera], joints: JointSet, seconds: float | None) -> None:
@@ -61,19 +58,9 @@ class OffsetSearch:
 def find_offsets(cameras: Sequence[Camera], frames: Sequence[DetectedFrame], joints: JointSet) -> list[float]:
     """Measure what is to be added to the times of each camera, so that all show the same at the same time.
 
-    Parameters
-    ----------
-    frames
-        Frames of all cameras, of each camera in the order of their times; some seconds, less than half a minute.
-
-    Returns
-    -------
-        Offsets in seconds, in the cameras' order.
-
-    Raises
-    ------
-    InputError
-        If a camera has too few frames, or the offsets are not certain: a motion from wrong times would look plausible.
+    ``frames``: frames of all cameras, of each camera in the order of their times; some seconds, less than half a
+    minute. Returns offsets in seconds, in the cameras' order. Raises ``InputError`` if a camera has too few frames, or
+    the offsets are not certain: a motion from wrong times would look plausible.
     """
     times, detections, problems = {}, {}, []
     for number, camera in enumerate(cameras):

@@ -16,16 +16,8 @@ class DetectionPace:
     is the next one. Where it is known that only a part of the frames can be detected, time is cut into slots of several
     frames. A camera gets a frame in each, all of them at about the same instant.
 
-    Parameters
-    ----------
-    num_cameras
-        Number of cameras.
-    start_s
-        Time at which the slots begin.
-    rate_hz
-        Rate of the fastest camera.
-    every
-        Frames of that camera in a slot; 1: every frame is wanted.
+    ``start_s``: time at which the slots begin. ``rate_hz``: rate of the fastest camera. ``every``: frames of that
+    camera in a slot; 1: every frame is wanted.
     """
 
     def __init__(self, num_cameras: int, start_s: float, rate_hz: float, every: int) -> None:

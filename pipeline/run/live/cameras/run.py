@@ -162,10 +162,8 @@ class CameraRun:
     def run(self, pool: Executor) -> None:
         """Run to the end of all files, or until ``stop``.
 
-        Raises
-        ------
-        InputError
-            With the problems of all cameras that can't be opened, or whose pictures don't fit the calibration.
+        Raises ``InputError``: with the problems of all cameras that can't be opened, or whose pictures don't fit the
+        calibration.
         """
         feeds = [
             CameraFeed(number, source, self._cameras[number].size_px, len(self._free[number]), self._events)

@@ -42,16 +42,8 @@ class CameraSource:
 def read_sources(texts: Sequence[str], cameras: Sequence[str]) -> list[CameraSource]:
     """Read what was stated as ``CAMERA=SOURCE``.
 
-    Parameters
-    ----------
-    cameras
-        Names of the calibrated cameras.
-
-    Raises
-    ------
-    InputError
-        With everything that is wrong: malformed texts, unknown and repeated cameras, missing files, fewer than two
-        cameras.
+    ``cameras``: names of the calibrated cameras. Raises ``InputError``: with everything that is wrong: malformed texts,
+    unknown and repeated cameras, missing files, fewer than two cameras.
     """
     problems: list[Problem] = []
     sources: list[CameraSource] = []

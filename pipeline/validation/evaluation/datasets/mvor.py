@@ -146,9 +146,7 @@ def read_keypoints(
 
     Raises ``InputError`` with all problems of the file.
 
-    Returns
-    -------
-        Detections by camera name, whose frames are the numbers of the instants; and the score of each body.
+    Returns detections by camera name, whose frames are the numbers of the instants; and the score of each body.
     """
     listed = _read(path)
     if not isinstance(listed, list):

@@ -79,19 +79,9 @@ def load_panoptic(
 ) -> PanopticSequence:
     """Read a sequence.
 
-    Parameters
-    ----------
-    cameras
-        Names of HD cameras, at least two.
-    every
-        Number of pose files of which the first one is compared with.
-    has_footage
-        Whether videos or images are needed; else keypoints are given.
-
-    Raises
-    ------
-    InputError
-        With all that is missing or unreadable.
+    ``cameras``: names of HD cameras, at least two. ``every``: number of pose files of which the first one is compared
+    with. ``has_footage``: whether videos or images are needed; else keypoints are given. Raises ``InputError``: with
+    all that is missing or unreadable.
     """
     problems: list[Problem] = []
     calibration = _calibration(folder, cameras, problems)

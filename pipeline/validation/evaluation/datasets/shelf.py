@@ -37,14 +37,9 @@ _COCO_17_IN_BODY_25 = (0, 16, 15, 18, 17, 5, 2, 6, 3, 7, 4, 12, 9, 13, 10, 14, 1
 class ShelfBenchmark:
     """Test sequence, images 300 to 599; output frame k is image 300 + k.
 
-    Parameters
-    ----------
-    cameras, timebase
-        Cameras of the benchmark, and times of the output frames.
-    times, detections
-        Frame times and detections by camera name.
-    truth_m
-        Annotated joints in world coordinates, NaN where not annotated.
+    ``cameras``, ``timebase``: cameras of the benchmark, and times of the output frames. ``times``, ``detections``:
+    frame times and detections by camera name. ``truth_m``: annotated joints in world coordinates, NaN where not
+    annotated.
     """
 
     cameras: tuple[Camera, ...]

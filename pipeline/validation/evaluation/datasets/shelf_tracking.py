@@ -121,17 +121,10 @@ def association_accuracy(
 ) -> dict[str, float | None]:
     """Association accuracy by camera name, and over ``all`` cameras.
 
-    Parameters
-    ----------
-    identities
-        Identity of each detection by camera name, negative for none; see ``tracking.track_people.assign_detections``.
-    by_frame
-        Whether identities are matched to actors in each frame separately, for methods without identities over time.
-
-    Returns
-    -------
-        Share of the detections of annotated actors with the actor's identity; ``None`` if no detection is near an
-        actor.
+    ``identities``: identity of each detection by camera name, negative for none; see
+    ``tracking.track_people.assign_detections``. ``by_frame``: whether identities are matched to actors in each frame
+    separately, for methods without identities over time. Returns share of the detections of annotated actors with the
+    actor's identity; ``None`` if no detection is near an actor.
     """
     actors, given, cameras, frames = [], [], [], []
     for number, camera in enumerate(benchmark.cameras):

@@ -102,14 +102,8 @@ def reference_motion(
 ) -> ReferenceMotion:
     """Lay out the motion through key poses; it stays in the first and in the last of them before and after.
 
-    Parameters
-    ----------
-    keys
-        At least two key poses in order of time.
-    center_m, facing_rad
-        Middle of the way of the hips on the floor, and the heading of a pelvis that is not turned.
-    time_s
-        Ascending times of the motion.
+    ``keys``: at least two key poses in order of time. ``center_m``, ``facing_rad``: middle of the way of the hips on
+    the floor, and the heading of a pelvis that is not turned. ``time_s``: ascending times of the motion.
     """
     angles_rad = np.radians([[*_by_side(key.angles_deg).values()] for key in keys])
     angles_rad[:, anatomy.ANGLE_NAMES.index("yaw")] += facing_rad

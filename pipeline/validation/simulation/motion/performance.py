@@ -47,15 +47,10 @@ class SimulatedPerson:
 def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: JointSet = COCO_17) -> SimulatedPerson:
     """Perform a role: draw a body and compute its motion.
 
-    Parameters
-    ----------
-    duration_s
-        Length of the motion; later cues are cut off.
-    rng
-        Source of the body and of all variation that the role leaves open. Feet and hands have a stream of their own:
-        the rest of the body moves as without them, except for shins and ankles of feet that roll.
-    joints
-        Joints to simulate: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``.
+    ``duration_s``: length of the motion; later cues are cut off. ``rng``: source of the body and of all variation that
+    the role leaves open. Feet and hands have a stream of their own: the rest of the body moves as without them, except
+    for shins and ankles of feet that roll. ``joints``: joints to simulate: ``COCO_17``, ``BODY_FEET`` or
+    ``WHOLE_BODY``.
     """
     (own,) = rng.spawn(1)
     body = random_proportions(rng)

@@ -99,19 +99,10 @@ def detect(
 ) -> tuple[Detections, Int[np.ndarray, " n"]]:
     """Detect people in all frames of one camera.
 
-    Parameters
-    ----------
-    period_s
-        Time between two frames.
-    people_m
-        True joints of ``COCO_17`` in the world at the camera's frames, NaN for absent people.
-    boxes
-        Furniture that hides joints.
-
-    Returns
-    -------
-        Detections, in random order within a frame, and the person of each detection, ``NOBODY`` for false positives.
-        A body with limbs of another person keeps its identity.
+    ``period_s``: time between two frames. ``people_m``: true joints of ``COCO_17`` in the world at the camera's frames,
+    NaN for absent people. ``boxes``: furniture that hides joints. Returns detections, in random order within a frame,
+    and the person of each detection, ``NOBODY`` for false positives. A body with limbs of another person keeps its
+    identity.
     """
     found = find_bodies(camera, period_s, people_m, boxes, detector, rng)
     return collect(camera.name, (found.bodies, found.copies, found.nobody), rng)

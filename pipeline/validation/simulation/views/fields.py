@@ -193,16 +193,9 @@ def draw_peaks(joint, cells, amplitude, sigma, maps):
 def draw_limbs(limb, begin, end, amplitude, radius, fields, count):
     """Draw the unit vector of each limb along the limb; overlapping limbs give their mean.
 
-    Parameters
-    ----------
-    limb, begin, end, amplitude
-        Field, end points (x, y) in cells, and strength of each limb: (n,), (n, 2), (n, 2), (n,).
-    radius
-        Half of a limb's width, in cells.
-    fields
-        Zeros (limbs, 2, height, width), changed in place.
-    count
-        Work array, zeros (limbs, height, width).
+    ``limb``, ``begin``, ``end``, ``amplitude``: field, end points (x, y) in cells, and strength of each limb: (n,), (n,
+    2), (n, 2), (n,). ``radius``: half of a limb's width, in cells. ``fields``: zeros (limbs, 2, height, width), changed
+    in place. ``count``: work array, zeros (limbs, height, width).
     """
     height, width = fields.shape[2], fields.shape[3]
     for k in range(len(limb)):

@@ -204,12 +204,9 @@ def retry_order(connection: Connection, tenants: Collection[str]) -> list[Column
     First tries go first, except in jobs with a lost try and of tenants with two of them. Retries follow, and
     then the other first tries, which might cost a worker too: none of a job of which a chunk has lost two tries.
 
-    Parameters
-    ----------
-    tenants
-        Tenants that have work. While there are others, a tenant begins one retry at a time, and only when all of its
-        lost chunks are due. With a chunk that has lost two tries it takes no idle worker, which the others will need:
-        the chunk waits for its place among first tries, and the work after it waits for the chunk.
+    ``tenants``: tenants that have work. While there are others, a tenant begins one retry at a time, and only when all
+    of its lost chunks are due. With a chunk that has lost two tries it takes no idle worker, which the others will
+    need: the chunk waits for its place among first tries, and the work after it waits for the chunk.
     """
     due_for_s = (now() - func.coalesce(chunks.c.due_at, 0.0)).label("due_for_s")
     run_for_s = (now() - chunks.c.claimed_at).label("run_for_s")
