@@ -95,7 +95,6 @@ def _kept(folder: Path) -> Encryption | None:
 
 
 def _new(folder: Path, *, has_replaced: bool) -> Encryption:
-    """Write a new authority's certificate, and one for this machine by it, with its key."""
     names, now = tuple(machine_names()), datetime.datetime.now(datetime.UTC)
     authority = certificate_authority.new_authority(_host_name() or "a machine", names, now)
     signed, key = authority.sign(names)

@@ -460,6 +460,5 @@ def _refusal(answer: httpx2.Response) -> ServiceError:
 
 
 def _sentences(problem: Json) -> str:
-    """Sentences of a problem, or of a job's error."""
     items = [": ".join(filter(None, [item["file"], item["message"]])) for item in problem.get("errors", ())]
     return " ".join(filter(None, [problem.get("detail"), *items, problem.get("hint")]))

@@ -176,7 +176,6 @@ def checked(chosen: Mapping[str, Any], *checks: Callable[[], None]) -> Reconstru
 
 
 def _typed(choice: Choice, value: Any) -> Any:
-    """Value of a choice as it was typed."""
     match choice.kind:
         case "several":
             return tuple(name.strip() for name in value.split(",") if name.strip())

@@ -143,7 +143,6 @@ def _keypoints_in(folder: Path) -> Path | None:
 
 
 def _listed(path: Path, calibration: Path | None, frame_rate_hz: float | None) -> Iterator[TakeSource]:
-    """Takes of a list."""
     try:
         with path.open("rb") as file:
             content = file.read(_MAX_LIST_BYTES + 1)
@@ -182,7 +181,6 @@ def _listed(path: Path, calibration: Path | None, frame_rate_hz: float | None) -
 
 
 def _beside(folder: Path, video: str) -> str:
-    """Video, or ``CAMERA=VIDEO``, of a list in a folder."""
     camera, sign, name = video.partition("=")
     return f"{camera}={folder / name}" if sign and not (folder / video).exists() else str(folder / video)
 

@@ -237,7 +237,6 @@ def _in_turn(find: _Find) -> Callable[..., AsyncIterator[Caller]]:
 
 
 def _tenant_records(find: _Find) -> Callable[..., Coroutine[None, None, TenantRecords]]:
-    """Dependency with the records of the tenant of ``find``'s caller, in turn."""
     in_turn = _in_turn(find)
 
     async def records(

@@ -366,7 +366,6 @@ def _from_conflict(error: JobStoreError) -> ApiError:
 
 
 def _advice_without_results(error: NoResults) -> str:
-    """Advice for a job without results."""
     if error.state == "expired":
         return "Start another job of its capture."
     return "Retry the job." if error.retryable else "Correct the input and send a new capture."

@@ -362,7 +362,6 @@ def get_motion(
 
 
 def _results(records: TenantRecords, job_id: str, *names: str) -> list[Result]:
-    """Files of a job, all of one revision."""
     results = {result.name: result for result in records.results.all(job_id)}
     try:
         return [results[name] for name in names]
@@ -399,7 +398,6 @@ def _parts(index: _Index, frames: range, wanted: frozenset[int] | None) -> Itera
 
 
 def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generator[bytes, None, None]:
-    """Bytes of a range of the answer, block by block."""
     with file:
         place = 0
         for part in parts:

@@ -111,7 +111,6 @@ class Reading:
         )
 
     def _serving(self, raw: Sequence[RawCamera]) -> tuple[Camera, ...]:
-        """Build the cameras that have no problem."""
         built = [build_camera(raw_camera, position, self.file) for position, raw_camera in enumerate(raw)]
         return tuple(camera for camera in built if isinstance(camera, Camera))
 

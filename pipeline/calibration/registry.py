@@ -153,7 +153,6 @@ def read_contents(path: Path, units: Units | None = None, up: Up = "z") -> Camer
 
 
 def _in_metres(path: Path, units: Units | None) -> CameraFile:
-    """Contents of a file, in metres."""
     contents = _read(path)
     if not contents.cameras:
         count = len(contents.unposed)

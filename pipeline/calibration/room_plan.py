@@ -107,7 +107,6 @@ def plan_room(
 def _probability(
     camera: Camera, points_m: Float[np.ndarray, "*batch 3"], room_m: tuple[float, float], num_people: int
 ) -> Float[np.ndarray, "*batch"]:
-    """Probability that a camera sees points of a person."""
     seen_px = project(camera, points_m)
     ideal_px = project(Camera(camera.name, camera.size_px, camera.matrix, np.zeros(0), camera.cam_from_world), points_m)
     with np.errstate(invalid="ignore"):

@@ -346,7 +346,6 @@ def _clock_problems(times: Mapping[str, FrameTimes], videos: Mapping[str, VideoI
 
 
 def _guessed(footage: SortedFiles, infos: Mapping[Path, VideoInfo]) -> tuple[Camera, ...]:
-    """Cameras with the names of the videos, or of the recordings that name a video."""
     named = {**footage.stated, **{name.replace("/", "_"): paths for name, paths in footage.free.items()}}
     in_order = sorted(named.items(), key=lambda item: footage.places[item[1][0]])
     return tuple(guessed_camera(name, infos[paths[0]].size_px) for name, paths in in_order if paths[0] in infos)

@@ -78,7 +78,6 @@ def _in_folder(folder: Path) -> VideoFiles:
 
 
 def _videos_below(folder: Path, max_depth: int) -> Iterator[Path]:
-    """Videos in a folder and in its folders, sorted."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or is_passed_over(path):
             continue
@@ -93,7 +92,6 @@ def _is_video(path: Path) -> bool:
 
 
 def _has_images(path: Path) -> bool:
-    """Return whether a path is a folder with images."""
     return path.is_dir() and any(file.suffix.lower() in ENDINGS for file in path.iterdir())
 
 

@@ -227,7 +227,6 @@ def _fetch_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str,
 
 
 def _find_files(entry: NetworkEntry, wanted: Sequence[WeightFile], source: str, _: OnBytes) -> list[Path]:
-    """Find files by their checksums in a folder, or in the folder of a file."""
     place = Path(source)
     folder = place if place.is_dir() else place.parent
     try:

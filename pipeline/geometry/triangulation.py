@@ -111,7 +111,6 @@ def _system(
     points_px: Float[np.ndarray, "*batch cameras joints 2"],
     weights: Float[np.ndarray, "*batch cameras joints"],
 ) -> tuple[Float[np.ndarray, "*batch joints rows 4"], Float[np.ndarray, "*batch joints cameras"]]:
-    """Rows and weights of the observations for each joint."""
     used = np.isfinite(points_px).all(-1) & (weights > 0)
     rows = plane_rows(image_from_world, points_px)
     return _by_joint(rows, used), np.where(used, weights, 0.0).swapaxes(-1, -2)

@@ -221,7 +221,6 @@ def _detected(config: ReconstructionConfig, num_people: int, num_joints: int) ->
 def _export_bytes(
     exports: Iterable[Export], num_people: int, num_rows: float, num_joints: int, turns: float
 ) -> dict[Export, float]:
-    """Bytes of all people's files of each format."""
     sizes = {export: FILE_FORMATS[export].size for export in exports}
     return {
         export: num_people * size.of_file + num_rows * (turns * size.of_frame + num_joints * size.of_joint)
@@ -237,7 +236,6 @@ def _pictures(
     num_rows: int,
     num_joints: int,
 ) -> float:
-    """Bytes of overlay and blurred videos, of the report and of the recording."""
     num_bytes = 0.0
     for camera in cameras:
         num_frames = share * camera.num_frames

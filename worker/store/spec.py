@@ -14,8 +14,6 @@ Priority = Literal["preview", "normal", "batch"]
 
 
 def _field(choice: Choice) -> tuple[Any, Any]:
-    """Type and properties of the field of a choice."""
-
     def check(value: Any) -> Any:
         found = value_faults(choice, value)
         if found:

@@ -254,7 +254,6 @@ class MulticapImport(_FreeOperator):
 def _imported(
     name: str, people: Sequence[tuple[str, Path]], take: Path | None, facts: GlbFacts | None, *, has_timeline: bool
 ) -> Iterator[float]:
-    """Import people one by one, then the cameras."""
     state = panel_state()
     target = bpy.context.scene
     if facts is not None and has_timeline:

@@ -140,7 +140,6 @@ class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
 
 
 def _draw_armature(state: Any, layout: Any) -> None:
-    """Draw the chosen armature, and its bones."""
     layout.prop(state, "armature")
     if state.armature is not None:
         layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)

@@ -92,7 +92,6 @@ def _importer_base(render: Any) -> Iterator[None]:
 
 
 def _imported(path: Path) -> list[Any]:
-    """Objects that an importer of Blender adds."""
     before = set(bpy.data.objects)
     actions = set(bpy.data.actions)
     try:

@@ -62,7 +62,6 @@ def _text(packet: bytes, place: int) -> tuple[str, int]:
 
 
 def _blob(packet: bytes, place: int) -> tuple[bytes, int]:
-    """Bytes behind their number, and the place behind them."""
     num_bytes, place = _number(">i", packet, place)
     end = place + num_bytes
     if num_bytes < 0 or end > len(packet):

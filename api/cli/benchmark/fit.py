@@ -74,7 +74,6 @@ def measure_memory() -> list[dict[str, float]]:
 
 
 def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:
-    """All arrays of records, by identity."""
     values = (getattr(record, field.name) for record in records for field in fields(record))
     return {id(value): value for value in values if isinstance(value, np.ndarray)}
 

@@ -153,7 +153,6 @@ def _failed(take: TakeSource, message: str) -> dict[str, Any]:
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """The table as CSV."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()

@@ -27,7 +27,6 @@ _FILE = file_content(intake.MEDIA_TYPES)
 
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCharacter) -> Answer:
-    """Store a character and its file."""
     facts, bones = intake.stored_facts(checked.contents), intake.stored_bones(checked.contents)
     with (
         intake.stored_character(services, checked) as (character_id, file),

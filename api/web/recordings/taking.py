@@ -170,7 +170,6 @@ async def made_calibration(
 def _as_calibrated(
     records: TenantRecords, take: RecordingTake, spec: TakeSessionSpec, name: str
 ) -> UploadedSession | UploadedCapture:
-    """Session with the footage of the take's calibration, which has its uploads."""
     source_id = records.calibrations.get(str(take.calibration_id)).session_id
     if source_id is None:
         raise NotFound("The footage of the take's calibration was deleted.")
@@ -287,7 +286,6 @@ def _source(recording: RecordingSession, take: RecordingTake) -> dict[str, Any]:
 
 
 def _ending(file: ClipFile) -> str:
-    """Ending of the name of a video, by its type."""
     kind = PurePosixPath(str(file.facts.get("mime_type") or "").partition(";")[0]).name
     return {"webm": ".webm", "x-matroska": ".mkv"}.get(kind, ".mp4")
 

@@ -164,7 +164,6 @@ def _arrange(values: np.ndarray, chosen: Int[np.ndarray, "frames cameras 2"], mi
 
 
 def _whole_track(body: Track3D, hands: Track3D, columns: Sequence[Int[np.ndarray, " _"]]) -> Track3D:
-    """Track with the joints of the body and of the hands."""
     return replace(
         body,
         xyz_m=_joined(columns, body.xyz_m, hands.xyz_m, 1),
@@ -176,7 +175,6 @@ def _whole_track(body: Track3D, hands: Track3D, columns: Sequence[Int[np.ndarray
 
 
 def _joined(columns: Sequence[Int[np.ndarray, " _"]], body: np.ndarray, hands: np.ndarray, axis: int) -> np.ndarray:
-    """Array with the joints of the body and of the hands at their columns of an axis."""
     shape = list(body.shape)
     shape[axis] = sum(map(len, columns))
     joined = np.empty(shape, body.dtype)

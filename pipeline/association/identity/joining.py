@@ -96,7 +96,6 @@ def _longest(tracklets: Int[np.ndarray, " n"], length: Int[np.ndarray, " _"]) ->
 def _pair_gains(
     session: TrackletLinks, ends: Int[np.ndarray, " ends"], starts: Int[np.ndarray, " starts"]
 ) -> Float[np.ndarray, "ends starts"]:
-    """Gain of the likelihood by linking pairs of tracklets."""
     proportions = session.proportions
     alone = proportions.log_likelihood(proportions.information, proportions.pull)
     gain = session.links(*np.broadcast_arrays(ends[:, None], starts[None]))
@@ -232,7 +231,6 @@ class _Search:
         return (*outer[:border], *inner, *outer[border:]) if fits else ()
 
     def _value(self, chain: Chain) -> float:
-        """Log-likelihood of a chain."""
         sums = self._sum(chain)
         value = self._session.proportions.log_likelihood(sums.information[-1], sums.pull[-1])
         return float(value + sums.links[-1])
@@ -271,7 +269,6 @@ class _Search:
     def _joined(
         self, head: int, tail: int, chains: tuple[int, int], kept: Int[np.ndarray, "exchanges 2"]
     ) -> tuple[Float[np.ndarray, " exchanges"], np.ndarray]:
-        """Scores of the links of a head of one chain with a tail of the other, and whether the link is possible."""
         front, back = self.chains[chains[head]], self.chains[chains[tail]]
         before, after = self._sums[chains[head]], self._sums[chains[tail]]
         links = before.links[kept[:, head]]

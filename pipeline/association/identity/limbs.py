@@ -45,7 +45,6 @@ def _pair(joints: JointSet, parts: tuple[str, ...]) -> LimbPair:
 
 
 def _in_both(joints: JointSet, parts: tuple[str, ...]) -> Iterator[str]:
-    """Parts that the joint set has on both sides."""
     return (part for part in parts if {f"left_{part}", f"right_{part}"} <= set(joints.names))
 
 

@@ -106,7 +106,6 @@ def _last_joints_m(
 
 
 def _sees_whole(joints_m: Float[np.ndarray, "joints 3"], cameras: Sequence[Camera]) -> Bool[np.ndarray, " cameras"]:
-    """Cameras that have all joints in their pictures."""
     inside = []
     for camera in cameras:
         joints_px = project(camera, joints_m)

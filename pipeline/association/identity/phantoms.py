@@ -117,7 +117,6 @@ def _other_side(name: str) -> str:
 def _without(
     person: Person, parts: Sequence[slice], cameras: Sequence[Camera], timebase: Timebase, min_score: float
 ) -> Person | None:
-    """Person without some frames."""
     track, seen = person
     xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
     points_px, score = seen.points_px.copy(), seen.score.copy()

@@ -156,7 +156,6 @@ def _change_row(
     before_m: Float[np.ndarray, " limbs"],
     after_m: Float[np.ndarray, " limbs"],
 ) -> int:
-    """Row from which on lengths are nearer to those after a change than to those before it."""
     errors_m = (np.abs(lengths_m - median_m[:, None]) for median_m in (before_m, after_m))
     nearer_before, nearer_after = (np.nansum(error_m, axis=(1, 2)) for error_m in errors_m)
     return int(np.argmin(np.append(0.0, np.cumsum(nearer_before - nearer_after))))

@@ -156,7 +156,6 @@ def _samplings(
     timebase: Timebase,
     parameters: TrackingParameters,
 ) -> list[Sampling]:
-    """Prepare the sampling of each person's observations."""
     return [
         observations.make_sampling(timebase, bodies, rows, len(cameras), parameters.lambda_t_hz)
         for rows in observations.rows_by_person(bodies, identity)

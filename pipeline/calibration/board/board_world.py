@@ -72,7 +72,6 @@ def _total_s(times_s: Float[np.ndarray, " instants"], stretches: Sequence[range]
 def _in_plane(
     first: range, stretches: Sequence[range], placed: Sequence[PlacedBoard], middle_m: Float[np.ndarray, " 3"]
 ) -> tuple[range, ...]:
-    """Stretches in which the board lies in the plane of the first one, this one first."""
     plane = placed[first.start].root_from_board
     coplanar = [first]
     for stretch in stretches:
@@ -154,6 +153,5 @@ def _is_still(first: Rigid3, second: Rigid3) -> bool:
 
 
 def _above_m(root_from_board: Rigid3, centers_m: Float[np.ndarray, "cameras 3"]) -> Float[np.ndarray, " cameras"]:
-    """Heights of the cameras above the board's plane."""
     heights: np.ndarray = -root_from_board.inverse().apply(centers_m)[:, 2]
     return heights

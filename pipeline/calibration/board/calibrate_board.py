@@ -172,7 +172,6 @@ def _point_problems(views: Sequence[BoardViews], known_points: Sequence[KnownPoi
 
 
 def _unposed(given: Mapping[str, Camera] | None, name: str) -> Camera:
-    """Given camera at the identity."""
     if given is None:
         raise ValueError("there are no given intrinsics")
     return replace(given[name], cam_from_world=Rigid3(np.eye(3), np.zeros(3)))
@@ -254,7 +253,6 @@ def _made(
     world: str,
     warnings: tuple[Problem, ...],
 ) -> CalibrationResult:
-    """Report cameras that are in the world."""
     error_px = fitted.adjustment.error_px(fitted.owner)
     reports = tuple(
         report_camera(camera, error_px[number], len(views[number]), fitted.adjustment.sigma[number])

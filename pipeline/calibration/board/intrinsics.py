@@ -148,7 +148,6 @@ def _points(views: BoardViews, board: Board) -> tuple[list[np.ndarray], list[np.
 
 
 def _fit_standard(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float]:
-    """Fit a camera with one of ``cv2.calibrateCamera``'s models."""
     guess = guessed_camera(views.camera, views.size_px)
     points_m, points_px = _points(views, board)
     flags = model.flags | cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
@@ -207,7 +206,6 @@ def _equidistant(views: BoardViews, angle_deg: float) -> Camera:
 
 
 def _placed(camera: Camera, views: BoardViews, board: Board) -> list[PlacedBoard]:
-    """Board in each view that has a pose."""
     placed = (
         place_board({0: camera}, {0: corners_px}, {0: possible_poses(camera, corners_px, board)}, board)
         for corners_px in views.corners_px

@@ -146,7 +146,6 @@ def parse_board(text: str) -> Board:
 
 
 def _num_markers(dictionary: str) -> int:
-    """Number of markers of a dictionary."""
     return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)).bytesList)
 
 

@@ -119,7 +119,6 @@ def people_warnings(
 
 
 def _other_statures(world: PeopleWorld, stature_m: Sequence[float]) -> Iterator[Problem]:
-    """Statures that differ from the people's."""
     hint = "State the stature of each person, or one for all."
     given = ", ".join(f"{height_m:.2f}" for height_m in stature_m)
     if -1 in world.statures:

@@ -74,7 +74,6 @@ def find_people_world(
 
 
 def _ground_m(floor: Floor, place_m: Float[np.ndarray, " 2"]) -> float:
-    """Height of the floor at a place."""
     return floor.z_m + floor.slope_x * float(place_m[0]) + floor.slope_y * float(place_m[1])
 
 

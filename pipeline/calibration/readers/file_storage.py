@@ -117,7 +117,6 @@ def _limited(events: Iterator[yaml.Event]) -> Iterator[yaml.Event]:
 
 
 def _node(event: yaml.Event, events: Iterator[yaml.Event], depth: int) -> Any:
-    """Value of the node that begins with ``event``."""
     if depth > _MAX_DEPTH:
         raise UnreadableError
     if isinstance(event, yaml.ScalarEvent):

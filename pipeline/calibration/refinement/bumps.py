@@ -56,7 +56,6 @@ def find_steps(cameras: Sequence[Camera], sightings: JointSightings) -> list[Ste
 
 
 def _find_step(number: int, cameras: Sequence[Camera], sightings: JointSightings) -> Step | None:
-    """Step of one camera."""
     others_px = sightings.points_px.copy()
     others_px[:, number] = np.nan
     xyz_m = JointSightings(sightings.time_s, others_px).triangulated(cameras)

@@ -137,7 +137,6 @@ def _lower(ankles_m: Float[np.ndarray, "poses 2 3"]) -> Float[np.ndarray, "poses
 
 
 def _is_near(feet_m: Float[np.ndarray, "feet 3"], floor: Floor) -> np.ndarray:
-    """Feet that stand on a floor."""
     plane_m = floor.z_m + feet_m[:, :2] @ np.array([floor.slope_x, floor.slope_y])
     off_m = feet_m[:, 2] - plane_m
     return np.asarray(np.abs(off_m - np.median(off_m)) <= _NEAR_M)

@@ -100,7 +100,6 @@ def _binned(strength: Float[np.ndarray, " ms"]) -> Float[np.ndarray, " bins"]:
 
 
 def _coarse_lag(first: Float[np.ndarray, " m"], second: Float[np.ndarray, " n"]) -> tuple[int, float] | None:
-    """Best lag in bins and its score."""
     from scipy.signal import correlate  # noqa: PLC0415 - slow to import, and seldom needed
 
     together = correlate(first, second, "full", method="fft")
@@ -228,7 +227,6 @@ def sound_offsets(cameras: Sequence[Camera], sounds: Mapping[str, Float32[np.nda
 
 
 def _tree(names: Sequence[str], lags: Mapping[tuple[str, str], Lag]) -> tuple[dict[str, int], dict[str, float]]:
-    """Group of each camera, and its offset in its group."""
     group = {name: number for number, name in enumerate(names)}
     offset_s = dict.fromkeys(names, 0.0)
     for (first, second), lag in sorted(lags.items(), key=lambda item: -item[1].score):

@@ -146,7 +146,6 @@ def _around(
 
 
 def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
-    """Curves of each camera's best partners, in order."""
     kept: set[int] = set()
     for camera in range(num_cameras):
         own = [number for number, curve in enumerate(curves) if camera in (curve.first, curve.second)]
@@ -171,7 +170,6 @@ def _clock(number: int, camera: Camera, fine: FineClocks, times: FrameTimes) -> 
 
 
 def _late_s(times: Mapping[str, FrameTimes], clocks: Sequence[CameraClock]) -> float:
-    """Time by which the first frame of all cameras is later than it was declared."""
     declared_s = [times[clock.camera].time_s[:1] for clock in clocks]
     starts_s = [clock.session_s(first_s) for clock, first_s in zip(clocks, declared_s, strict=True)]
     return float(np.min(starts_s) - np.min(declared_s))

@@ -277,7 +277,6 @@ class _Take:
         return corrections
 
     def _numbers(self) -> dict[int, int]:
-        """Numbers of people by key."""
         new = [person for key, person in self.people.items() if key not in self.found]
         new.sort(key=lambda person: (person.start_frame, person.pieces[0].person))
         numbers = {key: key for key in self.people if key in self.found}

@@ -90,7 +90,6 @@ class TopDown:
         poses: Sequence[blazepose.PoseOutputs | None],
         wrists_px: Float[np.ndarray, "bodies sides 2"],
     ) -> list[hands.Hand]:
-        """Hands in the crops of all bodies."""
         if self.hand is None:
             return []
         landmarks_px = [(body, pose.refined()[0]) for body, pose in enumerate(poses) if pose is not None]

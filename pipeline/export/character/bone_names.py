@@ -192,7 +192,6 @@ def _by_table(humanoid: Mapping[str, int]) -> dict[str, int]:
 
 
 def _fingers(rig: NamedBones, side: str, hand: int) -> dict[str, int]:
-    """Bones of the fingers of a hand."""
     chains: dict[str, list[int]] = {}
     for node in rig.below(hand)[1:]:
         if finger := _finger(bone_name(rig.names[node])):

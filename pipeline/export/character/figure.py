@@ -221,7 +221,6 @@ def _foot(
     side: str,
     leg: float,
 ) -> FootMeasures:
-    """Measure a foot by its mesh, else by its bones."""
     ankle = joints[f"{side}Foot"]
     toes = joints.get(f"{side}ToeBase")
     below = np.zeros(len(positions), bool)

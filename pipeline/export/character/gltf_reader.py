@@ -104,7 +104,6 @@ def _format(document: Mapping[str, Any]) -> Format:
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], memoryview]:
-    """JSON and buffer of a file."""
     if len(content) < _HEAD.size + _CHUNK.size or not content.startswith(b"glTF"):
         raise CharacterFileError("The file is not a GLB, VRM or FBX file.", CHARACTER_FORMAT)
     _, version, _ = _HEAD.unpack_from(content)
@@ -289,7 +288,6 @@ class GltfDocument:
         return parents
 
     def _place(self, node: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Translation, rotation and scales of a node."""
         if "matrix" in node:
             matrix = _numbers(node["matrix"], 16).reshape(4, 4).T
             found = decomposed(matrix)

@@ -321,7 +321,6 @@ class _Pitch:
 
 
 def _rows(contacts: Sequence[FootContact], parts: Sequence[str], num_frames: int) -> Bool[np.ndarray, " frames"]:
-    """Frames in which parts of a foot stand."""
     stands = np.zeros(num_frames, bool)
     for contact in contacts:
         if contact.part in parts:

@@ -144,7 +144,6 @@ def _influences(
 def _normals(
     positions: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Normals of vertices from the triangles around them."""
     first, second, third = positions[triangles].swapaxes(0, 1)
     of_triangles = np.cross(second - first, third - first)
     normals = np.zeros_like(positions)

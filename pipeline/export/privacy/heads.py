@@ -300,7 +300,6 @@ def sphere_ellipse(
 
 
 def _projected(camera: Camera, people: Sequence[HeadPath], time_s: float) -> Float[np.ndarray, "here 4"]:
-    """Ellipses of the people's heads at a time."""
     spheres = [sphere for path in people if (sphere := path.at(time_s)) is not None]
     ellipses = [ellipse_px for sphere in spheres if (ellipse_px := sphere_ellipse(camera, *sphere)) is not None]
     return np.array(ellipses).reshape(-1, 4)

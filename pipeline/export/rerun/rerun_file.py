@@ -154,7 +154,6 @@ class _Recorder:
             self._file.disconnect()
 
     def _add_camera(self, shown: Camera) -> None:
-        """Add a camera at its place, a pinhole."""
         place = shown.cam_from_world.inverse()
         matrix = np.array(shown.matrix)
         matrix[:2, 2] += 0.5  # the outer edge of the first pixel is at 0
@@ -170,7 +169,6 @@ class _Recorder:
         self._file.log(f"{entity}/{_IMAGE}", pinhole, static=True)
 
     def _add_pictures(self, footage: RecordedFootage, camera: str, max_bytes: int, on_share: OnShare) -> None:
-        """Add the pictures of a camera at the times at which they were taken."""
         reading: AbstractContextManager[None] = footage.reading(camera)
         with reading:
             pictures = small_pictures(

@@ -290,7 +290,6 @@ def _animate_rest(scene: fbx_scene.FbxScene, clip: fbx_scene.Clip, models: list[
 
 
 def _with_children(num_joints: int) -> list[int]:
-    """Joints that turn."""
     children = child_names(num_joints)
     return [index for index, joint in enumerate(find_skeleton(num_joints)) if children[joint.name]]
 

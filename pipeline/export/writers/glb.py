@@ -334,7 +334,6 @@ def encode_take(scene: TakeScene, body: Body = "capsules") -> Iterator[bytes]:
 
 
 def _joint_nodes(at_rest: BodyAtRest, first_joint: int) -> list[gltf.Node]:
-    """Nodes of the skeleton's joints, then of the twist joints."""
     offsets_m, twists = at_rest.offsets, at_rest.twists
     children = child_names(len(offsets_m))
     below: dict[str, list[int]] = {

@@ -200,7 +200,6 @@ class _Document:
         self._save()
 
     def _add_mesh(self, path: Any, surface: _Surface, rgb: Rgb) -> Any:
-        """Add a mesh with a material."""
         vertices, normals, faces = surface
         shape = UsdGeom.Mesh.Define(self.stage, path)
         points = vertices.astype(np.float32)
@@ -300,7 +299,6 @@ def _whole_numbers(numbers: Int[np.ndarray, "rows *columns"]) -> Any:
 
 
 def _moved(places: Float[np.ndarray, "joints 3"]) -> Any:
-    """Transforms of joints that are at places and not turned."""
     transforms = np.tile(np.eye(4), (len(places), 1, 1))
     # Positions are rows there.
     transforms[:, 3, :3] = places

@@ -95,7 +95,6 @@ def observable_angles(joints: JointSet) -> tuple[str, ...]:
 
 
 def _has_landmarks(segment: definitions.BodySegment, joints: JointSet) -> bool:
-    """Return whether the joints of a detector have all landmarks of a segment."""
     return {*segment.primary, *segment.secondary} <= set(joints.names)
 
 

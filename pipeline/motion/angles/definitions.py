@@ -339,5 +339,4 @@ def continuous(angle_rad: Float[np.ndarray, "frames 3"], is_proper: bool) -> Flo
 
 
 def _wrapped(angle_rad: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
-    """Angles in [-180, 180] degrees."""
     return angle_rad - _FULL * np.round(angle_rad / _FULL)

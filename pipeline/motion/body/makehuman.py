@@ -174,7 +174,6 @@ def build(read: ReadText) -> Mapping[str, np.ndarray]:
 
 
 def _targets(age: str) -> Iterator[tuple[str, float]]:
-    """Targets of an age, and the share of each."""
     for sex in _SEXES:
         yield f"{_TARGETS}/universal-{sex}-{age}-averagemuscle-averageweight.target.gz", 1.0 / len(_SEXES)
         for origin in _ORIGINS:

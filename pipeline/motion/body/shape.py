@@ -149,7 +149,6 @@ def _with_fingers(bone_length_m: Float[np.ndarray, " joints"]) -> Float[np.ndarr
 def _aged(
     shapes: BodyShapes, stature_m: float
 ) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "joints 3"]]:
-    """Vertices and joints (metres) of the shape of the age of a stature."""
     statures_m = shapes.joints_m[:, BODY_INDEX["HeadEnd"], 2].copy()
     statures_m[-1] = _ADULT_STATURE_M
     age = float(np.interp(stature_m, statures_m, np.arange(len(statures_m))))

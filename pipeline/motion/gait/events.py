@@ -127,7 +127,6 @@ def find_swings(points: BodyPoints) -> tuple[Swing, ...]:
 
 
 def _foot_swings(points: BodyPoints, foot: int, side: Side) -> list[tuple[float, Swing]]:
-    """Middle, in rows, and events of each swing of a foot."""
     rate_hz = points.frame_rate_hz
     heel_m, toe_m = (marks_m[:, foot] * _HORIZONTAL for marks_m in (points.heels_m, points.toes_m))
     if points.num_frames < 6:

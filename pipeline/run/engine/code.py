@@ -104,7 +104,6 @@ class SourceFolder:
         return self._module(module)[0]
 
     def _module(self, name: str) -> tuple[str, frozenset[str]]:
-        """SHA-256 of a module, and the modules that it imports or runs."""
         if name not in self._modules:
             source = _WHEEL_PREFIX.sub(b"", self._files[name].read_bytes())
             text = _FOR_TYPE_CHECKERS.sub(b"", source).decode()

@@ -227,7 +227,6 @@ def _moved(track: Track3D, frames: int) -> Track3D:
 
 
 def _track(person: EditedPerson, parts: Sequence[Track3D]) -> Track3D:
-    """Track of a person from the tracks that the pieces are of."""
     (num_joints,) = {part.xyz_m.shape[1] for part in parts}
     num_frames = person.stop_frame - person.start_frame
     shape = num_frames, num_joints
@@ -262,7 +261,6 @@ def _observations(person: EditedPerson, parts: Sequence[Track3D], seen: Sequence
 
 
 def _places(person: EditedPerson, parts: Sequence[Track3D]) -> Iterator[tuple[slice, slice, Track3D]]:
-    """Rows of each piece in the person's track, and in the track that it is of."""
     for piece, part in zip(person.pieces, parts, strict=True):
         num_frames = piece.stop_frame - piece.start_frame
         row, own_row = piece.start_frame - person.start_frame, piece.start_frame - part.start_frame
@@ -275,7 +273,6 @@ def _doubts(people: People, take: EditedTake, number: int) -> list[Doubt]:
 
 
 def _accepts(person: EditedPerson, start_frame: int, stop_frame: int) -> bool:
-    """Return whether the identity of a person in frames was accepted as right."""
     return any(
         edit.kind == "identity" and edit.start_frame < stop_frame and start_frame < edit.stop_frame
         for edit in person.accepted

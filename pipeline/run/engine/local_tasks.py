@@ -215,7 +215,6 @@ def _run(job: LocalJob, task: Task, on_unit: Callable[[], None] = lambda: None) 
 
 
 def _keep(file: ResultFile, folder: Path) -> None:
-    """Move a result file to its folder."""
     try:
         file.path.replace(folder / file.name)
     except OSError as error:

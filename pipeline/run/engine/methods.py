@@ -207,7 +207,6 @@ class Association:
         return 0.0 if self.config.method == "clustering" else self._tracking.min_score
 
     def _evidence(self, frames: range, detections: DetectionsByCamera) -> ViewEvidence:
-        """Evidence in a range of output frames."""
         skeleton, parameters = clustering_skeleton(self.joints), self._clustering
         fields = {camera: value for camera, value in detections.items() if isinstance(value, PafFields)}
         if fields:

@@ -268,7 +268,6 @@ def _camera_tasks(stage: str, stage_key: str, facts: SessionFacts, cut: FrameCut
 
 
 def _range_tasks(stage: str, stage_key: str, cut: FrameCut) -> Iterator[Task]:
-    """Tasks of a range of output frames each."""
     for index, frames in enumerate(cut):
         key = _hash([stage_key, frames.start, frames.stop])
         yield Task(stage, index, None, frames, cut.chunk_frames, len(frames), key)

@@ -145,7 +145,6 @@ class LiveCapture:
         return len(self._queue) + self._tracker.num_kept() + of_bodies + len(self._identities)
 
     def _process(self, frames: Sequence[LiveFrame]) -> list[LiveInstant]:
-        """Process frames up to each instant, and return the instants."""
         rate_hz, instants, num_done = self._settings.instants_hz, [], 0
         within_s = self._settings.same_instant_s / 2
         if self._start_s is None and frames:

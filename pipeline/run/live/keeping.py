@@ -46,7 +46,6 @@ def write_session(packets: BinaryIO, folder: Path, cameras: Sequence[str], layou
 
 
 def _places(packets: BinaryIO) -> Mapping[int, Mapping[float, int]]:
-    """Places of the packets in the file by camera and time."""
     places: dict[int, dict[float, int]] = {}
     while True:
         offset = packets.tell()

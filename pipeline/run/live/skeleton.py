@@ -216,7 +216,6 @@ class _FootPair:
 
 
 def _pair_feet(skeleton: Articulation, joints: JointSet) -> Iterator[_FootPair]:
-    """Joints of feet that the skeleton carries."""
     carried = skeleton.landmark.tolist()
     for part in _FOOT_JOINTS:
         pair = [joints.names.index(name) for name in (f"left_{part}", f"right_{part}") if name in joints.names]

@@ -82,7 +82,6 @@ def _bodies(
     spans: Sequence[range],
     ranges: Sequence[DetectionsByCamera],
 ) -> dict[str, Detections]:
-    """Bodies of each camera in spans of output frames."""
     half_s = 0.5 / timebase.frame_rate_hz
     ends_s = [(timebase.time_s(span[0]) - half_s, timebase.time_s(span[-1]) + half_s) for span in spans]
     chunks = [
@@ -184,7 +183,6 @@ def frames_at_instants(
 def _at(
     detected: DetectionsByCamera, frames: Mapping[str, Sequence[int | None]], joints: JointSet
 ) -> Mapping[str, Detections]:
-    """Bodies in some frames of each camera."""
     bodies = {}
     for name, seen in detected.items():
         wanted = sorted({frame for frame in frames[name] if frame is not None})

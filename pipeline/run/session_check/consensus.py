@@ -145,7 +145,6 @@ def measure_agreement(
 
 
 def _looked_at(sightings: SimultaneousPeople) -> list[int]:
-    """Places of the instants that are looked at."""
     num_bodies = sum(sightings.num_people(number) for number in range(len(sightings.points_px)))
     num_instants = len(sightings.time_s)
     kept = min(num_instants, max(_MIN_INSTANTS, int(num_instants * _MAX_BODIES / max(num_bodies, 1))))

@@ -181,7 +181,6 @@ def _character_files(connection: Connection) -> Iterator[StoredFile]:
 
 
 def _moved_character_files(connection: Connection) -> Iterator[StoredFile]:
-    """Copies of characters that jobs move."""
     query = select(jobs.c.character).where(jobs.c.character.is_not(None), jobs.c.state != JobState.EXPIRED)
     for character in connection.scalars(query.order_by(jobs.c.id)):
         yield _artifact(character["file"]["key"], character["file"]["sha256"], needed=True)

@@ -222,7 +222,6 @@ def _write(
 
 
 def _add(writer: ArchiveWriter, stored: contents.StoredFile, held: dict[str, HeldFile]) -> contents.FileProblem | None:
-    """Copy a file, and return its problem if it has one."""
     found = held.get(stored.path)
     if found is None:
         return contents.FileProblem(path=stored.path, problem="missing", needed=stored.needed)

@@ -164,7 +164,6 @@ def _select() -> Select[Any]:
 
 
 def _calibration(row: Row[Any]) -> Calibration:
-    """Calibration from a row of ``_select``."""
     state = None if row.job_state is None else JobState(row.job_state)
     return read(Calibration, row, job_state=state, problem=read_problem(row.problem))
 

@@ -398,7 +398,6 @@ def _delete(connection: Connection, recording_ids: Collection[str]) -> None:
 
 
 def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[phone_records.RecordingSession]:
-    """Recordings with all that belongs to them, in the order of their rows."""
     found = list(rows)
     ids = [row.id for row in found]
     phones_by_id, takes_by_id = _rows_by_recording(connection, phones, ids), _rows_by_recording(connection, takes, ids)
@@ -423,7 +422,6 @@ def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[p
 
 
 def _rows_by_recording(connection: Connection, table: Table, ids: Collection[str]) -> Mapping[str, list[Row[Any]]]:
-    """Rows of a table by recording, in the order of their numbers."""
     rows = defaultdict[str, list[Row[Any]]](list)
     for row in connection.execute(select(table).where(table.c.recording_id.in_(ids)).order_by(table.c.number)):
         rows[row.recording_id].append(row)

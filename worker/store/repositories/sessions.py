@@ -255,7 +255,6 @@ def _select_captures() -> Select[Any]:
 
 
 def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Capture]:
-    """Captures with their proxies, from rows of ``_select_captures``."""
     made = defaultdict[str, set[str]](set)
     jobs_that_make: dict[str, NewestJob] = {}
     query = (

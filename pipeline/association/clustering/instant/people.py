@@ -184,7 +184,6 @@ def _changed(
     number: Int[np.ndarray, " n"],
     view: Int[np.ndarray, " n"],
 ) -> Int[np.ndarray, "n joints cameras"]:
-    """Candidates of people after one repair each."""
     changed = candidate[person]
     for k, repair in enumerate(repairs):
         rows = np.flatnonzero(number == k)

@@ -101,7 +101,6 @@ def _numbered(grid: SquareGrid, fit: _Fit, board: Board) -> Float[np.ndarray, "c
 def _shades(
     gray: UInt8[np.ndarray, "height width"], grid: SquareGrid, board: Board
 ) -> Float[np.ndarray, "rows columns bits bits"]:
-    """Mean shade where the bits of a marker would be, in each square of the grid."""
     num_bits = _bits(board)[0].shape[-1]
     samples = (np.arange(num_bits * _SAMPLES) + 0.5) / _SAMPLES + 1
     places = 0.5 + board.marker_m / board.square_m * (samples / (num_bits + 2) - 0.5)
@@ -118,7 +117,6 @@ def _shades(
 
 @lru_cache(maxsize=8)
 def _bits(board: Board) -> tuple[Float[np.ndarray, "rows columns bits bits"], Bool[np.ndarray, "rows columns"]]:
-    """Bits of the marker in each square, 1 where it is white, and whether a square has a marker."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = dictionary.markerSize
     bits = np.zeros((board.rows, board.cols, size, size))

@@ -185,7 +185,6 @@ def _curvature(saddles: _Saddles, number: _Numbers, along: np.ndarray, across: n
 
 
 def _side(saddles: _Saddles, number: _Numbers, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Side on which saddles are bright, 1 or -1."""
     return np.sign(_curvature(saddles, number, along, across))
 
 

@@ -74,7 +74,6 @@ class ModelTree:
         return tuple(sorted(self.models, key=lambda number: levels[number]))
 
     def _clusters(self) -> Mapping[int, tuple[BoundCluster, ...]]:
-        """Clusters of each geometry."""
         scene, found = self._content.scene, {}
         for geometry in (number for number, node in scene.objects.items() if node.name == "Geometry"):
             clusters = []

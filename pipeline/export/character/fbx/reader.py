@@ -353,7 +353,6 @@ class _Character:
     def _primitives(
         self, model: int, geometry: int, surface: Surface, joints: Mapping[int, int]
     ) -> Iterator[Primitive]:
-        """Parts of a mesh with one material each."""
         num_points = len(surface.points)
         bound = bind(self._content, self._tree, model, geometry, num_points, self._scene_from_file)
         if bound is None:

@@ -67,7 +67,6 @@ def _nodes(rig: CharacterRig) -> list[int]:
 
 
 def _add_node(scene: FbxScene, rig: CharacterRig, node: int, above: Int64) -> Int64:
-    """Add the model of a node at rest."""
     kind, flag = ("LimbNode", "Skeleton") if rig.is_bone[node] else ("Null", "Null")
     at_rest = Rotation.from_quat(rig.rotations[node]).as_matrix()
     ((z_deg, y_deg, x_deg),) = euler_deg(at_rest[None, None], [_ORDER], np.zeros((1, 3)))[0]
@@ -83,7 +82,6 @@ def _add_node(scene: FbxScene, rig: CharacterRig, node: int, above: Int64) -> In
 
 
 def _file_from_node(rig: CharacterRig, node: int) -> Float[np.ndarray, "4 4"]:
-    """Transform of a node at rest in the file's unit."""
     transform = np.array(rig.worlds[node])
     transform[:3, 3] *= _UNITS
     return transform

@@ -119,7 +119,6 @@ class Rays:
     def _summed(
         self, joint: int, weight: Float[np.ndarray, "frames cameras"]
     ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
-        """Normal equations of a joint with the weights of its rays."""
         normal, right = np.empty((len(weight), 3, 3)), np.empty((len(weight), 3))
         sum_normal_equations(self._rays[:, :, joint], self._centers_m, weight, normal, right)
         return normal, right

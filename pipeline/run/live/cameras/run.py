@@ -352,7 +352,6 @@ class CameraRun:
             feeds[camera].ask(slot)
 
     def _tell_offsets(self, search: OffsetSearch) -> None:
-        """Tell the offsets, and pass on the frames from which they were found."""
         found = zip(self._cameras, search.offsets_s or (), strict=True)
         self._listener.tell(f"Offsets: {', '.join(f'{camera.name} {offset_s:+.3f} s' for camera, offset_s in found)}.")
         for frame in search.frames:

@@ -170,7 +170,6 @@ def _problem(message: str, file: str, hint: str = _HINT, field: str | None = Non
 
 
 def _calibration(folder: Path, cameras: Sequence[str], problems: list[Problem]) -> Path | None:
-    """Calibration of the sequence, which has the chosen cameras."""
     if len(set(cameras)) < MIN_CAMERAS or len(set(cameras)) < len(cameras):
         hint = "Name two cameras at least, each once, such as 00_03,00_06."
         problems.append(Problem(BENCHMARK_UNREADABLE, "The choice of cameras can't be used.", hint=hint))
@@ -192,7 +191,6 @@ def _calibration(folder: Path, cameras: Sequence[str], problems: list[Problem]) 
 
 
 def _footage(folder: Path, camera: str, problems: list[Problem]) -> Path | None:
-    """Video of a camera, or the folder of its images."""
     video, images = folder / "hdVideos" / f"hd_{camera}.mp4", folder / "hdImgs" / camera
     if video.is_file():
         return video

@@ -87,7 +87,6 @@ def score_rendered(
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:
-    """Read the arrays of the archive, or return the problems that prevent it."""
     try:
         with zipfile.ZipFile(path) as archive:
             sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}

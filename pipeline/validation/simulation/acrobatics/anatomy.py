@@ -78,7 +78,6 @@ class AcrobatBody:
 
 
 def _about(axis: int, angle_rad: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 3 3"]:
-    """Rotation matrices about an axis."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     matrices = np.zeros((len(angle_rad), 3, 3))
     first, second = (axis + 1) % 3, (axis + 2) % 3

@@ -190,7 +190,6 @@ def _along(
 
 
 def _trunk_and_head(pose: Pose) -> tuple[Float[np.ndarray, "times 3 3"], Float[np.ndarray, "times 3 3"]]:
-    """Orientations of trunk and head."""
     heading_rad = pose.yaw_rad + pose.twist_rad
     nod_rad = _HEAD_LEAN * pose.lean_rad + pose.gaze_rad[:, 1]
     return turned(heading_rad, pose.lean_rad), turned(heading_rad + pose.gaze_rad[:, 0], nod_rad)

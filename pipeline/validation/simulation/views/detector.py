@@ -153,7 +153,6 @@ def _mark(
     noise_frames: float,
     rng: np.random.Generator,
 ) -> SimulatedBodies:
-    """Detect the joints of the bodies that are found."""
     points_px, score = see_joints(view, confusion.who, confusion.which, detector, noise_frames, rng)
     people, rows = np.nonzero(found)
     bodies = SimulatedBodies(rows, points_px[people, rows], score[people, rows], people)

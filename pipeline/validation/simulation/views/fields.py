@@ -126,7 +126,6 @@ def render(
 
 
 def _draw(content: Sketch, frame: int) -> ImageFields:
-    """Draw the maps of one image, and read peaks and fields from them."""
     rng = np.random.default_rng([content.seed, frame])
     letterbox = fit_letterbox(content.camera.size_px, _HEIGHT_PX / content.camera.size_px[1], GRID.stride_px)
     width, height = (side // GRID.stride_px for side in letterbox.padded_size_px)

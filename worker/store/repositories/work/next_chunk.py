@@ -77,7 +77,6 @@ def has_share(connection: Connection, tenant: str) -> bool:
 
 
 def _num_running(connection: Connection) -> Counter[str]:
-    """Number of running chunks by tenant."""
     running = select(jobs.c.tenant).join(chunks).where(chunks.c.state == ChunkState.RUNNING)
     return Counter(connection.scalars(running))
 
@@ -163,7 +162,6 @@ def _fits_memory(connection: Connection, ability: Ability) -> ColumnElement[bool
 
 
 def _run_without_gpu(connection: Connection, codes: frozenset[str]) -> bool:
-    """Return whether ready workers without a GPU run all of some code."""
     ready = connection.execute(select(workers.c.codes, workers.c.provider).where(is_ready())).all()
     run = [code for row in ready if not Provider(**row.provider).is_gpu for code in row.codes]
     return codes.issubset(run)

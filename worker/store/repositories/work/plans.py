@@ -77,7 +77,6 @@ def require_videos(
 
 
 def _is_missing(connection: Connection, session_id: str, stage: StagePlan) -> bool:
-    """Return whether an output of a stage of a plan is not stored."""
     if not STAGE_BY_NAME[stage.name].is_reusable:
         return True
     keys = {chunk.output_key for chunk in stage.chunks}
