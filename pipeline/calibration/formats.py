@@ -17,20 +17,12 @@ from pipeline.core.runtime.plugins import FormatReader
 class CalibrationReader(FormatReader):
     """Reader of a calibration format; call it with the content of a file and the file's name.
 
-    Parameters
-    ----------
-    name
-        Name of the format for users.
-    read
-        Function that reads the cameras. It raises ``InputError`` with all problems of the file.
-    suffixes
-        Endings of the format's files, in lower case with their points.
-    roots
-        Root elements of its XML files; ``*`` stands for any characters.
-    starts
-        Starts of its files, after white space.
-    is_content
-        Test of a file's content, for endings that several formats have, or for files of any ending.
+    - ``name``: name of the format for users.
+    - ``read``: function that reads the cameras. It raises ``InputError`` with all problems of the file.
+    - ``suffixes``: endings of the format's files, in lower case with their points.
+    - ``roots``: root elements of its XML files; ``*`` stands for any characters.
+    - ``starts``: starts of its files, after white space.
+    - ``is_content``: test of a file's content, for endings that several formats have, or for files of any ending.
     """
 
     read: Callable[[bytes, str], CameraFile]

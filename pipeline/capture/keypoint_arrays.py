@@ -37,24 +37,14 @@ def from_arrays(
 ) -> KeypointSession:
     """Make a session from 2D joints that another program detected.
 
-    Parameters
-    ----------
-    keypoints_px
-        Distorted pixels (frames, people, joints, 2) by the camera's name or in the cameras' order; NaN where a
-        joint was not detected. Rows of people are in any order.
-    scores
-        Confidences in [0, 1], without the last axis; ``None``: 1 for each finite joint.
-    cameras
-        Calibrated cameras, or the path of a calibration.
-    frame_rate_hz, times_s
-        Rate of all cameras, or seconds of each frame on a common clock, by the camera's name if they differ.
-    joints
-        Names of the points, or a layout such as ``halpe-26``; ``None``: the number of points tells it.
-
-    Raises
-    ------
-    InputError
-        With all problems of all arguments.
+    - ``keypoints_px``: distorted pixels (frames, people, joints, 2) by the camera's name or in the cameras' order; NaN
+      where a joint was not detected. Rows of people are in any order.
+    - ``scores``: confidences in [0, 1], without the last axis; ``None``: 1 for each finite joint.
+    - ``cameras``: calibrated cameras, or the path of a calibration.
+    - ``frame_rate_hz``, ``times_s``: rate of all cameras, or seconds of each frame on a common clock, by the camera's
+      name if they differ.
+    - ``joints``: names of the points, or a layout such as ``halpe-26``; ``None``: the number of points tells it.
+    - Raises ``InputError``: with all problems of all arguments.
     """
     problems: list[Problem] = []
     findings: list[Finding] = []

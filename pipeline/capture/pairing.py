@@ -58,19 +58,12 @@ def pair(
 ) -> Pairing:
     """Pair cameras and inputs: as stated, and the others by name, or by order if that is asked for.
 
-    Parameters
-    ----------
-    cameras
-        Cameras. The name of an input has the name of a camera, or of the camera's section in the calibration, as a
-        whole word; see ``cameras_in_names``.
-    names
-        Names of the inputs without endings, but for those that are stated.
-    stated
-        Names of inputs by the names of their cameras, whatever their names say.
-    required
-        Names of cameras that must have an input, because the manifest names them.
-    by_order
-        Pair inputs and cameras by the natural order of their names, whatever the names are.
+    - ``cameras``: cameras. The name of an input has the name of a camera, or of the camera's section in the
+      calibration, as a whole word; see ``cameras_in_names``.
+    - ``names``: names of the inputs without endings, but for those that are stated.
+    - ``stated``: names of inputs by the names of their cameras, whatever their names say.
+    - ``required``: names of cameras that must have an input, because the manifest names them.
+    - ``by_order``: pair inputs and cameras by the natural order of their names, whatever the names are.
     """
     stated = stated or {}
     free = _sorted({*names})

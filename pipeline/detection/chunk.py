@@ -37,24 +37,12 @@ def detect_chunk(
 ) -> Detections:
     """Decode a camera's frames with times in ``[t0, t1)``, and detect bodies in them.
 
-    Parameters
-    ----------
-    span_s
-        t0 and t1 on the session's clock.
-    measures_colours
-        Whether the colours of the bodies are measured; see ``appearance``.
-    follow_s
-        Longest time between two detections in whole images, for a detector that reads the joints of bodies in crops;
-        see ``topdown.between``. 0: every frame is detected.
-
-    Returns
-    -------
-        Detections; frames are numbered from the start of the video.
-
-    Raises
-    ------
-    InputError, ChildError
-        See ``decode``.
+    - ``span_s``: t0 and t1 on the session's clock.
+    - ``measures_colours``: whether the colours of the bodies are measured; see ``appearance``.
+    - ``follow_s``: longest time between two detections in whole images, for a detector that reads the joints of bodies
+      in crops; see ``topdown.between``. 0: every frame is detected.
+    - Returns detections; frames are numbered from the start of the video.
+    - Raises ``InputError, ChildError``: see ``decode``.
     """
     damaged: list[int] = []
     meter = ChangeMeter()

@@ -42,22 +42,15 @@ def look_at_people(
 
     The look depends on the whole video, the calibration and the rule alone. Raises as ``pipeline.video.decode.decode``.
 
-    Parameters
-    ----------
-    open_turned
-        Opens the detector, at its usual size, for images that a counterclockwise turn in degrees
-        brings upright.
-    rule
-        Rule that chooses the size of the images; ``None``: they have the usual size, and a camera that is known to be
-        upright is not looked at.
-    known_deg
-        Turn by the calibration, see ``pipeline.detection.upright.turn_of_roll``; ``None`` if it is not known.
-    max_frames
-        Largest number of frames.
-    shows_lean
-        See ``pipeline.detection.upright.find_turn``.
-    on_frame
-        Called for each frame of the first look.
+    - ``open_turned``: opens the detector, at its usual size, for images that a counterclockwise turn in degrees brings
+      upright.
+    - ``rule``: rule that chooses the size of the images; ``None``: they have the usual size, and a camera that is known
+      to be upright is not looked at.
+    - ``known_deg``: turn by the calibration, see ``pipeline.detection.upright.turn_of_roll``; ``None`` if it is not
+      known.
+    - ``max_frames``: largest number of frames.
+    - ``shows_lean``: see ``pipeline.detection.upright.find_turn``.
+    - ``on_frame``: called for each frame of the first look.
     """
     if rule is None and known_deg == 0.0:
         return CameraLook()

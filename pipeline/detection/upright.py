@@ -60,23 +60,15 @@ def find_turn(
 ) -> tuple[float, NumberedBodies]:
     """Find the turn that brings the pictures of a camera upright, and the bodies in the turned frames.
 
-    Parameters
-    ----------
-    known_deg
-        Turn by the calibration, see ``turn_of_roll``; ``None`` if it is not known. A camera that is upright by its
-        calibration is taken as it is. Any other turn is only the first to be tried: the world may not be level.
-    joints
-        Joints of the bodies.
-    look_at
-        Function that detects the bodies; called once for each turn that is tried.
-    shows_lean
-        Whether the detector finds people in any turn, and so shows how they lean. Then a turn in which they are upright
-        ends the search, and how they lean tells which turn to try next.
-
-    Returns
-    -------
-        The turn in which people are upright. If there is none, and without ``shows_lean``, the turn with the most
-        confidence; the first one unless another has clearly more.
+    - ``known_deg``: turn by the calibration, see ``turn_of_roll``; ``None`` if it is not known. A camera that is
+      upright by its calibration is taken as it is. Any other turn is only the first to be tried: the world may not be
+      level.
+    - ``joints``: joints of the bodies.
+    - ``look_at``: function that detects the bodies; called once for each turn that is tried.
+    - ``shows_lean``: whether the detector finds people in any turn, and so shows how they lean. Then a turn in which
+      they are upright ends the search, and how they lean tells which turn to try next.
+    - Returns the turn in which people are upright. If there is none, and without ``shows_lean``, the turn with the most
+      confidence; the first one unless another has clearly more.
     """
     first_deg = known_deg or 0.0
     looks = {first_deg: look_at(first_deg)}

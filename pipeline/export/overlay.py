@@ -174,23 +174,11 @@ def draw_video(
 
     The skeletons are at the time of each frame: between output frames, and on the session's clock.
 
-    Parameters
-    ----------
-    session
-        Session of the take, on measured clocks if they were measured.
-    on_frame
-        Called after each frame; an exception from it ends the work.
-    heads
-        Heads that are blurred below the skeletons; ``None``: none are.
-
-    Returns
-    -------
-        Whether the camera took frames of the take; otherwise there is no video.
-
-    Raises
-    ------
-    InputError
-        See ``pipeline.video.decode.decode``.
+    - ``session``: session of the take, on measured clocks if they were measured.
+    - ``on_frame``: called after each frame; an exception from it ends the work.
+    - ``heads``: heads that are blurred below the skeletons; ``None``: none are.
+    - Returns whether the camera took frames of the take; otherwise there is no video.
+    - Raises ``InputError``: see ``pipeline.video.decode.decode``.
     """
     video, times = session.camera_videos[camera], session.times[camera]
     timebase = take.timebase

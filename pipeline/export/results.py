@@ -175,34 +175,20 @@ def write_files(
     each format, between joints read back and their true positions, the same half-way between two frames for files with
     angles, and the origin of files of single precision, if it is not the world's.
 
-    Parameters
-    ----------
-    exports
-        Formats of the files of each person; others are left out. ``skeletons.json`` and ``metrics.json`` are always
-        written.
-    frame_rate_hz
-        Rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json`` are always at the
-        session's rate.
-    timeline
-        Frames of each person's files: all frames of the take, or the frames in which the person is there.
-    body
-        Body of the people in GLB, FBX and USD files.
-    on_share
-        Called with the progress while files are read back, and after each file.
-    kept
-        Files of people that were written before.
-    report
-        Makes the content of ``metrics.json``, after the people's files: its figures take much memory.
-    on_file
-        Called with the path of each file when it is complete.
-
-    Raises
-    ------
-    InputError
-        If there are more frames than result files, or one of the formats, may have, or the package of a format is not
-        installed.
-    OSError
-        If the folder can't be written to, the disk is full, or the content of a file differs from the written content.
+    - ``exports``: formats of the files of each person; others are left out. ``skeletons.json`` and ``metrics.json`` are
+      always written.
+    - ``frame_rate_hz``: rate of the motion in all files; ``None``: the session's rate. The figures in ``metrics.json``
+      are always at the session's rate.
+    - ``timeline``: frames of each person's files: all frames of the take, or the frames in which the person is there.
+    - ``body``: body of the people in GLB, FBX and USD files.
+    - ``on_share``: called with the progress while files are read back, and after each file.
+    - ``kept``: files of people that were written before.
+    - ``report``: makes the content of ``metrics.json``, after the people's files: its figures take much memory.
+    - ``on_file``: called with the path of each file when it is complete.
+    - Raises ``InputError`` if there are more frames than result files, or one of the formats, may have, or the package
+      of a format is not installed.
+    - Raises ``OSError`` if the folder can't be written to, the disk is full, or the content of a file differs from the
+      written content.
     """
     timebase = reconstruction.timebase
     require(

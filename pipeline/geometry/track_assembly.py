@@ -34,23 +34,13 @@ def record_life(
 ) -> Person | None:
     """Build track and observations of a person: fill short gaps and measure the reprojection error.
 
-    Parameters
-    ----------
-    start_frame
-        Output frame of the first row.
-    xyz_m
-        World positions in metres, NaN where a joint was not located; changed in place.
-    seen_px, score
-        Observations of the person in distorted pixels, and their scores.
-    min_score
-        Observations with a lower score were not used.
-    detection
-        See ``Observations``; ``None``: not recorded.
-
-    Returns
-    -------
-        Track and observations with number 0, from the first to the last frame with a located joint; ``None`` if these
-        frames are too few for a person.
+    - ``start_frame``: output frame of the first row.
+    - ``xyz_m``: world positions in metres, NaN where a joint was not located; changed in place.
+    - ``seen_px``, ``score``: observations of the person in distorted pixels, and their scores.
+    - ``min_score``: observations with a lower score were not used.
+    - ``detection``: see ``Observations``; ``None``: not recorded.
+    - Returns track and observations with number 0, from the first to the last frame with a located joint; ``None`` if
+      these frames are too few for a person.
     """
     life = find_life(timebase, xyz_m)
     if life is None:

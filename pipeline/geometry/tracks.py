@@ -25,20 +25,11 @@ def triangulate_frames(
     Each frame is computed by ``triangulation.triangulate_robust``; the guess is the running median over two frames on
     each side.
 
-    Parameters
-    ----------
-    image_from_world
-        Projection matrices to undistorted pixels.
-    points_px
-        Undistorted pixels, NaN where a camera does not see the point.
-    weights
-        Factor of a view's rows.
-    min_weight
-        A view with a smaller weight, or with weight 0, is left out.
-
-    Returns
-    -------
-        World coordinates in metres, NaN where fewer than two cameras see the point.
+    - ``image_from_world``: projection matrices to undistorted pixels.
+    - ``points_px``: undistorted pixels, NaN where a camera does not see the point.
+    - ``weights``: factor of a view's rows.
+    - ``min_weight``: a view with a smaller weight, or with weight 0, is left out.
+    - Returns world coordinates in metres, NaN where fewer than two cameras see the point.
     """
     num_frames, num_cameras, num_joints = weights.shape
     xyz_m, guess_m = np.empty((num_frames, num_joints, 3)), np.empty((num_frames, num_joints, 3))

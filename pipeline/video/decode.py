@@ -120,28 +120,17 @@ def decode(
 
     Close the generator if it is not read to its end: that ends its child process.
 
-    Parameters
-    ----------
-    on_damaged
-        Called with the number of each wanted frame that the decoder marks as damaged, or that it could not decode.
-    only
-        Numbers of the wanted frames of the range; ``None``: all. If all of them are keyframes, no other frame is
-        decoded.
-    limit_s
-        Limit on the computing time, and on the wait for one frame; ``None``: enough for any range of a good file.
-
-    Yields
-    ------
-        Number and RGB picture of each frame, mirrored and rotated for display. A picture is valid until the next frame
-        is requested: all pictures share their memory.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read, if its decoder crashes or exceeds the limits on time or memory, if the size of the
-        pictures changes, or if the timestamps go backwards.
-    ChildError
-        If the child process fails for a reason other than the file.
+    - ``on_damaged``: called with the number of each wanted frame that the decoder marks as damaged, or that it could
+      not decode.
+    - ``only``: numbers of the wanted frames of the range; ``None``: all. If all of them are keyframes, no other frame
+      is decoded.
+    - ``limit_s``: limit on the computing time, and on the wait for one frame; ``None``: enough for any range of a good
+      file.
+    - Yields number and RGB picture of each frame, mirrored and rotated for display. A picture is valid until the next
+      frame is requested: all pictures share their memory.
+    - Raises ``InputError`` if the file can't be read, if its decoder crashes or exceeds the limits on time or memory,
+      if the size of the pictures changes, or if the timestamps go backwards.
+    - Raises ``ChildError`` if the child process fails for a reason other than the file.
     """
     if video.parts:
         yield from _decode_parts(video, start_frame, stop_frame, on_damaged, only, limit_s)

@@ -87,20 +87,13 @@ class Lease:
     While the database does not respond, the work continues: it is not known to be lost. If another worker gets the
     chunk meanwhile, the lease's token is old, and reports of the work change nothing.
 
-    Parameters
-    ----------
-    lease_s
-        Time after the last heartbeat at which the lease is lost.
-    heartbeat_s
-        Time between heartbeats.
-    stopping
-        Returns whether the worker shuts down.
-    on_stuck
-        Called from the thread when the work has not stopped within ``STOP_GRACE_S``, for example during one long call.
-        A worker process ends itself here. Work of an attempt that was replaced, such as by edits of people, has
-        ``lease_s``: another process would take longer to start than most calls take to end.
-    limit_s
-        Time after which the work is stopped: it renews the lease, but hangs.
+    - ``lease_s``: time after the last heartbeat at which the lease is lost.
+    - ``heartbeat_s``: time between heartbeats.
+    - ``stopping``: returns whether the worker shuts down.
+    - ``on_stuck``: called from the thread when the work has not stopped within ``STOP_GRACE_S``, for example during one
+      long call. A worker process ends itself here. Work of an attempt that was replaced, such as by edits of people,
+      has ``lease_s``: another process would take longer to start than most calls take to end.
+    - ``limit_s``: time after which the work is stopped: it renews the lease, but hangs.
     """
 
     def __init__(

@@ -40,28 +40,17 @@ class Runner:
     A chunk that meets an outage of the artifact store or the database is given back, and costs no try. The runner then
     waits, with growing pauses, until the part responds.
 
-    Parameters
-    ----------
-    store, artifacts
-        Where the work is and where it goes.
-    publish
-        Wakes a worker.
-    run
-        Runs a chunk.
-    lease_s, heartbeat_s
-        See ``WorkerSettings``.
-    stopping
-        Says whether the worker shuts down: the chunk at hand is given back, and no more is claimed.
-    on_stuck
-        See ``Lease``; called after the chunk was released.
-    has_room
-        Says whether there is room on the disk for a chunk's output; without it none is claimed, and jobs wait.
-    ability
-        What the worker can run.
-    pass_on
-        Wakes a worker with another ability.
-    chunk_time_factor
-        See ``WorkerSettings``.
+    - ``store``, ``artifacts``: where the work is and where it goes.
+    - ``publish``: wakes a worker.
+    - ``run``: runs a chunk.
+    - ``lease_s``, ``heartbeat_s``: see ``WorkerSettings``.
+    - ``stopping``: says whether the worker shuts down: the chunk at hand is given back, and no more is claimed.
+    - ``on_stuck``: see ``Lease``; called after the chunk was released.
+    - ``has_room``: says whether there is room on the disk for a chunk's output; without it none is claimed, and jobs
+      wait.
+    - ``ability``: what the worker can run.
+    - ``pass_on``: wakes a worker with another ability.
+    - ``chunk_time_factor``: see ``WorkerSettings``.
     """
 
     def __init__(

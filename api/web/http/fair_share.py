@@ -22,20 +22,12 @@ _Result = TypeVar("_Result")
 class ShareLimits:
     """Limits of turns, and the errors of requests that exceed them.
 
-    Parameters
-    ----------
-    num_turns
-        Turns that are taken at the same time.
-    share
-        Turns that an owner has at the same time.
-    max_waiting
-        Waiting requests of an owner.
-    max_wait_s
-        Longest time that a request waits for its turn before it is refused.
-    too_many
-        Makes the error of an owner who uses up its share.
-    busy
-        Makes the error of an owner who waits for others.
+    - ``num_turns``: turns that are taken at the same time.
+    - ``share``: turns that an owner has at the same time.
+    - ``max_waiting``: waiting requests of an owner.
+    - ``max_wait_s``: longest time that a request waits for its turn before it is refused.
+    - ``too_many``: makes the error of an owner who uses up its share.
+    - ``busy``: makes the error of an owner who waits for others.
     """
 
     num_turns: int

@@ -47,20 +47,11 @@ def find_poses(
     People whose bodies agree in several views come first. The paper's steps find the rest: joints that these people
     lack, and other people.
 
-    Parameters
-    ----------
-    image_from_world
-        Projection matrices of ideal lenses.
-    instant
-        Candidates of joints in undistorted pixels, and the evidence of limbs.
-    lengths
-        Lengths of bones in metres; ``unknown_lengths`` before they are measured.
-    limits
-        Limits of the work at the instant; they note whether the result is exact.
-
-    Returns
-    -------
-        Poses with joints in metres, NaN where a joint was not found, and the candidates behind them.
+    - ``image_from_world``: projection matrices of ideal lenses.
+    - ``instant``: candidates of joints in undistorted pixels, and the evidence of limbs.
+    - ``lengths``: lengths of bones in metres; ``unknown_lengths`` before they are measured.
+    - ``limits``: limits of the work at the instant; they note whether the result is exact.
+    - Returns poses with joints in metres, NaN where a joint was not found, and the candidates behind them.
     """
     whole = match_people(image_from_world, instant.candidates, skeleton, lengths, parameters, limits)
     joints = find_joints(image_from_world, *instant, skeleton, lengths, parameters, limits, whole.joints)

@@ -68,21 +68,13 @@ def attach_hands(
 ) -> People:
     """Add the joints of fingers to people.
 
-    Parameters
-    ----------
-    people
-        People with the joints of ``without_hands(joints)``, such as ``identify`` gives.
-    bodies
-        Detections of all cameras with all joints.
-    min_score
-        Observations with a lower score are not used.
-    lambda_t_hz
-        Rate at which the weight of observations falls with their distance in time; see ``TrackingParameters``.
-
-    Returns
-    -------
-        People with all joints. A finger is observed by a camera if its hand agrees with the hand of another camera at
-        the person's wrist. The joints of the body are unchanged.
+    - ``people``: people with the joints of ``without_hands(joints)``, such as ``identify`` gives.
+    - ``bodies``: detections of all cameras with all joints.
+    - ``min_score``: observations with a lower score are not used.
+    - ``lambda_t_hz``: rate at which the weight of observations falls with their distance in time; see
+      ``TrackingParameters``.
+    - Returns people with all joints. A finger is observed by a camera if its hand agrees with the hand of another
+      camera at the person's wrist. The joints of the body are unchanged.
     """
     body = without_hands(joints)
     columns = _columns(joints, body.names), _columns(joints, _FINGERS)

@@ -47,24 +47,15 @@ def identify(
 ) -> People:
     """Find out who is who over a whole session.
 
-    Parameters
-    ----------
-    people
-        Tracks of association, and the observations behind them.
-    min_score
-        Observations with a lower score are not used.
-    most
-        Number of people to keep, those with the most observations, those who never move and mirror images last;
-        ``None``: all.
-    colour
-        Colours of all detections, in the order of ``Observations.detection``; ``None`` if they were not measured.
-    num_recorded
-        Number of output frames at which a camera took a frame; ``None``: all.
-
-    Returns
-    -------
-        One track a person, numbered from 1 in order of first appearance, with the doubts about its identity. Tracks
-        that may be chance are left out (``spurious_tracks``).
+    - ``people``: tracks of association, and the observations behind them.
+    - ``min_score``: observations with a lower score are not used.
+    - ``most``: number of people to keep, those with the most observations, those who never move and mirror images last;
+      ``None``: all.
+    - ``colour``: colours of all detections, in the order of ``Observations.detection``; ``None`` if they were not
+      measured.
+    - ``num_recorded``: number of output frames at which a camera took a frame; ``None``: all.
+    - Returns one track a person, numbered from 1 in order of first appearance, with the doubts about its identity.
+      Tracks that may be chance are left out (``spurious_tracks``).
     """
     tracks: list[Person] = list(zip(people.tracks, people.observations, strict=True))
     recorded = timebase.num_frames if num_recorded is None else num_recorded

@@ -35,20 +35,11 @@ def detect_expected(
 ) -> Detections:
     """Detect expected bodies in the frames of a camera. Raises as ``pipeline.video.decode.decode``.
 
-    Parameters
-    ----------
-    expected
-        Expected joints ``COCO_17``; see ``redetection.expect``.
-    load_network
-        Loads BlazePose; called if anybody is expected.
-    joints, at_common_marks
-        See ``topdown.alone.read_body``.
-    turn_deg
-        Counterclockwise turn that brings the camera's images upright.
-
-    Returns
-    -------
-        The bodies that were found, with the joints of ``joints``.
+    - ``expected``: expected joints ``COCO_17``; see ``redetection.expect``.
+    - ``load_network``: loads BlazePose; called if anybody is expected.
+    - ``joints``, ``at_common_marks``: see ``topdown.alone.read_body``.
+    - ``turn_deg``: counterclockwise turn that brings the camera's images upright.
+    - Returns the bodies that were found, with the joints of ``joints``.
     """
     if not len(expected.frame):
         return stack_bodies(expected.camera, [], len(joints.names))

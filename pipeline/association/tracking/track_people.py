@@ -112,20 +112,11 @@ def track_bodies(
 ) -> People:
     """Associate gathered detections, then locate every person; the detections themselves may have been freed.
 
-    Parameters
-    ----------
-    cameras, times, timebase, parameters
-        See ``assign_detections`` and ``locate_people``.
-    bodies
-        Detections of all cameras in one record; see ``observations.gather``.
-    on_share
-        Called with the completed share of the work, of which association is a half.
-    on_approximate
-        Called with the time in seconds of each frame that exceeds a limit of the exact method.
-
-    Returns
-    -------
-        People; see ``locate_people``.
+    - ``cameras``, ``times``, ``timebase``, ``parameters``: see ``assign_detections`` and ``locate_people``.
+    - ``bodies``: detections of all cameras in one record; see ``observations.gather``.
+    - ``on_share``: called with the completed share of the work, of which association is a half.
+    - ``on_approximate``: called with the time in seconds of each frame that exceeds a limit of the exact method.
+    - Returns people; see ``locate_people``.
     """
     ideal_px = observations.undistorted(cameras, bodies)
     identity = _identify(cameras, times, bodies, ideal_px, parameters, sub_share(on_share, 0.0, 0.5), on_approximate)

@@ -49,23 +49,14 @@ def synchronize(
     each other's epipolar lines. The coarse offsets maximise the agreement of all pairs; Gauss-Newton on the epipolar
     errors of all joints refines them, with rates in takes of half a minute or more.
 
-    Parameters
-    ----------
-    cameras
-        Calibrated cameras. The rate of the first one's clock stays as it is, and uncertainties are relative to it. The
-        session begins when it was declared to begin.
-    times, detections
-        Declared frame times and bodies by camera. Nothing is known of the offsets: they are looked for over the whole
-        take. ``motions.excerpt`` gives the bodies of a long take that are enough.
-    starts_s
-        Declared time at which each camera's own time is 0, by camera.
-    near_s
-        Corrections of declared times that are known roughly, by camera, such as from sound: of two such cameras only
-        lags within half a second of these are compared.
-
-    Returns
-    -------
-        Clocks, with reasons not to rely on them if there are any: nothing is raised.
+    - ``cameras``: calibrated cameras. The rate of the first one's clock stays as it is, and uncertainties are relative
+      to it. The session begins when it was declared to begin.
+    - ``times``, ``detections``: declared frame times and bodies by camera. Nothing is known of the offsets: they are
+      looked for over the whole take. ``motions.excerpt`` gives the bodies of a long take that are enough.
+    - ``starts_s``: declared time at which each camera's own time is 0, by camera.
+    - ``near_s``: corrections of declared times that are known roughly, by camera, such as from sound: of two such
+      cameras only lags within half a second of these are compared.
+    - Returns clocks, with reasons not to rely on them if there are any: nothing is raised.
     """
     motions = find_motions(cameras, times, detections, joints)
     on_share(0.2)

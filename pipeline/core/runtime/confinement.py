@@ -90,27 +90,15 @@ def run_confined(
 
     The child has ended when the function returns or raises, and ends with this process.
 
-    Parameters
-    ----------
-    program
-        Module that begins with ``confined_arguments``, named as in a checkout.
-    task
-        Name of what the program does, for the error of a child that fails: "check of a.mp4".
-    timeout_s
-        Longest wait for output.
-    given
-        Content of the program's stdin.
-    on_output
-        Called with each piece of the output; nothing is returned then. An exception from it ends the child.
-
-    Raises
-    ------
-    BeyondLimitsError
-        If the file makes the program crash, or exceed its limits on time or memory.
-    FileRefusedError
-        If the program ends with ``EXIT_REFUSED``.
-    ChildError
-        If the child fails for a reason other than its file.
+    - ``program``: module that begins with ``confined_arguments``, named as in a checkout.
+    - ``task``: name of what the program does, for the error of a child that fails: "check of a.mp4".
+    - ``timeout_s``: longest wait for output.
+    - ``given``: content of the program's stdin.
+    - ``on_output``: called with each piece of the output; nothing is returned then. An exception from it ends the
+      child.
+    - Raises ``BeyondLimitsError`` if the file makes the program crash, or exceed its limits on time or memory.
+    - Raises ``FileRefusedError`` if the program ends with ``EXIT_REFUSED``.
+    - Raises ``ChildError`` if the child fails for a reason other than its file.
     """
     end = run_child(program, arguments, limits, timeout_s, given, on_output)
     check_end(end, task, timeout_s)

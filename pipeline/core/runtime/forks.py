@@ -44,20 +44,12 @@ _MAX_DESCRIPTORS = 2**20
 class ForkRequest:
     """Request for a fork.
 
-    Parameters
-    ----------
-    program
-        Name of the program at the server.
-    arguments
-        Arguments of the program.
-    folder
-        Folder of its temporary files.
-    memory_bytes, file_bytes
-        Largest memory of the process, and size of a file that it writes.
-    cpu_s
-        Longest computing time; ``None``: no limit.
-    nice
-        Niceness of the process.
+    - ``program``: name of the program at the server.
+    - ``arguments``: arguments of the program.
+    - ``folder``: folder of its temporary files.
+    - ``memory_bytes``, ``file_bytes``: largest memory of the process, and size of a file that it writes.
+    - ``cpu_s``: longest computing time; ``None``: no limit.
+    - ``nice``: niceness of the process.
     """
 
     program: str

@@ -54,18 +54,11 @@ def read_fields(
 ) -> ImageFields:
     """Read peaks in pixels of the image, and quantised fields, from a network's maps.
 
-    Parameters
-    ----------
-    heatmaps
-        Heatmap of each joint, without the background.
-    pafs
-        Channels of the part affinity fields.
-    grid
-        Positions of the maps' cells on the image.
-    image_size_px
-        Width and height of the image; peaks outside of it, in the padding, are left out.
-    order
-        Channels of each limb's x and y.
+    - ``heatmaps``: heatmap of each joint, without the background.
+    - ``pafs``: channels of the part affinity fields.
+    - ``grid``: positions of the maps' cells on the image.
+    - ``image_size_px``: width and height of the image; peaks outside of it, in the padding, are left out.
+    - ``order``: channels of each limb's x and y.
     """
     joint, cells, score = find_peaks(heatmaps)
     points_px = grid.image_from_map(cells)

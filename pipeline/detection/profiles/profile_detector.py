@@ -121,21 +121,11 @@ def open_detection(
 ) -> BodyDetector:
     """Open the networks of a reconstruction for the images of one camera.
 
-    Parameters
-    ----------
-    networks
-        Networks by name; each is loaded once a process.
-    joints
-        Joints to detect; see ``MotionChoices.detected_joints``.
-    sizes
-        Image sizes of the camera; ``None``: the usual size of the network.
-    turn_deg
-        Counterclockwise turn that brings the camera's images upright.
-
-    Raises
-    ------
-    ModelError
-        If a network is unknown or not installed, or its file was changed.
+    - ``networks``: networks by name; each is loaded once a process.
+    - ``joints``: joints to detect; see ``MotionChoices.detected_joints``.
+    - ``sizes``: image sizes of the camera; ``None``: the usual size of the network.
+    - ``turn_deg``: counterclockwise turn that brings the camera's images upright.
+    - Raises ``ModelError`` if a network is unknown or not installed, or its file was changed.
     """
     if find_entry(networks.body).own is not None:
         return load_own(networks.body, turn_deg)

@@ -163,27 +163,14 @@ def write_character_files(
     Each file is written and read back under a temporary name, so that no incomplete file has its final name. GLB is
     always written, BVH and FBX if they are among the formats.
 
-    Parameters
-    ----------
-    folder
-        Folder of the files, which exists.
-    exports
-        Formats of the people's files; others than BVH and FBX don't count.
-    frame_rate_hz
-        Rate of the motion in the files; ``None``: the session's rate.
-    timeline
-        Frames of each person's files: all frames of the take, or the frames in which the person is there.
-
-    Yields
-    ------
-        Files when they are complete.
-
-    Raises
-    ------
-    PipelineError
-        If a person's GLB would be larger than its format allows.
-    OSError
-        If a file can't be written, the disk is full, or the content of a file differs from the written content.
+    - ``folder``: folder of the files, which exists.
+    - ``exports``: formats of the people's files; others than BVH and FBX don't count.
+    - ``frame_rate_hz``: rate of the motion in the files; ``None``: the session's rate.
+    - ``timeline``: frames of each person's files: all frames of the take, or the frames in which the person is there.
+    - Yields files when they are complete.
+    - Raises ``PipelineError`` if a person's GLB would be larger than its format allows.
+    - Raises ``OSError`` if a file can't be written, the disk is full, or the content of a file differs from the written
+      content.
     """
     shown = at_rate(take, frame_rate_hz)
     formats: tuple[Export, ...] = ("glb", *(export for export in exports if export in ("bvh", "fbx")))

@@ -80,29 +80,14 @@ def write_opensim_files(
 ) -> Iterator[WrittenPerson]:
     """Scale OpenSim's model to some people of a take, and write an archive for each.
 
-    Parameters
-    ----------
-    rows
-        People among the tracks.
-    folder
-        Folder of the archives, which exists; OpenSim works in a folder inside.
-    frame_rate_hz
-        Rate of the motion; ``None``: the session's rate.
-    on_share
-        Called with the progress.
-
-    Yields
-    ------
-        Archives when they are complete. One in whose place there is a problem has no model or no motion.
-
-    Raises
-    ------
-    ModelError
-        If the generic model is not installed, or was changed.
-    ChildError
-        If OpenSim is ended from outside.
-    OSError
-        If a file can't be written, or the disk is full.
+    - ``rows``: people among the tracks.
+    - ``folder``: folder of the archives, which exists; OpenSim works in a folder inside.
+    - ``frame_rate_hz``: rate of the motion; ``None``: the session's rate.
+    - ``on_share``: called with the progress.
+    - Yields archives when they are complete. One in whose place there is a problem has no model or no motion.
+    - Raises ``ModelError`` if the generic model is not installed, or was changed.
+    - Raises ``ChildError`` if OpenSim is ended from outside.
+    - Raises ``OSError`` if a file can't be written, or the disk is full.
     """
     model, licence = load()
     shown = at_rate(take, frame_rate_hz)

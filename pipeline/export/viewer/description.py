@@ -112,20 +112,12 @@ def session_footage(session: Session) -> Mapping[str, Footage]:
 class ViewerMotion:
     """Motion of a reconstruction for viewers.
 
-    Parameters
-    ----------
-    reconstruction
-        At the session's frame rate.
-    views
-        Its ``person_views``.
-    footage
-        Frames of each camera, by its name.
-    report
-        Content of ``metrics.json``.
-    first_frame
-        Number of the first frame before the take was cut; 0 if it was not.
-    shapes
-        Shapes of people's bodies, ``None`` if bodies are not installed.
+    - ``reconstruction``: at the session's frame rate.
+    - ``views``: its ``person_views``.
+    - ``footage``: frames of each camera, by its name.
+    - ``report``: content of ``metrics.json``.
+    - ``first_frame``: number of the first frame before the take was cut; 0 if it was not.
+    - ``shapes``: shapes of people's bodies, ``None`` if bodies are not installed.
     """
 
     def __init__(

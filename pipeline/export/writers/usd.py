@@ -65,21 +65,11 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a motion as USD, piece by piece. Equal motions give equal bytes.
 
-    Parameters
-    ----------
-    origin_m
-        World position of the file's origin.
-    frames
-        Output frames of the file; ``None``: the motion's frames.
-    is_present
-        Frames of the file in which the person is there; ``None``: all.
-
-    Raises
-    ------
-    ModelError
-        If the body is a human, and that is not installed or was changed.
-    OSError
-        If the file can't be written.
+    - ``origin_m``: world position of the file's origin.
+    - ``frames``: output frames of the file; ``None``: the motion's frames.
+    - ``is_present``: frames of the file in which the person is there; ``None``: all.
+    - Raises ``ModelError`` if the body is a human, and that is not installed or was changed.
+    - Raises ``OSError`` if the file can't be written.
     """
     frames = motion.frames if frames is None else frames
     with tempfile.TemporaryDirectory(prefix="multicap-usd-") as folder:

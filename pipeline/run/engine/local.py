@@ -184,23 +184,12 @@ def detect_people(
 ) -> Mapping[str, Detections]:
     """Detect bodies in all videos of a session.
 
-    Parameters
-    ----------
-    session
-        Cameras with their videos.
-    has_poses
-        Whether the cameras have poses in a world with Z up, which tell how they hang; else people alone do.
-
-    Raises
-    ------
-    InputError
-        If a video can't be decoded or too many of its frames are damaged.
-    ModelError
-        If the detector is not installed.
-
-    Returns
-    -------
-        Bodies by camera, with the joints of ``detection_joints``.
+    - ``session``: cameras with their videos.
+    - ``has_poses``: whether the cameras have poses in a world with Z up, which tell how they hang; else people alone
+      do.
+    - Raises ``InputError`` if a video can't be decoded or too many of its frames are damaged.
+    - Raises ``ModelError`` if the detector is not installed.
+    - Returns bodies by camera, with the joints of ``detection_joints``.
     """
     making = None if has_poses else CalibrationChoices(board=None)
     config = replace(config, method="tracking", appearance="off", making=making)

@@ -102,25 +102,15 @@ class LiveCapture:
     ) -> list[LiveInstant]:
         """Take a frame of a camera; return the instants that became final by it, in time order.
 
-        Parameters
-        ----------
-        camera
-            Position or name of the camera.
-        time_s
-            Time of the frame on the clock that all cameras share.
-        points_px
-            Joints of each body in pixels of the full image (distorted, as seen), NaN where a joint was not found. No
-            body: the frame is empty.
-        score
-            The detector's confidence in each joint, 0 to 1.
-        colour
-            Colours of the clothes of each body, as ``detect.appearance`` measures them in the picture; ``None``: they
-            were not measured.
-
-        Raises
-        ------
-        InputError
-            If the camera is unknown, or a value is not allowed; the capture continues without the frame.
+        - ``camera``: position or name of the camera.
+        - ``time_s``: time of the frame on the clock that all cameras share.
+        - ``points_px``: joints of each body in pixels of the full image (distorted, as seen), NaN where a joint was not
+          found. No body: the frame is empty.
+        - ``score``: the detector's confidence in each joint, 0 to 1.
+        - ``colour``: colours of the clothes of each body, as ``detect.appearance`` measures them in the picture;
+          ``None``: they were not measured.
+        - Raises ``InputError`` if the camera is unknown, or a value is not allowed; the capture continues without the
+          frame.
         """
         number = self._names.get(camera, -1) if isinstance(camera, str) else camera
         points_px, score = _as_numbers(points_px), _as_numbers(score)

@@ -144,25 +144,13 @@ def restore_backup(
 ) -> contents.BackupReport:
     """Restore a backup into a new or empty data folder. Everything is checked before the folder gets its name.
 
-    Parameters
-    ----------
-    archive
-        Path of the backup.
-    data_dir, database_url, artifacts_url
-        As in the settings of the service that is to run. A database elsewhere must be empty.
-    on_progress
-        Called with the number of bytes read, and of all bytes.
-
-    Returns
-    -------
-        Contents of the backup; ``problems`` lists files that were missing or damaged when it was made.
-
-    Raises
-    ------
-    BackupError
-        Nothing was restored.
-    UnknownSchema
-        A newer version of Multicap wrote the database at ``database_url``.
+    - ``archive``: path of the backup.
+    - ``data_dir``, ``database_url``, ``artifacts_url``: as in the settings of the service that is to run. A database
+      elsewhere must be empty.
+    - ``on_progress``: called with the number of bytes read, and of all bytes.
+    - Returns contents of the backup; ``problems`` lists files that were missing or damaged when it was made.
+    - Raises ``BackupError``: nothing was restored.
+    - Raises ``UnknownSchema``: a newer version of Multicap wrote the database at ``database_url``.
     """
     data_dir = data_dir.absolute()
 

@@ -104,26 +104,13 @@ def read_sha256(file: Readable, check: Callable[[], None] = no_check) -> str:
 def require_sha256(descriptor: int, key: str, sha256: str, check: Callable[[], None] = no_check) -> FileVersion | None:
     """Compare an open file with its digest, unless its version was compared before.
 
-    Parameters
-    ----------
-    descriptor
-        File descriptor; its position stays.
-    key
-        Key of the artifact, for the error.
-    sha256
-        Digest in hexadecimal.
-    check
-        Called while the file is read, as by ``read_sha256``.
-
-    Returns
-    -------
-        Version of the file that has the digest. None if the file changed so shortly before that it may have other bytes
-        without having another version: compare again after reading.
-
-    Raises
-    ------
-    DamagedArtifact
-        The digest is another one, or the disk can't read the file.
+    - ``descriptor``: file descriptor; its position stays.
+    - ``key``: key of the artifact, for the error.
+    - ``sha256``: digest in hexadecimal.
+    - ``check``: called while the file is read, as by ``read_sha256``.
+    - Returns version of the file that has the digest. None if the file changed so shortly before that it may have other
+      bytes without having another version: compare again after reading.
+    - Raises ``DamagedArtifact``: the digest is another one, or the disk can't read the file.
     """
     version = file_version(descriptor)
     if _verified.holds(version, sha256):

@@ -70,22 +70,13 @@ class UploadedFootage(UploadedFiles):
 class FormKind:
     """Kind of a form.
 
-    Parameters
-    ----------
-    name
-        Name of the form's schema in the contract.
-    noun
-        What is sent, for problems.
-    parts
-        Names of the parts with files, with their descriptions.
-    documents
-        Names of the other parts, with the models of their JSON; ``None`` for an id.
-    uploaded
-        Model of the JSON that takes the form's place and names uploads.
-    faults
-        Code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
-    has_job
-        Whether the record is reconstructed at once.
+    - ``name``: name of the form's schema in the contract.
+    - ``noun``: what is sent, for problems.
+    - ``parts``: names of the parts with files, with their descriptions.
+    - ``documents``: names of the other parts, with the models of their JSON; ``None`` for an id.
+    - ``uploaded``: model of the JSON that takes the form's place and names uploads.
+    - ``faults``: code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
+    - ``has_job``: whether the record is reconstructed at once.
     """
 
     name: str

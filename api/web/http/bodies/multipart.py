@@ -28,25 +28,13 @@ async def receive_form(
 ) -> Form:
     """Stream a request's form to disk.
 
-    Parameters
-    ----------
-    folder
-        Empty folder, which the caller removes in any case.
-    disk
-        Disk of the folder, whose free space is checked.
-    kind
-        What is sent.
-    places
-        Places of the fields of the form, for hints.
-
-    Raises
-    ------
-    ApiError
-        400 if the body can't be parsed, 413 if it is too large, 415 if it is not a form.
-    ClientDisconnect
-        If the client closes the connection.
-    OSError
-        If the disk is full.
+    - ``folder``: empty folder, which the caller removes in any case.
+    - ``disk``: disk of the folder, whose free space is checked.
+    - ``kind``: what is sent.
+    - ``places``: places of the fields of the form, for hints.
+    - Raises ``ApiError``: 400 if the body can't be parsed, 413 if it is too large, 415 if it is not a form.
+    - Raises ``ClientDisconnect`` if the client closes the connection.
+    - Raises ``OSError`` if the disk is full.
     """
     boundary = _boundary(request)
     stream = aiter(request.stream())

@@ -33,22 +33,12 @@ def download(
     If a resumed file has a wrong checksum, it is downloaded once more from the start. So no validator of the server
     has to be stored.
 
-    Parameters
-    ----------
-    url
-        URL with scheme ``http``, ``https`` or ``file``.
-    target
-        Path of the file; an incomplete or unchecked file is named ``<target>.part``.
-    sha256
-        Accepted checksums.
-    on_bytes
-        Called after each piece with the bytes so far, and all bytes if known.
-
-    Raises
-    ------
-    ModelError
-        If the server can't be reached or refuses the file, the file is too large or has a wrong checksum (it is then
-        removed), or the disk is full.
+    - ``url``: URL with scheme ``http``, ``https`` or ``file``.
+    - ``target``: path of the file; an incomplete or unchecked file is named ``<target>.part``.
+    - ``sha256``: accepted checksums.
+    - ``on_bytes``: called after each piece with the bytes so far, and all bytes if known.
+    - Raises ``ModelError`` if the server can't be reached or refuses the file, the file is too large or has a wrong
+      checksum (it is then removed), or the disk is full.
     """
     with exclusive(target), storage_errors():
         if target.is_file() and file_sha256(target) in sha256:

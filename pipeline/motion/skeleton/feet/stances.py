@@ -72,18 +72,11 @@ def find_contacts(
 ) -> tuple[FootContact, ...]:
     """Find the contacts of both feet by one point on each, sorted by start; none without a floor.
 
-    Parameters
-    ----------
-    points_m
-        Positions of the left and right ankle, heel or toe.
-    known
-        Frames in which a point was located.
-    feet
-        Contacts to pin: none, confident contacts, or all.
-    part
-        Part of the foot that the points belong to; the ankle stands for the whole foot.
-    support
-        Support of the body; ``None``: all feet may carry it.
+    - ``points_m``: positions of the left and right ankle, heel or toe.
+    - ``known``: frames in which a point was located.
+    - ``feet``: contacts to pin: none, confident contacts, or all.
+    - ``part``: part of the foot that the points belong to; the ankle stands for the whole foot.
+    - ``support``: support of the body; ``None``: all feet may carry it.
     """
     if floor is None:
         return ()

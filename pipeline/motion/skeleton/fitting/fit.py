@@ -80,22 +80,17 @@ class FittedProportions:
 class SkeletonFit:
     """Skeleton fit of a person.
 
-    Parameters
-    ----------
-    track
-        Joint positions, NaN in gaps.
-    rays_of
-        Returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the positions.
-    offsets
-        Offsets of the detector's marks, to which the rays lead, from the joints' centres, at which the positions are.
-    is_predicted
-        Positions that are weak evidence beside the rays, as one camera alone sees the person. ``None``: none is.
-    lively
-        Ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. ``None``: they are usual.
-    bone_length_m
-        Lengths of the bones at the start. ``None``: they are measured between the positions.
-    known
-        Proportions of the person, which stay as they are. ``None``: ``motion`` learns them.
+    - ``track``: joint positions, NaN in gaps.
+    - ``rays_of``: returns the rays in a window of frames, which the fit follows. ``None``: the fit follows the
+      positions.
+    - ``offsets``: offsets of the detector's marks, to which the rays lead, from the joints' centres, at which the
+      positions are.
+    - ``is_predicted``: positions that are weak evidence beside the rays, as one camera alone sees the person. ``None``:
+      none is.
+    - ``lively``: ratio of the person's accelerations to usual ones, see ``fitting.liveliness``. ``None``: they are
+      usual.
+    - ``bone_length_m``: lengths of the bones at the start. ``None``: they are measured between the positions.
+    - ``known``: proportions of the person, which stay as they are. ``None``: ``motion`` learns them.
     """
 
     def __init__(

@@ -101,21 +101,12 @@ class _Ticket:
 class CameraRun:
     """Live capture from cameras.
 
-    Parameters
-    ----------
-    cameras
-        Calibrated cameras in the order of the sources.
-    sources
-        Source of each camera.
-    choices
-        Choices of the networks.
-    sync_s
-        Length of the beginning from which the offsets of the cameras' clocks are found; ``None``: they are in step.
-
-    Raises
-    ------
-    ModelError
-        If a network is not installed.
+    - ``cameras``: calibrated cameras in the order of the sources.
+    - ``sources``: source of each camera.
+    - ``choices``: choices of the networks.
+    - ``sync_s``: length of the beginning from which the offsets of the cameras' clocks are found; ``None``: they are in
+      step.
+    - Raises ``ModelError`` if a network is not installed.
     """
 
     def __init__(
