@@ -7,15 +7,18 @@ import contextlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Table, true
+from sqlalchemy import ColumnElement, Connection, Select, Table, true
 
 from worker.store.database.connection import lock
 from worker.store.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
 from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.errors import NotFound
 from worker.store.model.phone_records import UploadingPhone
 from worker.store.model.rights import Actor
+
+T = TypeVar("T")
 
 
 class Transactions(Protocol):
@@ -85,3 +88,23 @@ class Access:
         lock(connection, f"quotas of {self.owner}")  # two requests at once must not both take the last place
         read = read_unfinished if more.keys() == {"unfinished_jobs"} else read_usage
         require_room(self.quotas, read(connection, self.owner), **more)
+
+
+class Repository:
+    """Rows that are reached by an ``Access``."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+
+def existing(row: T | None, name: str) -> T:
+    """Return what a query found; ``NotFound`` if that is nothing."""
+    if row is None:
+        raise NotFound(f"There is no such {name}.")
+    return row
+
+
+def newest_first(query: Select[Any], table: Table, limit: int, after: str | None = None) -> Select[Any]:
+    """Page of a query, ordered by the ids of a table; ``after`` is the last id of the page before."""
+    query = query.order_by(table.c.id.desc()).limit(limit)
+    return query if after is None else query.where(table.c.id < after)

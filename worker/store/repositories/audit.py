@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from sqlalchemy import Connection, insert, select
 
-from worker.store.database.access import Transactions
+from worker.store.database.access import Transactions, newest_first
 from worker.store.database.connection import now
 from worker.store.database.tables import audit
 from worker.store.model.rights import Actor, AuditEvent
@@ -62,7 +62,7 @@ class Audit:
 
     def events(self, tenant: str | None = None, limit: int = 100) -> list[AuditEvent]:
         """Last events of a tenant or of all tenants, the newest first."""
-        query = select(audit).order_by(audit.c.id.desc()).limit(limit)
+        query = newest_first(select(audit), audit, limit)
         if tenant is not None:
             query = query.where(audit.c.tenant == tenant)
         with self._transactions.reading() as connection:

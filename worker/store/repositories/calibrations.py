@@ -9,12 +9,12 @@ from sqlalchemy import Connection, Row, Select, delete, insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.core.options.job_choices import CalibrationChoices
-from worker.store.database.access import Access
+from worker.store.database.access import Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import read, read_problem
 from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
-from worker.store.errors import Conflict, NotFound
+from worker.store.errors import Conflict
 from worker.store.files.file_keys import job_prefix, session_prefix
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import Calibration, MadeCalibration
@@ -22,11 +22,8 @@ from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.audit import AuditAction, record_event
 
 
-class Calibrations:
+class Calibrations(Repository):
     """Calibrations of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def add(
         self,
@@ -56,9 +53,7 @@ class Calibrations:
 
     def page(self, limit: int = 50, after: str | None = None) -> list[Calibration]:
         """Calibrations, the newest first; ``after`` is the last id of the page before."""
-        query = _select().where(self._access.may_reach(calibrations)).order_by(calibrations.c.id.desc()).limit(limit)
-        if after is not None:
-            query = query.where(calibrations.c.id < after)
+        query = newest_first(_select().where(self._access.may_reach(calibrations)), calibrations, limit, after)
         with self._access.reading() as connection:
             return [_calibration(row) for row in connection.execute(query)]
 
@@ -134,10 +129,7 @@ class Calibrations:
 
     def _row(self, connection: Connection, calibration_id: str) -> Row[Any]:
         query = _select().where(calibrations.c.id == calibration_id, self._access.may_reach(calibrations))
-        row = connection.execute(query).one_or_none()
-        if row is None:
-            raise NotFound("There is no such calibration.")
-        return row
+        return existing(connection.execute(query).one_or_none(), "calibration")
 
 
 def complete(connection: Connection, job_id: str, made: MadeCalibration) -> None:

@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection, Row, delete, insert, select, update
 from uuid_utils import uuid7
 
-from worker.store.database.access import Access
+from worker.store.database.access import Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
 from worker.store.database.tables import characters
-from worker.store.errors import Conflict, NotFound
+from worker.store.errors import Conflict
 from worker.store.files.file_keys import character_prefix
 from worker.store.model.character_records import Character, CharacterSummary, StoredCharacterFile
 from worker.store.repositories.audit import AuditAction, record_event
@@ -21,11 +21,8 @@ from worker.store.repositories.audit import AuditAction, record_event
 CharacterT = TypeVar("CharacterT", bound=CharacterSummary)
 
 
-class Characters:
+class Characters(Repository):
     """Characters of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def reserve_id(self) -> str:
         """Make the id of a character whose file is about to be stored.
@@ -90,9 +87,7 @@ class Characters:
     def page(self, limit: int = 50, after: str | None = None) -> list[CharacterSummary]:
         """Characters, the newest first; ``after`` is the last id of the page before."""
         listed = (characters.c[field.name] for field in fields(CharacterSummary))
-        query = select(*listed).where(self._access.may_reach(characters)).order_by(characters.c.id.desc()).limit(limit)
-        if after is not None:
-            query = query.where(characters.c.id < after)
+        query = newest_first(select(*listed).where(self._access.may_reach(characters)), characters, limit, after)
         with self._access.reading() as connection:
             return [_read(CharacterSummary, row) for row in connection.execute(query)]
 
@@ -137,10 +132,7 @@ class Characters:
 
     def _row(self, connection: Connection, character_id: str) -> Row[Any]:
         query = select(characters).where(characters.c.id == character_id, self._access.may_reach(characters))
-        row = connection.execute(query).one_or_none()
-        if row is None:
-            raise NotFound("There is no such character.")
-        return row
+        return existing(connection.execute(query).one_or_none(), "character")
 
 
 def _read(record: type[CharacterT], row: Row[Any]) -> CharacterT:

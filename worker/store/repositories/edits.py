@@ -5,21 +5,18 @@ from collections.abc import Sequence
 from sqlalchemy import Connection, select
 
 from pipeline.core.options.edits import PeopleEdit, PersonSpan, edit_document
-from worker.store.database.access import Access
+from worker.store.database.access import Access, Repository, existing
 from worker.store.database.connection import upsert
 from worker.store.database.rows import read_edits
 from worker.store.database.tables import edits, found_people, jobs, sessions
-from worker.store.errors import EditedMeanwhile, NotFound
+from worker.store.errors import EditedMeanwhile
 from worker.store.model.session_records import SessionEdits
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.sessions import lock_session
 
 
-class Edits:
+class Edits(Repository):
     """Edits of a tenant's sessions, or of all sessions."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def get(self, session_id: str) -> SessionEdits:
         """Edits of a session; ``NotFound`` if there is none."""
@@ -44,9 +41,10 @@ class Edits:
 def read_session_edits(connection: Connection, access: Access, session_id: str) -> SessionEdits:
     """Edits of a session; ``NotFound`` if there is none."""
     query = select(edits.c.revision, edits.c.list).select_from(sessions.outerjoin(edits))
-    row = connection.execute(query.where(sessions.c.id == session_id, access.may_reach(sessions))).one_or_none()
-    if row is None:
-        raise NotFound("There is no such session.")
+    row = existing(
+        connection.execute(query.where(sessions.c.id == session_id, access.may_reach(sessions))).one_or_none(),
+        "session",
+    )
     return SessionEdits() if row.revision is None else SessionEdits(row.revision, read_edits(row.list))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, delete, insert, select, update
 from uuid_utils import uuid4
 
-from worker.store.database.access import Access
+from worker.store.database.access import Repository
 from worker.store.database.connection import lock, now
 from worker.store.database.tables import idempotency_keys
 from worker.store.errors import Conflict, KeyBusy, KeyReused
@@ -27,14 +27,11 @@ class KeyClaim:
     token: str
 
 
-class IdempotencyKeys:
+class IdempotencyKeys(Repository):
     """Idempotency keys of a tenant, chosen by its clients. They are forgotten after a day.
 
     An answer is any JSON object of the caller.
     """
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def claim(self, key: str, fingerprint: str, lease_s: float) -> KeyClaim | Mapping[str, Any]:
         """Claim a key for a request; returns the claim, or the answer that the same request got before.
@@ -74,7 +71,7 @@ class IdempotencyKeys:
             return claim
 
     def is_answered(self, key: str) -> bool:
-        """Whether a key has an answer."""
+        """True if a key has an answer."""
         query = select(idempotency_keys.c.key).where(self._of(key), idempotency_keys.c.answer.is_not(None))
         with self._access.reading() as connection:
             return connection.scalar(query) is not None

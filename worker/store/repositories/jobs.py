@@ -10,12 +10,12 @@ from uuid_utils import uuid7
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, edit_document
 from worker.store.database import stored_files
-from worker.store.database.access import Access
+from worker.store.database.access import Access, Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import is_in_state, read_jobs, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
-from worker.store.errors import Conflict, NotFound, VideosDeleted
+from worker.store.errors import Conflict, VideosDeleted
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
@@ -33,11 +33,8 @@ from worker.store.spec import FilesAdded, JobSpec
 _NO_EDITS = SessionEdits()
 
 
-class Jobs:
+class Jobs(Repository):
     """Jobs of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def reserve_id(self) -> str:
         """Make the id of a job whose copy of a character is about to be stored.
@@ -145,14 +142,12 @@ class Jobs:
 
         ``after`` is the last id of the page before. Without a ``kind``, all kinds but ``SIDE_KINDS``.
         """
-        query = select_jobs().where(self._access.may_reach(jobs)).order_by(jobs.c.id.desc()).limit(limit)
+        query = newest_first(select_jobs().where(self._access.may_reach(jobs)), jobs, limit, after)
         if state is not None:
             query = query.where(is_in_state(state))
         if session_id is not None:
             query = query.where(jobs.c.session_id == session_id)
         query = query.where(jobs.c.kind.not_in(SIDE_KINDS) if kind is None else jobs.c.kind == kind)
-        if after is not None:
-            query = query.where(jobs.c.id < after)
         with self._access.reading() as connection:
             return read_jobs(connection, connection.execute(query).all())
 
@@ -340,10 +335,7 @@ class Jobs:
 
     def _read(self, connection: Connection, job_id: str) -> JobRecord:
         query = select_jobs().where(jobs.c.id == job_id, self._access.may_reach(jobs))
-        found = read_jobs(connection, connection.execute(query).all())
-        if not found:
-            raise NotFound("There is no such job.")
-        return found[0]
+        return existing(next(iter(read_jobs(connection, connection.execute(query).all())), None), "job")
 
 
 def _config(job: JobRecord) -> ReconstructionConfig:
@@ -358,7 +350,4 @@ def _visuals(spec: JobSpec) -> tuple[bool, ...]:
 def job_row(connection: Connection, access: Access, job_id: str, lock: bool = False) -> Row[Any]:
     """Row of a job, locked until the transaction ends if asked for; ``NotFound`` if there is none."""
     query = select(jobs).where(jobs.c.id == job_id, access.may_reach(jobs))
-    row = connection.execute(query.with_for_update() if lock else query).one_or_none()
-    if row is None:
-        raise NotFound("There is no such job.")
-    return row
+    return existing(connection.execute(query.with_for_update() if lock else query).one_or_none(), "job")

@@ -8,11 +8,10 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 from uuid_utils import uuid7
 
-from worker.store.database.access import Transactions
+from worker.store.database.access import Transactions, existing
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.tables import browser_sessions, keys
-from worker.store.errors import NotFound
 from worker.store.model.rights import Actor, Key, Scope
 from worker.store.repositories.audit import AuditAction, record_event
 
@@ -62,7 +61,7 @@ class Keys:
             return count_tenants(connection)
 
     def exist(self) -> bool:
-        """Whether a key was ever made: from then on every request needs one."""
+        """True if a key was ever made: from then on every request needs one."""
         with self._transactions.reading() as connection:
             return connection.execute(select(keys.c.id).limit(1)).first() is not None
 
@@ -72,9 +71,9 @@ class Keys:
         Raises ``NotFound``.
         """
         with self._transactions.writing() as connection:
-            row = connection.execute(select(keys).where(keys.c.id == key_id).with_for_update()).one_or_none()
-            if row is None:
-                raise NotFound("There is no such key.")
+            row = existing(
+                connection.execute(select(keys).where(keys.c.id == key_id).with_for_update()).one_or_none(), "key"
+            )
             if row.revoked_at is None:
                 connection.execute(update(keys).where(keys.c.id == key_id).values(revoked_at=now()))
                 connection.execute(delete(browser_sessions).where(browser_sessions.c.key_id == key_id))

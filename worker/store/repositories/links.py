@@ -12,11 +12,11 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, insert, or_, select
 from uuid_utils import uuid7
 
-from worker.store.database.access import Access, Transactions
+from worker.store.database.access import Repository, Transactions, existing
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.tables import jobs, keys, links, recordings
-from worker.store.errors import Conflict, NotFound
+from worker.store.errors import Conflict
 from worker.store.model.phone_records import JoinLink
 from worker.store.model.rights import Link, LinkScope
 from worker.store.repositories.audit import AuditAction, record_event
@@ -31,11 +31,8 @@ LINK_PREFIX = "mcl_"
 LINK_SECRET_BYTES = 32
 
 
-class Links:
+class Links(Repository):
     """Links to the jobs of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def add(self, job_id: str, scope: LinkScope, name: str | None, lifetime_s: float) -> tuple[Link, str]:
         """Make a link; returns it with its secret, which can't be read again.
@@ -81,10 +78,7 @@ class Links:
 
     def _require_tenant(self, connection: Connection, link_id: str) -> str:
         query = select(links.c.tenant).where(links.c.id == link_id, self._access.may_reach(links), *_are_valid())
-        tenant: str | None = connection.scalar(query.select_from(links.outerjoin(keys)))
-        if tenant is None:
-            raise NotFound("There is no such link.")
-        return tenant
+        return existing(connection.scalar(query.select_from(links.outerjoin(keys))), "link")
 
 
 class LinkSecrets:

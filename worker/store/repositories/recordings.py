@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Table, delete, func, insert, select, update
 from uuid_utils import uuid7
 
-from worker.store.database.access import Access
+from worker.store.database.access import Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers
@@ -31,14 +31,11 @@ MAX_PARTS = 100
 
 # Phones that were removed keep their numbers, so that they can't come back; so many times the phones of a recording.
 _MAX_REMOVED = 4
-_NO_RECORDING = "There is no such recording, or it has ended."
+_RECORDING = "recording, or it has ended"
 
 
-class Recordings:
+class Recordings(Repository):
     """Recordings of a tenant, or of all tenants. A recording that has ended is treated as unknown."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def add(self, name: str, lifetime_s: float) -> tuple[phone_records.RecordingSession, str]:
         """Open a recording; returns it with the secret of its link, which can't be read again.
@@ -73,10 +70,8 @@ class Recordings:
     def page(self, limit: int = 50, after: str | None = None) -> list[phone_records.RecordingSession]:
         """Recordings, the newest first; ``after`` is the last id of the page before."""
         query = select(recordings).where(self._access.may_reach(recordings), recordings.c.expires_at > now())
-        if after is not None:
-            query = query.where(recordings.c.id < after)
         with self._access.reading() as connection:
-            return _read_recordings(connection, connection.execute(query.order_by(recordings.c.id.desc()).limit(limit)))
+            return _read_recordings(connection, connection.execute(newest_first(query, recordings, limit, after)))
 
     def delete(self, recording_id: str) -> None:
         """Delete a recording with the uploads of its phones that no session took; ``NotFound`` if there is none."""
@@ -316,18 +311,12 @@ class Recordings:
     def _lock(self, connection: Connection, recording_id: str) -> Row[Any]:
         mine = self._access.may_reach(recordings)
         query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
-        row = connection.execute(query.with_for_update()).one_or_none()
-        if row is None:
-            raise NotFound(_NO_RECORDING)
-        return row
+        return existing(connection.execute(query.with_for_update()).one_or_none(), _RECORDING)
 
     def _read(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
         mine = self._access.may_reach(recordings)
         query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
-        found = _read_recordings(connection, connection.execute(query))
-        if not found:
-            raise NotFound(_NO_RECORDING)
-        return found[0]
+        return existing(next(iter(_read_recordings(connection, connection.execute(query))), None), _RECORDING)
 
     def _changed(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
         chosen = update(recordings).where(recordings.c.id == recording_id)

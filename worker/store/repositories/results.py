@@ -4,7 +4,7 @@ from sqlalchemy import select
 
 from pipeline.core.options.job_choices import BLURRED_KIND
 from pipeline.run.engine.stage import VIEWER
-from worker.store.database.access import Access
+from worker.store.database.access import Repository
 from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import jobs, results
 from worker.store.errors import NoResults, NotFinished, NotFound
@@ -13,11 +13,8 @@ from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.jobs import job_row
 
 
-class Results:
+class Results(Repository):
     """Results of the jobs of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def downloads(self, job_id: str) -> list[Result]:
         """Results of a job for downloads, by name, without the files of viewers; errors like ``all``."""

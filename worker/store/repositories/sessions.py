@@ -13,7 +13,7 @@ from uuid_utils import uuid7
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
 from pipeline.core.options.job_choices import BLURRED_KIND
-from worker.store.database.access import Access
+from worker.store.database.access import Access, Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import is_in_state, read_session
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
@@ -29,11 +29,8 @@ from worker.store.repositories.calibrations import forget_unmade
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
 
-class Sessions:
+class Sessions(Repository):
     """Sessions of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def reserve_id(self) -> str:
         """Make the id of a session whose files are about to be stored.
@@ -118,9 +115,7 @@ class Sessions:
         not count. The newest job of each is in ``state``.
         """
         is_listed = (self._access.may_reach(sessions), sessions.c.purpose == "capture")
-        query = _select_captures().where(*is_listed).order_by(sessions.c.id.desc()).limit(limit)
-        if after is not None:
-            query = query.where(sessions.c.id < after)
+        query = newest_first(_select_captures().where(*is_listed), sessions, limit, after)
         if name is not None:
             query = query.where(sessions.c.search_name.contains(searchable(name), autoescape=True))
         if state is not None:
@@ -223,16 +218,12 @@ class Sessions:
 
     def _read(self, connection: Connection, session_id: str) -> Session:
         query = select(sessions).where(sessions.c.id == session_id, self._access.may_reach(sessions))
-        row = connection.execute(query).one_or_none()
-        if row is None:
-            raise NotFound("There is no such session.")
+        row = existing(connection.execute(query).one_or_none(), "session")
         return read_session(row)
 
     def _read_capture(self, connection: Connection, session_id: str) -> Capture:
         query = _select_captures().where(sessions.c.id == session_id, self._access.may_reach(sessions))
-        row = connection.execute(query).one_or_none()
-        if row is None:
-            raise NotFound("There is no such session.")
+        row = existing(connection.execute(query).one_or_none(), "session")
         return _read_captures(connection, [row])[0]
 
 
@@ -340,7 +331,4 @@ def lock_session(connection: Connection, access: Access, session_id: str) -> str
     A locked session is not deleted, and gets no jobs.
     """
     query = select(sessions.c.tenant).where(sessions.c.id == session_id, access.may_reach(sessions)).with_for_update()
-    tenant: str | None = connection.scalar(query)
-    if tenant is None:
-        raise NotFound("There is no such session.")
-    return tenant
+    return existing(connection.scalar(query), "session")

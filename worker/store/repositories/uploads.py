@@ -11,11 +11,11 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select, update
 
-from worker.store.database.access import Access
+from worker.store.database.access import Repository, existing
 from worker.store.database.connection import lock, now
 from worker.store.database.rows import read, read_problem
 from worker.store.database.tables import uploads
-from worker.store.errors import Conflict, NotFound
+from worker.store.errors import Conflict
 from worker.store.model.job_records import JobProblem
 from worker.store.model.phone_records import UploadingPhone
 from worker.store.model.session_records import Fetch, Upload
@@ -24,11 +24,8 @@ from worker.store.repositories.audit import AuditAction, record_event
 _IS_DUE = uploads.c.fetch_due_at <= now()
 
 
-class Uploads:
+class Uploads(Repository):
     """Uploads of a tenant, or of all tenants. An expired upload is treated as unknown."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def add(
         self,
@@ -196,9 +193,7 @@ class Uploads:
 
     def _read(self, connection: Connection, upload_id: str) -> Upload:
         query = select(uploads).where(uploads.c.id == upload_id, self._may_reach(), uploads.c.expires_at >= now())
-        row = connection.execute(query).one_or_none()
-        if row is None:
-            raise NotFound("There is no such upload.")
+        row = existing(connection.execute(query).one_or_none(), "upload")
         return _upload(row)
 
 

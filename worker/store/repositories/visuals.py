@@ -7,7 +7,7 @@ from sqlalchemy import insert, select, update
 from uuid_utils import uuid7
 
 from pipeline.core.options.job_choices import VisualChoices
-from worker.store.database.access import Access
+from worker.store.database.access import Repository
 from worker.store.database.connection import now
 from worker.store.database.rows import read_edits, read_jobs, select_jobs
 from worker.store.database.tables import jobs, sessions
@@ -22,11 +22,8 @@ from worker.store.repositories.work.plans import insert_following, require_video
 from worker.store.spec import JobSpec
 
 
-class Visuals:
+class Visuals(Repository):
     """Such jobs of a tenant, or of all tenants; a reconstruction has one at most, of its present revision."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def add(
         self,

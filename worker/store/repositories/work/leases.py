@@ -118,7 +118,7 @@ class Leases:
         return renewed.rowcount == 1
 
     def holds(self, chunk_id: int, lease_token: str) -> bool:
-        """Whether a token still holds its chunk, such as one of a job that is being canceled."""
+        """True if a token still holds its chunk, such as one of a job that is being canceled."""
         with self._transactions.reading() as connection:
             return (
                 connection.scalar(select(chunks.c.id).where(chunks.c.id == chunk_id, _is_held(lease_token))) is not None

@@ -141,7 +141,7 @@ def _count_done(connection: Connection, job_id: str, stages: Sequence[StagePlan]
 
 
 def _is_done(connection: Connection, job_id: str, stage_index: int, stage: StagePlan) -> bool:
-    """Whether all chunks of a stage are done, under the keys of a plan, and may stay."""
+    """True if all chunks of a stage are done, under the keys of a plan, and may stay."""
     query = select(chunks.c.stage, chunks.c.state, chunks.c.output_key).where(
         chunks.c.job_id == job_id, chunks.c.stage_index == stage_index
     )
