@@ -1,23 +1,4 @@
-"""States of jobs, attempts, files and chunks, and their legal transitions.
-
-::
-
-    attempt queued -> running -> succeeded | failed
-            queued | running -> canceling -> canceled
-            failed | canceled -> queued          (retry: attempt + 1)
-            all but expired -> queued            (files made again: attempt + 1, revision + 1)
-            succeeded | failed | canceled -> expired
-
-    job     state of its attempt until one has succeeded; then succeeded -> expired
-    files   current -> updating -> current | failed    (edits, more files)
-            failed -> updating                         (retry, edits, more files)
-
-    chunk   waiting -> ready -> running -> done
-            running -> ready                     (lease lost, or a failure worth another try)
-            running -> waiting, done -> ready    (the output of the latter is damaged, and the former needs it)
-            running -> failed
-            waiting | ready | running -> canceled
-"""
+"""States of jobs, attempts, files and chunks, and their legal transitions; ARCHITECTURE.md draws them."""
 
 from collections.abc import Mapping
 from enum import StrEnum
