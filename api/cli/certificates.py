@@ -35,7 +35,7 @@ class Encryption:
     key: Path
     authority: Path | None  # Certificate of the authority, for phones; ``None`` of a given certificate
     names: tuple[str, ...]  # Host names and addresses; the first one is for phones
-    has_replaced: bool = False  # Whether phones that trusted an earlier authority have to trust this one again
+    has_replaced: bool = False  # True if phones that trusted an earlier authority have to trust this one again
 
     def environment(self, port: int, allowed_hosts: Sequence[str], public_url: str | None) -> Mapping[str, str]:
         """Settings of the web API: the files, and addresses by which it may be called."""

@@ -205,10 +205,7 @@ def _footage(
 
 
 def parameters(said: Sequence[str], example: str) -> dict[str, float]:
-    """NAME=VALUE pairs as numbers by name.
-
-    Raises ``InputError`` with those that are none.
-    """
+    """NAME=VALUE pairs as numbers by name. Raises ``InputError`` with those that are none."""
     changes: dict[str, float] = {}
     problems = []
     for text in said:

@@ -154,7 +154,7 @@ function showEntrance(problem = null) {
   place.querySelector("input").focus();
 }
 
-// What a key looks like, and how a text that is no key differs.
+// Form of a key, and how a text that is no key differs.
 function lookOfKey(text) {
   const length = text.length - KEY_PREFIX.length;
   let fault = FRAME.keyUnknown;
@@ -222,7 +222,7 @@ signedOut.addEventListener("signedout", () => {
 feed.addEventListener("change", () => { noticeEnds(feed.jobs.values()); showStatus(); });
 sending.addEventListener("change", showStatus);
 addEventListener("hashchange", () => {
-  // What a link opened is not mixed with what a key opens.
+  // Views of a link and of a key are not mixed.
   if (linkSecret(currentRoute()) !== openedBy) location.reload();
   else navigate();
 });

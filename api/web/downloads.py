@@ -43,7 +43,7 @@ class Download:
     num_bytes: int
     sha256: str
     disposition: Literal["attachment", "inline"] = "attachment"
-    is_compared: bool = True  # Whether the file is compared with its digest when it is opened; else only with its size
+    is_compared: bool = True  # True if the file is compared with its digest when it is opened; else only with its size
     remedy: str | None = None  # Advice if a file that is no result is missing or damaged
 
     @classmethod
@@ -96,8 +96,8 @@ def send_file(
 ) -> Response:
     """Answer with a file, or with the range of it that the request asks for.
 
-    Attachments may be sent by the artifact store, at a signed address, unless ``may_redirect`` is false. What a page
-    shows is not: its Content-Security-Policy allows the service's own files only.
+    Attachments may be sent by the artifact store, at a signed address, unless ``may_redirect`` is false. A file on a
+    page is not: its Content-Security-Policy allows the service's own files only.
     """
     etag = f'"{file.sha256}"'
     headers = {

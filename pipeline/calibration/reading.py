@@ -1,7 +1,7 @@
 """Reading of a calibration file: problems, notes for the user, and at the end the contents.
 
 Programs add fields to their formats, and rigs have cameras that film nothing. Both are noted, so that the rest of the
-file serves. What decides about a camera that serves is checked in full.
+file serves. The fields that decide about a usable camera are checked in full.
 """
 
 from collections import Counter

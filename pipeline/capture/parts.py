@@ -29,7 +29,7 @@ _FIRST, _CHAPTER = "gopr", "gp"
 class Part(NamedTuple):
     """A file's place in its recording, by its name."""
 
-    recording: tuple[str, ...]  # What the names of all parts share
+    recording: tuple[str, ...]  # Common text of the names of all parts
     number: int
 
 

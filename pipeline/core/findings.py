@@ -31,8 +31,8 @@ class Finding:
     # ``error``: a reconstruction would fail or be wrong. ``warning``: it may be worse than it could be. ``info``:
     # something to know.
     severity: Severity = "warning"
-    hint: str | None = None  # What to do; ``None`` if there is nothing to say
-    # What was measured, by name: numbers with their units in the names, ``file`` for the name of a file,
+    hint: str | None = None  # Remedy; ``None`` if there is none
+    # Measured values by name: numbers with their units in the names, ``file`` for the name of a file,
     # ``other_camera`` for a second camera. JSON values.
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
@@ -67,7 +67,7 @@ class Finding:
 class SessionCheck:
     """Check of a session by the people in view at a few instants."""
 
-    findings: tuple[Finding, ...] = ()  # What is wrong
+    findings: tuple[Finding, ...] = ()  # Sentence about the fault
     people: Mapping[str, int] = field(default_factory=dict)  # Number of people by camera, at all instants together
     num_instants: int = 0  # Number of instants
     num_located: int = 0  # Number of people located by pairs of cameras that agree, at all instants together
@@ -99,5 +99,5 @@ def documents(findings: Iterable[Finding]) -> list[dict[str, Any]]:
 
 
 def has_error(findings: Iterable[Finding]) -> bool:
-    """Whether a finding is an error."""
+    """True if a finding is an error."""
     return any(finding.severity == "error" for finding in findings)

@@ -26,7 +26,7 @@ class ModelStatus:
     """Status of a network of the registry."""
 
     name: str  # Name of the network
-    installed: bool  # Whether the network's file exists
+    installed: bool  # True if the network's file exists
     licence: str  # SPDX identifier of the weights' licence
     sha256: str  # Checksum that the file must have
 

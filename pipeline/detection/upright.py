@@ -2,7 +2,7 @@
 
 Networks learnt from upright people. They tolerate a camera that leans a little; of a picture that is turned by a
 quarter they find half of the joints (docs/lab/detection.md). The calibration tells how a camera hangs, if its world
-has Z up. What people show is stronger: they are found with more confidence in an upright picture, and their trunks
+has Z up. People are stronger evidence: they are found with more confidence in an upright picture, and their trunks
 point up in it.
 """
 

@@ -40,11 +40,11 @@ class Convention:
     # Rotation from world axes to the file's axes; both are right-handed
     file_from_world: Float[np.ndarray, "3 3"] = field(default_factory=lambda: Y_UP_FROM_WORLD)
     units_per_m: float = 100.0  # Length of a metre in the file's unit
-    is_order_demanded: bool = False  # Whether software reads Z X Y alone; other files may have an order for each joint
+    is_order_demanded: bool = False  # True if software reads Z X Y alone; other files may have an order for each joint
     arms_lowered_deg: float = 0.0  # Angle by which the arms of the rest pose are lowered from a T-pose
     # Name of the node above the root in FBX files, where software expects one; else it has the person's name
     top: str | None = None
-    has_rest_take: bool = False  # Whether FBX files have the rest pose as an animation too
+    has_rest_take: bool = False  # True if FBX files have the rest pose as an animation too
 
     def name(self, joint: str) -> str:
         """Name of a joint in the file."""

@@ -1,4 +1,1 @@
-"""Cameras, lenses, rays, epipolar lines, triangulation; the compiled loops.
-
-Imports ``core``.
-"""
+"""Cameras, lenses, rays, epipolar lines, triangulation; the compiled loops. Imports ``core``."""

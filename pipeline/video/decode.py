@@ -39,7 +39,7 @@ class DecodedFrame(NamedTuple):
 
     pts: int  # Presentation timestamp, in ticks of the stream's time base
     size_px: tuple[int, int]  # Width and height, before rotation
-    is_damaged: bool  # Whether the decoder marks it as damaged
+    is_damaged: bool  # True if the decoder marks it as damaged
     # Read-only picture, valid until the next frame is requested. ``None`` outside the range, and for a picture whose
     # size differs from the request.
     image_rgb: UInt8[np.ndarray, "height width 3"] | None

@@ -49,11 +49,11 @@ class Request(NamedTuple):
     # Timestamps of the first and the last frame of the range
     first_pts: int
     last_pts: int
-    to_the_end: bool  # Whether to decode the frames after the range too, without their pictures
+    to_the_end: bool  # True if to decode the frames after the range too, without their pictures
     max_cpu_s: int  # Limit on the computing time of the process
     # Timestamps of the frames whose pictures are wanted; ``None``: all frames of the range
     only_pts: Sequence[int] | None = None
-    only_keyframes: bool = False  # Whether ``only_pts`` are keyframes, so that no other frame needs to be decoded
+    only_keyframes: bool = False  # True if ``only_pts`` are keyframes, so that no other frame needs to be decoded
 
     @property
     def picture_bytes(self) -> int:

@@ -15,7 +15,7 @@ class Timecode:
 
     time_s: float  # Time since midnight
     rate_hz: float  # Frames a second of the timecode; the video may have a multiple of it
-    is_drop_frame: bool = False  # Whether numbers are left out, so that 29.97 frames a second keep up with the day
+    is_drop_frame: bool = False  # True if numbers are left out, so that 29.97 frames a second keep up with the day
 
     @property
     def day_s(self) -> float:
@@ -43,12 +43,12 @@ class VideoInfo:
     time_s: NDArray[np.float64]  # Times of the frames in seconds; the first is 0
     frame_rate_hz: float  # Rate of ``frame_rate.measured_rate``
     num_repeated: int = 0  # Number of frames that are left out because they have the timestamp of another frame
-    is_mirrored: bool = False  # Whether left and right of the decoded picture are exchanged for display
+    is_mirrored: bool = False  # True if left and right of the decoded picture are exchanged for display
     stored_width_px: int | None = None  # Width of the stored picture if its pixels are not square; ``None``: they are
     timecode: Timecode | None = None  # Timecode of the first frame; ``None``: the file has none
     # Time of creation that the file states, in seconds since 1970; ``None``: it states none
     created_s: float | None = None
-    warnings: tuple[Problem, ...] = ()  # What a user should know about the file, each with a stable code
+    warnings: tuple[Problem, ...] = ()  # Facts about the file for users, each with a stable code
     # Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``
     browser_media_type: str | None = None
     media_start_s: float = 0.0  # Time of the first frame on the clock of the file, which players show

@@ -20,7 +20,7 @@ class Orientation(NamedTuple):
     """How a stored picture is turned for display."""
 
     rotation_deg: int  # Counterclockwise turn, after the mirroring: 0, 90, 180 or 270
-    is_mirrored: bool  # Whether left and right of the stored picture are exchanged before the turn
+    is_mirrored: bool  # True if left and right of the stored picture are exchanged before the turn
 
 
 def display_orientation(frame: VideoFrame) -> Orientation:

@@ -117,12 +117,12 @@ class Lease:
 
     @property
     def was_cut_off(self) -> bool:
-        """Whether a heartbeat failed because the database did not respond."""
+        """True if a heartbeat failed because the database did not respond."""
         return self._was_cut_off
 
     @property
     def is_too_long(self) -> bool:
-        """Whether the work was stopped because it took longer than its limit."""
+        """True if the work was stopped because it took longer than its limit."""
         return self._is_too_long
 
     def on_unit(self) -> None:

@@ -61,7 +61,7 @@ def remove_abandoned() -> None:
 
 
 def is_running(pid: int) -> bool:
-    """Whether there is a process with this id."""
+    """True if there is a process with this id."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

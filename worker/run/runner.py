@@ -136,7 +136,7 @@ class Runner:
             time.sleep(min(_LOOK_S, left_s))
 
     def _knows_schema(self) -> bool:
-        """Whether no newer version has upgraded the database while this one ran: its work is not ours."""
+        """True if no newer version has upgraded the database while this one ran: its work is not ours."""
         try:
             self._store.require_known_schema()
         except UnknownSchema as error:
@@ -282,7 +282,7 @@ class Runner:
         return self._is_stored(stage_key(session_id, output_key), sha256 or "")
 
     def _is_stored(self, key: str, sha256: str) -> bool:
-        """Whether an artifact is there and undamaged."""
+        """True if an artifact is there and undamaged."""
         try:
             self._artifacts.open(key, sha256).close()
         except (NotFound, DamagedArtifact):
@@ -290,7 +290,7 @@ class Runner:
         return True
 
     def _lacks_interim(self, claim: Claim) -> bool:
-        """Whether this chunk's interim output is missing, and a stage that reads it has yet to run."""
+        """True if this chunk's interim output is missing, and a stage that reads it has yet to run."""
         if not STAGE_BY_NAME[claim.stage].leaves_interim(claim.config):
             return False
         if read_interim(self._artifacts, claim, claim.output_key) is not None:

@@ -123,7 +123,7 @@ class Program:
     env: Mapping[str, str]  # Whole environment of the program
     pass_fds: Sequence[int] = ()  # Open files that the program inherits
     stop_s: float = 10.0  # Time from SIGTERM until the program is killed
-    stops_last: bool = False  # Whether the program is stopped only when all others have ended
+    stops_last: bool = False  # True if the program is stopped only when all others have ended
 
 
 @dataclass(slots=True)

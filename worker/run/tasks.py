@@ -68,7 +68,7 @@ class ForkedFlag:
         self._byte[0] = 1
 
     def is_set(self) -> bool:
-        """Whether the flag is set."""
+        """True if the flag is set."""
         return self._byte[0] == 1
 
 
@@ -148,7 +148,7 @@ def _disk() -> DiskSpace:
 
 
 def is_loaded() -> bool:
-    """Whether this process has loaded the pipeline."""
+    """True if this process has loaded the pipeline."""
     return process_runner.cache_info().currsize > 0
 
 

@@ -21,7 +21,7 @@ _tracer = trace.get_tracer("multicap")
 
 
 def is_wanted() -> bool:
-    """Whether an endpoint for traces is configured."""
+    """True if an endpoint for traces is configured."""
     return any(os.environ.get(name) for name in _ENDPOINTS)
 
 

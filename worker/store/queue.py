@@ -71,7 +71,7 @@ class WorkQueue:
             return True
 
     def ping(self) -> bool:
-        """Whether the broker answers."""
+        """True if the broker answers."""
         try:
             # On a connection of the pool that ``publish`` uses.
             with self._celery.producer_pool.acquire(block=True, timeout=_TIMEOUT_S) as producer:

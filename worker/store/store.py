@@ -91,7 +91,7 @@ class JobStore(Records):
 
     @property
     def is_damaged(self) -> bool:
-        """Whether the database was found damaged."""
+        """True if the database was found damaged."""
         return self._database.is_damaged
 
     def require_known_schema(self) -> None:
@@ -99,7 +99,7 @@ class JobStore(Records):
         self._database.require_known_schema()
 
     def ping(self) -> bool:
-        """Whether the database answers, and has the schema."""
+        """True if the database answers, and has the schema."""
         try:
             with self._database.reading() as connection:
                 connection.execute(select(sessions.c.id).limit(1))

@@ -71,6 +71,6 @@ class TenantRecords(Records):
         require_room(self._access.quotas, self.usage(), **more)
 
     def has_webhook_secret(self) -> bool:
-        """Whether messages to the tenant can be signed."""
+        """True if messages to the tenant can be signed."""
         with self._access.reading() as connection:
             return bool(read_secrets(connection, self._access.owner))

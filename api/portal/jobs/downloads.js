@@ -11,7 +11,7 @@ const ORDER = Object.keys(TAKE.kinds); // of files of all people
 // Files that are rebuilt some time after the last edit.
 const VISUALS = ["report", "overlay", "rerun"];
 
-/** What a file is: its format, and the application that it is written for. */
+/** Description of a file: its format, and the application that it is written for. */
 function fileWords({ kind, format, preset, person }, options) {
   const label = (name, value) => options?.choices.find((choice) => choice.name === name)?.values.find((one) => one.name === value)?.label ?? value;
   if (kind === "character" && person !== null) return TAKE.characterMotion;

@@ -109,7 +109,7 @@ export class JobMotion extends EventTarget {
   async #show(other) {
     const before = this.#viewer?.standpoint ?? null;
     const hadFocus = this.stage.contains(document.activeElement);
-    // What is below stays where it is while the motion is loaded.
+    // The content below stays in its place while the motion is loaded.
     this.stage.style.minHeight = before === null ? "" : `${this.stage.offsetHeight}px`;
     this.close();
     this.#chosen = other;

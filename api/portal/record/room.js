@@ -111,7 +111,7 @@ export function keepJoin(recordingId, join) {
   } catch { /* storage is off: a reload needs another link */ }
 }
 
-/** Whether an address can be opened on this machine alone. */
+/** True if an address can be opened on this machine alone. */
 export const isOfThisMachine = (url) => ["localhost", "127.0.0.1", "[::1]"].includes(new URL(url).hostname);
 
 // Names of phones and takes as the service takes them: on one line, without invisible characters and slashes.

@@ -15,7 +15,7 @@ export class RequestProblem extends Error {
     this.status = status;
   }
 
-  // Whether the service, or what it needs, could not be reached or was busy: the same request may succeed later.
+  // True if the service, or what it needs, could not be reached or was busy: the same request may succeed later.
   get isAway() { return [0, 502, 503, 504].includes(this.status) || BUSY.includes(this.code); }
 }
 

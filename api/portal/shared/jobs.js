@@ -7,11 +7,11 @@ const TONES = { queued: "wait", running: "run", canceling: "wait", succeeded: "g
 const ENDED = new Set(["succeeded", "failed", "canceled", "expired"]);
 const STEADY_S = 2; // before that a rate says little
 
-// Whether a job and its files are at rest.
+// True if a job and its files are at rest.
 export const hasEnded = (job) => ENDED.has(job.state) && job.files_state !== "updating";
-// Whether files of a job can be read: also files of earlier edits, while newer ones are made.
+// True if files of a job can be read: also files of earlier edits, while newer ones are made.
 export const hasFiles = (job) => job.results_revision !== null && job.state !== "expired";
-// Whether something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
+// True if something of a job still changes by itself: its files, or the overlay videos, the report and the recording of its edits.
 export const isAtWork = (job) => !hasEnded(job) || (job.visuals_job !== null && !ENDED.has(job.visuals_job.state));
 const hasWarning = (job, wanted) => job.warnings.some(({ code }) => code === wanted);
 const foundNobody = (job) => hasWarning(job, "nobody_found");

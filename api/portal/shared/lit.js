@@ -62,7 +62,7 @@ export function confirm({ title, text, action, refusal = COMMON.keep }) {
   });
 }
 
-// What went wrong, and what to do.
+// The problem, and the remedy.
 
 function where(item) {
   return [item.file, item.camera, item.field].filter(Boolean).join(", ") || item.pointer || "";

@@ -6,10 +6,10 @@ import { address } from "./page.js";
 const KEY = "multicap.notices";
 const running = new Set(); // ids of jobs that were seen at work
 
-/** Whether the browser can notify: not of pages without TLS, nor if it was forbidden. */
+/** True if the browser can notify: not of pages without TLS, nor if it was forbidden. */
 export const canNotify = () => isSecureContext && "Notification" in globalThis && Notification.permission !== "denied";
 
-/** Whether notifications were asked for. */
+/** True if notifications were asked for. */
 export function notifies() {
   try {
     return canNotify() && Notification.permission === "granted" && localStorage.getItem(KEY) === "on";

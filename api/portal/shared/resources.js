@@ -1,4 +1,4 @@
-// What the service offers to captures: choices, calibrations, characters.
+// Offers of the service to captures: choices, calibrations, characters.
 
 import { call, jsonPart } from "./api.js";
 import { day } from "./format.js";
@@ -70,7 +70,7 @@ class CharacterShelf extends EventTarget {
   problem = null;
   #showsBones = false;
 
-  // Whether forms show bones: a character may have hundreds, each in the list of each joint.
+  // True if forms show bones: a character may have hundreds, each in the list of each joint.
   get showsBones() { return this.#showsBones; }
 
   set showsBones(isShown) {

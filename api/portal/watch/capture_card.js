@@ -203,7 +203,7 @@ function runAgainForm(view, session) {
   };
   const submit = (event) => {
     event.preventDefault();
-    // What the form shows counts, also against what the session states.
+    // The values of the form count, also against the statements of the session.
     const usual = Object.fromEntries(view.options.choices.filter(({ name }) => OF_SESSION.includes(name)).map((choice) => [choice.name, choice.default]));
     return view.act(session.id, async () => {
       const job = await call(session.urls.jobs, { method: "POST", body: { ...usual, ...spec } });

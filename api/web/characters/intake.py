@@ -45,10 +45,7 @@ class CheckedCharacter:
 
 
 async def check_character(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedCharacter:
-    """Check a character: its file and the corrections of its bones.
-
-    Raises ``ApiError``: with all that is wrong.
-    """
+    """Check a character: its file and the corrections of its bones. Raises ``ApiError``: with all that is wrong."""
     owner = request.state.caller.owner
     if isinstance(sent.content, UploadedCharacter):
         spec: CharacterSpec | None = sent.content

@@ -73,7 +73,7 @@ def select_range(header: str | None, size: int, noun: str = "file") -> tuple[Byt
 
 
 def matches(header: str | None, etag: str) -> bool:
-    """Whether an ``If-None-Match`` header names an entity tag or is ``*``."""
+    """True if an ``If-None-Match`` header names an entity tag or is ``*``."""
     if header is None:
         return False
     return header.strip() == "*" or etag in _ETAG.findall(header)

@@ -51,7 +51,7 @@ def client_network(connection: HTTPConnection) -> str:
 class MinuteState(NamedTuple):
     """Events that a key may have within the minute that ends now."""
 
-    is_allowed: bool  # Whether the last event was, or the next one is, within the limit
+    is_allowed: bool  # True if the last event was, or the next one is, within the limit
     remaining: int  # Further events that are within the limit
     reset_s: float  # Time until the oldest event of the minute no longer counts
 

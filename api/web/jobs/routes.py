@@ -204,7 +204,7 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     responses={**ACCEPTED, **problems(400, 404, 409, 422)},
 )
 def cancel_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Cancel a job. What runs of it stops within seconds."""
+    """Cancel a job. Its running work stops within seconds."""
     return services.disk.using_reserve(lambda: _cancel(services, idempotent, job_id))
 
 
@@ -230,7 +230,7 @@ def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
     responses={**ACCEPTED, **problems(400, 404, 409, 422, 507)},
 )
 def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
-    """Try a failed or canceled job again. What it had finished is not done again."""
+    """Try a failed or canceled job again. Its finished work is not repeated."""
     if (earlier := idempotent.begin(None)) is not None:
         return earlier
     with idempotent.working():

@@ -261,7 +261,7 @@ class JobOut(ResponseModel):
 
 
 def _may_make_visuals(job: job_records.JobRecord) -> bool:
-    """Whether a request rebuilds the visuals of a job."""
+    """True if a request rebuilds the visuals of a job."""
     has_failed = job.visuals_job is not None and job.visuals_job.state in RETRYABLE
     can_make = job.has_videos or not (job.spec.overlay or "rerun" in job.spec.exports)
     return job.files_state is FilesState.CURRENT and can_make and (job.has_old_visuals or has_failed)

@@ -40,10 +40,7 @@ OnMessage = Callable[[str, RelayKind, bytes], None]
 
 
 class RecordingRelay:
-    """Relay of one process.
-
-    ``broker_url``: Celery's.
-    """
+    """Relay of one process. ``broker_url``: Celery's."""
 
     def __init__(self, broker_url: str) -> None:
         self._client: redis.asyncio.Redis = _open_client(broker_url)

@@ -37,10 +37,7 @@ class _Told:
 
 
 class PhoneConnection:
-    """Connection of a phone that has said ``hello``.
-
-    ``records``: records of the recording's tenant.
-    """
+    """Connection of a phone that has said ``hello``. ``records``: records of the recording's tenant."""
 
     def __init__(
         self,

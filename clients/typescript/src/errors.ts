@@ -24,7 +24,7 @@ export class ServiceError extends Error {
   readonly hint: string | null;
   /** Everything that is wrong with the request, or with the capture of a job. */
   readonly errors: readonly Problem[];
-  /** Whether the same request may succeed later. */
+  /** True if the same request may succeed later. */
   readonly retryable: boolean;
   /** Id of the request, for the operator of the service. */
   readonly requestId: string | null;

@@ -18,7 +18,7 @@ export class JobEvents {
   /** `open` requests a stream; its headers may have the id of the last event. */
   constructor(private readonly open: (headers: Record<string, string>, signal: AbortSignal) => Promise<Response>) {}
 
-  /** Whether another stream is worth a try. */
+  /** True if another stream is worth a try. */
   get arePassed(): boolean {
     return this.#numFailures < MAX_FAILURES;
   }

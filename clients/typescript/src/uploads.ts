@@ -36,7 +36,7 @@ const STREAM_PIECE_BYTES = 8 * 1024 * 1024;
 
 const builtin = globalThis.process?.getBuiltinModule as NodeJS.Process["getBuiltinModule"] | undefined;
 
-/** Whether the program runs in Node.js, not in a browser. */
+/** True if the program runs in Node.js, not in a browser. */
 export const isNode = builtin !== undefined;
 
 /** Upload files, two at a time; return the ids of the uploads. If one fails, all are discarded. */

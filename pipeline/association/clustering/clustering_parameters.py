@@ -26,7 +26,7 @@ class ClusteringParameters:
     # DBSCAN's eps: distance below which hypotheses are neighbours. It covers the spread of a joint and is well below
     # half a shoulder's width. Two views give a single hypothesis, so a cluster may have a single member.
     eps_m: float = 0.1
-    split_clusters: bool = True  # Whether a cluster with several parents is split (section 3.2.2)
+    split_clusters: bool = True  # True if a cluster with several parents is split (section 3.2.2)
     # A cluster of several merged joints gives all of them, the densest first; the paper's gives one joint
     separate_clusters: bool = True
     # Eq. 2 and eq. 3 constrain hypotheses and limbs (the paper's ablation, table 3). Limbs are always joined in

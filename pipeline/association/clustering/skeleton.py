@@ -20,7 +20,7 @@ class Limb:
 
     parent: str  # Name of the parent joint, which is found first
     longest_m: float  # Upper limit of the limb's length for any person, the detector's noise included
-    is_constant: bool = True  # Whether the limb's length does not depend on the pose
+    is_constant: bool = True  # True if the limb's length does not depend on the pose
     field_share: float = 1.0  # Strength of the limb's part affinity field relative to other limbs
 
 

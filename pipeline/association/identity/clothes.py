@@ -39,7 +39,7 @@ class Clothes(NamedTuple):
 
     @property
     def is_known(self) -> Bool[np.ndarray, "cameras parts"]:
-        """Whether there are enough detections."""
+        """True if there are enough detections."""
         return np.asarray(self.num_detections >= _MIN_DETECTIONS)
 
     def joined(self, other: "Clothes") -> "Clothes":

@@ -178,7 +178,7 @@ def _is_one_body(first: Person, second: Person) -> bool:
 def _is_found_twice(
     one_px: Float[np.ndarray, "frames cameras joints 2"], other_px: Float[np.ndarray, "frames cameras joints 2"]
 ) -> Bool[np.ndarray, "frames cameras"]:
-    """Whether two detected bodies of a picture are nearly the same."""
+    """True if two detected bodies of a picture are nearly the same."""
     with np.errstate(invalid="ignore"):
         apart_px = _mean(np.linalg.norm(one_px - other_px, axis=-1))
         height_px = np.fmax.reduce(one_px[..., 1], axis=-1) - np.fmin.reduce(one_px[..., 1], axis=-1)

@@ -155,7 +155,7 @@ def mean_bodies(observations: Iterable[Observations], num_recorded: int) -> floa
 def is_spurious(
     person: Person, cameras: Sequence[Camera], timebase: Timebase, num_bodies: float, num_recorded: int
 ) -> bool:
-    """Whether a track may be chance; never if it lasts for half of the session, which may be too short to tell.
+    """True if a track may be chance; never if it lasts for half of the session, which may be too short to tell.
 
     ``num_bodies`` is the mean number of bodies in a picture; ``num_recorded`` output frames have pictures.
     """

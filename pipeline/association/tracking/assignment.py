@@ -24,7 +24,7 @@ class Partition(NamedTuple):
     """Partition of several cameras' detections into people."""
 
     parts: tuple[tuple[int, ...], ...]  # Detections of each person, at least two, ascending
-    is_exact: bool  # Whether the partition is optimal; if not, some parts were matched camera by camera
+    is_exact: bool  # True if the partition is optimal; if not, some parts were matched camera by camera
 
 
 def assign(affinities: Float[np.ndarray, "targets detections"]) -> list[tuple[int, int]]:

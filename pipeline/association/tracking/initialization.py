@@ -33,7 +33,7 @@ class Groups(NamedTuple):
     """Unmatched detections grouped into people."""
 
     people: list[list[Unmatched]]  # Detections of each person, from at least two cameras
-    is_exact: bool  # Whether all detections were considered and the grouping is optimal
+    is_exact: bool  # True if all detections were considered and the grouping is optimal
 
 
 def epipolar_affinity(
@@ -120,7 +120,7 @@ def spread_m(rig: RigGeometry, group: Sequence[Unmatched], xyz_m: Float[np.ndarr
 
 
 def is_body(xyz_m: Float[np.ndarray, "joints 3"], spread_m: float, parameters: TrackingParameters) -> bool:
-    """Whether a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
+    """True if a triangulated group can be a person: enough joints, rays that meet, and the size of a body.
 
     Two people in the same epipolar plane satisfy the epipolar constraint. Their rays then mostly miss each other, or
     meet at points that make no body of plausible size. World positions are NaN where a joint was not located;

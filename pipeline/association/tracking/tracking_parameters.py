@@ -65,8 +65,8 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
 
     A single instant confirms a person where somebody walks farther than ``alpha_3d`` from one frame to the next, as in
-    time-lapse and photographs: without a velocity the target can't be matched again. What may be chance is left out
-    afterwards (``identity.spurious_tracks``).
+    time-lapse and photographs: without a velocity the target can't be matched again. Tracks that may be chance are left
+    out afterwards (``identity.spurious_tracks``).
     """
     target_m = viewed_point_m(cameras)
     scale_px_m = float(

@@ -28,7 +28,7 @@ class Places:
     """Places on the floor at which the board lies."""
 
     stretches: tuple[range, ...]  # Instants at each place; the first place is the origin of the world
-    is_certain: bool  # Whether the board lies still there with all cameras above it; else the best instant was taken
+    is_certain: bool  # True if the board lies still there with all cameras above it; else the best instant was taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,7 +41,7 @@ _ANGLES_DEG = (90.0, 120.0, 150.0, 180.0, 220.0)
 class DistortionModel:
     """Distortion model of a camera."""
 
-    name: str  # What the report calls it
+    name: str  # Name in the report
     flags: int  # Flags of ``cv2.calibrateCamera``; none for a fisheye lens
     free: tuple[int, ...]  # Numbers of the coefficients that are not zero, in OpenCV's order
     length: int  # Number of coefficients that a camera has then
@@ -98,7 +98,7 @@ def _adjusted(views: BoardViews, board: Board, model: DistortionModel) -> tuple[
 
 
 def _is_wide(views: BoardViews, board: Board) -> bool:
-    """Whether corners are seen at an angle from the axis at which lens models differ."""
+    """True if corners are seen at an angle from the axis at which lens models differ."""
     camera, _ = _fit_standard(views, board, MODELS[2])
     corners_px = np.concatenate(_points(views, board)[1]).astype(float)
     ideal = np.linalg.norm((undistort_px(camera, corners_px) - camera.matrix[:2, 2]) / camera.matrix[0, 0], axis=-1)

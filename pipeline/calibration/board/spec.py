@@ -61,7 +61,7 @@ class Board:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether the board looks the same after half a turn: a chessboard with both counts odd or both even."""
+        """True if the board looks the same after half a turn: a chessboard with both counts odd or both even."""
         return self.kind == "chessboard" and (self.cols - self.rows) % 2 == 0
 
     @property

@@ -203,10 +203,7 @@ def _places_m(camera: Camera, extent_m: float) -> Float[np.ndarray, "places 3"]:
 
 
 def in_picture(camera: Camera, places_m: Float[np.ndarray, "places 3"]) -> Bool[np.ndarray, " places"]:
-    """Places that a camera has in its picture.
-
-    The size of its picture must be known; the places are in the world.
-    """
+    """Places that a camera has in its picture. The size of its picture must be known; the places are in the world."""
     _, limit = growing_radius(camera)
     in_cam = camera.cam_from_world.apply(places_m)
     is_ahead = in_cam[:, 2] > 0.0

@@ -71,7 +71,7 @@ def gather_bodies(
 
 
 def _overlap(some: Sequence[int], others: Sequence[int], tracklets: Sequence[ViewTracklet]) -> bool:
-    """Whether a camera would see the person twice at an instant."""
+    """True if a camera would see the person twice at an instant."""
     return any(
         tracklets[k].camera == tracklets[m].camera and len(tracklets[k].shared(tracklets[m])) > 0
         for k in some

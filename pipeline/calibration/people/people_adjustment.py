@@ -44,7 +44,7 @@ _MAX_ERROR = 0.03
 # Time for which an error of a detector lasts, beside those that last for the whole take.
 _LASTING_S = 1.0
 # Largest number of steps of a search, and the step that ends it: of angles in radians, of positions in distances of two
-# cameras, of logarithms of focal lengths, and of coefficients. What is left to gain is a hundredth of the standard
+# cameras, of logarithms of focal lengths, and of coefficients. The rest would gain a hundredth of the standard
 # deviations.
 _MAX_STEPS, _SMALL_STEP = 30, 3e-6
 # Priors where intrinsics are guessed: logarithm of the focal length, first radial coefficient.

@@ -31,7 +31,7 @@ class PeopleWorld:
     # camera
     cameras: tuple[Camera, ...]
     scale: float  # Metres of this world to the unit of the cameras before
-    has_floor: bool  # Whether feet determine the floor; else z = 0 is only at the height of the lowest feet
+    has_floor: bool  # True if feet determine the floor; else z = 0 is only at the height of the lowest feet
     # Estimated stature of each group of bodies in metres, and the number of the known stature that it was given, -1
     # where none was left
     estimates_m: tuple[float, ...]

@@ -23,7 +23,7 @@ _MIN_NORM, _MAX_NORM = 1e-3, 1e3
 def read_rotation(value: Any, camera: str, reading: Reading) -> np.ndarray | None:
     """Matrix of a Rodrigues vector (radians) in a list, a row or a column, or the matrix itself; ``None`` if missing.
 
-    Another value is a problem of the camera. Whether a matrix is a rotation is left to the checks.
+    Another value is a problem of the camera. The checks tell if a matrix is a rotation.
     """
     if value is None:
         return None

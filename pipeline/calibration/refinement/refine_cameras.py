@@ -96,7 +96,7 @@ class RefinedCameras:
 
     @property
     def is_refined(self) -> bool:
-        """Whether the cameras are refined ones."""
+        """True if the cameras are refined ones."""
         return self.refusal is None
 
 

@@ -57,7 +57,7 @@ def check_pictures(cameras: Sequence[CameraPictures]) -> list[Finding]:
 
 
 def is_dark(figures: PictureFigures) -> bool:
-    """Whether a picture is too dark for people to be seen."""
+    """True if a picture is too dark for people to be seen."""
     return figures.dark_share >= _DARK_SHARE
 
 
@@ -128,7 +128,7 @@ def _is_still(first: PictureFigures, second: PictureFigures) -> bool:
 
 
 def _moves(camera: CameraPictures, start_s: float, stop_s: float) -> bool:
-    """Whether a camera sees motion within a time."""
+    """True if a camera sees motion within a time."""
     inside = [
         picture for time_s, picture in zip(camera.time_s, camera.figures, strict=True) if start_s <= time_s <= stop_s
     ]

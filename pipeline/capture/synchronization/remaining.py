@@ -27,7 +27,7 @@ class RemainingOffset:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the declared times are wrong by more than half a frame, and the measurement can tell."""
+        """True if the declared times are wrong by more than half a frame, and the measurement can tell."""
         return abs(self.frames) > HALF_A_FRAME and abs(self.late_s) > 3.0 * self.sigma_s
 
 

@@ -42,7 +42,7 @@ class FootContact:
     start_frame: int
     num_frames: int
     confidence: float  # Confidence in [0, 1], from the ankle's height and speed and from the length of the contact
-    pinned: bool  # Whether the foot is held in place
+    pinned: bool  # True if the foot is held in place
     # Mean horizontal distance of the ankle, or of the part, from its median position, before and after pinning
     slide_before_m: float
     slide_after_m: float

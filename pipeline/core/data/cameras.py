@@ -59,7 +59,7 @@ class Camera:
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the lens is free of distortion."""
+        """True if the lens is free of distortion."""
         return self.lens == "standard" and not self.distortion.any()
 
 
@@ -120,7 +120,7 @@ class WorldMove:
 class Refinement:
     """Report of the refinement of a calibration."""
 
-    refined: bool  # Whether refined cameras took the place of the given ones
+    refined: bool  # True if refined cameras took the place of the given ones
     # Median reprojection error with the given and with refined cameras, cross-validated over time; NaN without people
     error_before_px: float
     error_after_px: float
@@ -138,7 +138,7 @@ class Refinement:
 
     @property
     def has_new_cameras(self) -> bool:
-        """Whether the cameras of the reconstruction are not the given ones."""
+        """True if the cameras of the reconstruction are not the given ones."""
         return self.refined or self.world is not None
 
 
@@ -187,7 +187,7 @@ class Synchronization:
 
     @property
     def is_certain(self) -> bool:
-        """Whether the clocks can be relied on."""
+        """True if the clocks can be relied on."""
         return not self.refusals
 
 

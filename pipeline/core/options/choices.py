@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 class Value:
     """A value of a choice."""
 
-    label: str  # What forms and documentation call it
+    label: str  # Name in forms and documentation
     # Further sentence for the documentation, such as a cost; empty for none
     note: str = field(default="", kw_only=True)
 
@@ -23,8 +23,8 @@ class Value:
 class Network(Value):
     """A detector network; ``pipeline.detection.entries`` has its files, input and outputs."""
 
-    leaves_fields: bool = False  # Whether it outputs part affinity fields; the other networks find whole bodies
-    publisher: str | None = None  # Where users get its files; ``None``: Multicap installs it from a package
+    leaves_fields: bool = False  # True if it outputs part affinity fields; the other networks find whole bodies
+    publisher: str | None = None  # Source of its files for users; ``None``: Multicap installs it from a package
 
 
 @dataclass(frozen=True, slots=True)

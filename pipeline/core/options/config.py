@@ -379,18 +379,18 @@ class ReconstructionConfig(JobChoices):
 
     @property
     def is_of_people(self) -> bool:
-        """Whether people are reconstructed, or visuals are made of people who were reconstructed."""
+        """True if people are reconstructed, or visuals are made of people who were reconstructed."""
         return self.making is None or isinstance(self.making, VisualChoices)
 
     @property
     def uses_fields(self) -> bool:
-        """Whether people are found from part affinity fields, where there are videos."""
+        """True if people are found from part affinity fields, where there are videos."""
         network = NETWORKS.get(self.networks.body)
         return self.method == "clustering" and network is not None and network.leaves_fields
 
     @property
     def uses_colours(self) -> bool:
-        """Whether the colours of clothes are measured, where there are videos."""
+        """True if the colours of clothes are measured, where there are videos."""
         return self.is_of_people and self.method == "tracking" and self.appearance == "on"
 
 
@@ -429,11 +429,11 @@ class Networks:
     # Network that reads joints, heels and toes in the crop of each body; ``None`` without crops
     near: str | None = None
     hand: str | None = None  # Network that reads fingers in the crop of each hand; ``None`` without fingers
-    # Whether ``near`` refines the joints of the body; otherwise it adds heels and toes alone
+    # True if ``near`` refines the joints of the body; otherwise it adds heels and toes alone
     refines_body: bool = False
     # Network that reads the joints of leaning bodies again, in crops that 3D places; ``None``: no second detection
     again: str | None = None
-    is_sized: bool = False  # Whether the size of the images for ``body`` follows the size of the people in them
+    is_sized: bool = False  # True if the size of the images for ``body`` follows the size of the people in them
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -40,12 +40,12 @@ class CalibrationChoices:
 
     # Specification of the board, see ``pipeline.calibration.board.spec``; ``None``: people calibrate
     board: str | None
-    # Whether the session's cameras have known intrinsics, which stay; else they are guessed, and made
+    # True if the session's cameras have known intrinsics, which stay; else they are guessed, and made
     has_intrinsics: bool = False
     stature_m: tuple[float, ...] = ()  # Statures of the people, in any order; none with a board
     # Points that determine the world; without any, the board or the people do
     known_points: tuple[KnownPoint, ...] = ()
-    has_photographs: bool = False  # Whether the footage is photographs of a board, which have no times
+    has_photographs: bool = False  # True if the footage is photographs of a board, which have no times
 
     @property
     def method(self) -> str:

@@ -1,7 +1,4 @@
-"""Requirements of a JSON Schema on a value: what violates them, and words for error messages.
-
-Standard library only.
-"""
+"""Requirements of a JSON Schema on a value: what violates them, and words for error messages. Standard library only."""
 
 import math
 import re

@@ -158,10 +158,7 @@ def file_problems(
 
 
 def format_problems(exports: Collection[Export], installed: Collection[str]) -> Iterator[Problem]:
-    """Find formats whose package, or whose file, is missing.
-
-    ``installed``: formats that can be written.
-    """
+    """Find formats whose package, or whose file, is missing. ``installed``: formats that can be written."""
     for export, form in FILE_FORMATS.items():
         if form.package is None or export not in exports or export in installed:
             continue

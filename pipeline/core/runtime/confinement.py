@@ -71,9 +71,9 @@ class ChildEnd(NamedTuple):
     """End of a child process."""
 
     exit_code: int | None  # Negative number of the signal that ended it; ``None``: it was killed after the time limit
-    is_ready: bool  # Whether the child came to its file
+    is_ready: bool  # True if the child came to its file
     output: bytes  # Output after ``READY``
-    errors: str  # What the child wrote to stderr
+    errors: str  # Text of the child on stderr
 
 
 def run_confined(
@@ -227,8 +227,8 @@ class Fork(NamedTuple):
 
     number: int  # Number of its task
     exit_code: int | None  # Negative number of the signal that ended it; ``None``: it was killed after its time limit
-    output: bytes  # What it wrote to stdout
-    errors: str  # What it wrote to stderr
+    output: bytes  # Content of stdout
+    errors: str  # Content of stderr
 
 
 def run_in_forks(tasks: Sequence[tuple[Callable[[], object], float]], at_once: int) -> Iterator[Fork]:

@@ -37,7 +37,7 @@ class TopDown:
     body: BodyDetector  # Detector of the joints ``COCO_17`` in whole images
     near: Network  # BlazePose, for crops of 256 x 256 pixels
     hand: Network | None  # Hand network for crops of 224 x 224 pixels; ``None`` for joint sets without fingers
-    # Whether the joints of the body are averaged with BlazePose's, at the common marks of both; see ``fusion``
+    # True if the joints of the body are averaged with BlazePose's, at the common marks of both; see ``fusion``
     refines_body: bool
     joints: JointSet  # Joints to detect: ``COCO_17``, ``BODY_FEET`` or ``WHOLE_BODY``
     turn_deg: float = 0.0  # Counterclockwise turn that brings images upright

@@ -76,10 +76,7 @@ class CharacterFigure:
 
 
 def measure(file: CharacterFile, mapping: BoneMapping) -> CharacterFigure:
-    """Measure a character.
-
-    Raises ``InputError`` if a limb has no length, or bones are scaled unevenly or mirrored.
-    """
+    """Measure a character. Raises ``InputError`` if a limb has no length, or bones are scaled unevenly or mirrored."""
     joints = {joint: file.rig.names.index(bone) for joint, bone in mapping.bones.items()}
     _require_turnable(file, joints)
     rig, _ = connected(file.rig, joints)

@@ -1,7 +1,7 @@
 """Retargeting: the motion of a person's skeleton on the bones of a character.
 
 Each bone turns from its T-pose as the joint of the skeleton does, so that limbs have the person's directions. Paths are
-scaled by the length of the legs. What directions alone would lose is fitted in each frame: feet stand where they stand
+scaled by the length of the legs. Losses of directions alone are fitted in each frame: feet stand where they stand
 (``limbs``), hips shift and tilt for them, legs reach them, and hands meet where they met. A hand that is near
 the other one, or near the floor, is led to the scaled place; the weight rises from 0 to 1 between two distances, which
 are shares of the arm's length.

@@ -33,10 +33,7 @@ _FORMS = ("long", "wide")
 
 
 def optional_module(name: str) -> Any:
-    """Import a package of the extra ``notebook``.
-
-    Raises ``PipelineError`` if it is not installed.
-    """
+    """Import a package of the extra ``notebook``. Raises ``PipelineError`` if it is not installed."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:

@@ -74,10 +74,7 @@ def install(on_bytes: OnBytes = silent) -> Path:
 
 
 def load() -> tuple[bytes, bytes]:
-    """Read the installed model and its licence.
-
-    Raises ``ModelError`` if they are not installed, or were changed.
-    """
+    """Read the installed model and its licence. Raises ``ModelError`` if they are not installed, or were changed."""
     read = []
     for name, target in ((_MODEL, path()), (_LICENCE_TEXT, path().with_name(LICENCE_FILE))):
         with storage_errors():

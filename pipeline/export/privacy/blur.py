@@ -33,8 +33,8 @@ def blur_ellipses(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Copy of a picture with blurred ellipses.
 
-    ``ellipse_px``: centre in x and y, half of the width and half of the height of each ellipse, in pixels. What lies
-    outside of the picture is ignored.
+    ``ellipse_px``: centre in x and y, half of the width and half of the height of each ellipse, in pixels. Regions
+    outside of the picture are ignored.
     """
     image = np.ascontiguousarray(image_rgb).copy()
     height, width = image.shape[:2]

@@ -65,7 +65,7 @@ class CameraShift:
 
     @property
     def is_certain(self) -> bool:
-        """Whether the shift is neither chance nor a habit of the detector."""
+        """True if the shift is neither chance nor a habit of the detector."""
         least = max(_MIN_SHIFT, _BIAS / np.sqrt(self.num_people))
         is_large = self.shift_px > least * self.noise_px and self.share > _MIN_SHARE
         return bool(is_large and self.chance < _MAX_CHANCE)

@@ -221,7 +221,7 @@ def all_checks(report: Mapping[str, Any]) -> list[Finding]:
     of_take = [Finding.from_json(check) for check in (*report["capture_checks"], *report["world_checks"])]
     known = {(finding.code, finding.camera) for finding in of_take}
     of_session = [Finding.from_json(finding) for finding in report.get("session_checks", ())]
-    # What the whole take shows is more exact than what a few instants show: of cameras that disagree a little there,
+    # The whole take is more exact than a few instants: of cameras that disagree a little there,
     # it names those that do.
     return [
         *(

@@ -33,7 +33,7 @@ class PersonViews:
 
     located: Track3D  # Joints located by association, without fingers
     error_px: Float[np.ndarray, "frames cameras joints"]  # See ``reprojection_error_px``
-    sees: Bool[np.ndarray, "frames cameras"]  # Whether a camera saw any joint of the person's body in a frame
+    sees: Bool[np.ndarray, "frames cameras"]  # True if a camera saw any joint of the person's body in a frame
     views_per_joint: float  # See ``views_per_joint``; without fingers
     instant: Int[np.ndarray, " instants"]  # Output frames of ``sampled_px``
     # Joints that the cameras see at instants with different errors of the detector; without fingers

@@ -154,7 +154,7 @@ class LeanFault:
     code: Code
     message: str
     hint: str
-    is_agreed: bool  # Whether the cameras are tilted as the people are, so that the world must be
+    is_agreed: bool  # True if the cameras are tilted as the people are, so that the world must be
 
 
 def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> LeanFault | None:

@@ -104,7 +104,7 @@ class TakeWriter:
     encode: Callable[[TakeScene, Preset, Body], Iterator[bytes]]  # Yields the bytes of a file, piece by piece
     # Yields blocks of frames of a person of a file, like ``Writer.read``, by the place among the scene's people
     read: Callable[[Path, Preset, int], Iterator[Float[np.ndarray, "_ joints 3"]]]
-    fits: Callable[[TakeScene], bool] = lambda _: True  # Whether a file can be as large as a scene needs
+    fits: Callable[[TakeScene], bool] = lambda _: True  # True if a file can be as large as a scene needs
 
 
 @dataclass(frozen=True, slots=True)

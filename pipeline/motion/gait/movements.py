@@ -26,8 +26,8 @@ MovementKind = Literal["jump", "squat", "sit_to_stand", "stand_to_sit"]
 _GRAVITY_M_S2 = 9.81
 # Height of the lower foot above standing, and time, of a flight; least rise of the hips above standing.
 _FLIGHT_M, _FLIGHT_S, _LEAST_JUMP_M = 0.03, (0.2, 1.2), 0.03
-# Acceleration of the hips in a flight, as a share of gravity: limbs move against them. Who hangs or stands on the hands
-# does not fall.
+# Acceleration of the hips in a flight, as a share of gravity: limbs move against them. A person who hangs, or stands on
+# the hands, does not fall.
 _FALLING = (0.6, 1.5)
 # Time around take-off and landing that the fit of a corner covers, on the floor and in the air; share of the flight.
 _FLOOR_S, _AIR_S, _AIR_SHARE = 0.15, 0.2, 0.75

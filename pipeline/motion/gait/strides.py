@@ -55,7 +55,7 @@ class Stride:
     flight_s: float  # Time with both feet in the air, as in running
     speed_m_s: float
     turn_deg: float  # Turn of the way of the hips, to the left
-    is_steady: bool  # Whether it counts: neither a turn nor a start or stop
+    is_steady: bool  # True if it counts: neither a turn nor a start or stop
     confidence: float  # Product of the confidences of its three events of this foot
 
 
@@ -252,7 +252,7 @@ class GaitFigures:
     both: Mapping[str, Spread]
     by_side: Mapping[str, Mapping[str, Spread]]
     symmetry_percent: Mapping[str, float]  # Symmetry index of the figures of ``SYMMETRIC``, 0 if both sides are equal
-    is_running: bool  # Whether most strides have a flight and no double support
+    is_running: bool  # True if most strides have a flight and no double support
     confidence: float
 
 

@@ -110,7 +110,7 @@ class _Lengths:
 
 
 def _is_disputed(left: _Lengths, right: _Lengths) -> bool:
-    """Whether both sides differ by more than bodies do, and by more than the spread of the measurements explains."""
+    """True if both sides differ by more than bodies do, and by more than the spread of the measurements explains."""
     # A side that was measured once or twice has no spread of its own.
     if min(len(left.length_m), len(right.length_m)) < _MIN_LENGTHS:
         return False

@@ -22,7 +22,7 @@ _GIRDLES = ("hip", "shoulder")
 
 
 def has_torso(xyz_m: Float[np.ndarray, "frames joints 3"], joints: JointSet) -> bool:
-    """Whether a hip or a shoulder has a position in any frame; without them, a skeleton's position is arbitrary."""
+    """True if a hip or a shoulder has a position in any frame; without them, a skeleton's position is arbitrary."""
     girdles = [index for index, name in enumerate(joints.names) if name.endswith(_GIRDLES)]
     return bool(np.isfinite(xyz_m[:, girdles]).any())
 

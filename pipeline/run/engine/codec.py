@@ -151,7 +151,7 @@ def _hints(kind: type) -> Mapping[str, Any]:
 
 
 def _equal(value: Any, default: Any) -> bool:
-    """Whether two values are of one type and equal, down to the arrays of records."""
+    """True if two values are of one type and equal, down to the arrays of records."""
     if type(value) is not type(default):
         return False
     if isinstance(value, np.ndarray):

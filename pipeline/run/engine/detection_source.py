@@ -40,12 +40,12 @@ class DetectionSource(ABC):
     @property
     @abstractmethod
     def finds_fields(self) -> bool:
-        """Whether the detections are peaks and fields; else whole bodies."""
+        """True if the detections are peaks and fields; else whole bodies."""
 
     @property
     @abstractmethod
     def measures_colours(self) -> bool:
-        """Whether the colours of the bodies are measured."""
+        """True if the colours of the bodies are measured."""
 
     @property
     @abstractmethod

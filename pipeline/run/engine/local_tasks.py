@@ -180,7 +180,7 @@ def run_stage(job: LocalJob, stage: PlannedStage, on_progress: OnProgress) -> li
 
 
 def _needs_interim(job: LocalJob, stage: PlannedStage) -> bool:
-    """Whether a later stage will read the stage's interim outputs: not if its own output is there already."""
+    """True if a later stage will read the stage's interim outputs: not if its own output is there already."""
     following = (task for name in interim_readers(stage.name) for task in job.stage_tasks(name))
     return STAGE_BY_NAME[stage.name].leaves_interim(job.config) and any(
         not STAGE_BY_NAME[task.stage].is_reusable or job.outputs.read(task.key) is None for task in following

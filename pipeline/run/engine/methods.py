@@ -87,7 +87,7 @@ class Association:
     timebase: Timebase
     joints: JointSet  # Joints of people, without fingers
     config: ReconstructionConfig
-    finds_fields: bool = False  # Whether a network found the detections as peaks and fields
+    finds_fields: bool = False  # True if a network found the detections as peaks and fields
 
     def track(self, bodies: Detections2D, on_share: OnShare = ignore) -> People:
         """Track people by cross-view tracking: one pass in time order.

@@ -61,8 +61,8 @@ class SessionFacts:
     frame_rate_hz: float
     stretches: tuple[range, ...]  # Output frames in which a camera took frames, ascending; pauses lie between them
     camera_rates_hz: Mapping[str, float]  # Frame rate of each camera, by name, in the session's order
-    has_videos: bool  # Whether the session consists of videos; else of keypoints
-    has_points: bool = False  # Whether the session consists of people in 3D: nothing is detected or associated
+    has_videos: bool  # True if the session consists of videos; else of keypoints
+    has_points: bool = False  # True if the session consists of people in 3D: nothing is detected or associated
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +140,12 @@ class TakeFiles(ABC):
     @property
     @abstractmethod
     def has_viewers(self) -> bool:
-        """Whether the files for viewers are wanted beside the result files."""
+        """True if the files for viewers are wanted beside the result files."""
 
     @property
     @abstractmethod
     def keeps_pieces(self) -> bool:
-        """Whether pieces of the outputs are kept, so that later edits of people find them."""
+        """True if pieces of the outputs are kept, so that later edits of people find them."""
 
     @abstractmethod
     def piece(self, key: str) -> bytes | None:

@@ -48,10 +48,7 @@ class Sighting:
 
 
 class LiveTracker:
-    """Numbers of people for detections, and positions of people at instants.
-
-    ``rate_hz`` is the cameras' rate.
-    """
+    """Numbers of people for detections, and positions of people at instants. ``rate_hz`` is the cameras' rate."""
 
     def __init__(
         self, cameras: Sequence[Camera], num_joints: int, parameters: TrackingParameters, rate_hz: float

@@ -55,7 +55,7 @@ class LocatedPeople:
 
     @property
     def is_view(self) -> Bool[np.ndarray, "people cameras"]:
-        """Whether a camera has a body of a person."""
+        """True if a camera has a body of a person."""
         return np.isfinite(self.points_px[..., 0]).any(-1)
 
     def without(
@@ -88,13 +88,13 @@ class CameraAgreement:
 
     @property
     def contradicts(self) -> bool:
-        """Whether fewer people agree than any right camera has, however much is hidden from it."""
+        """True if fewer people agree than any right camera has, however much is hidden from it."""
         share = self.chance + (1.0 - self.chance) * _MIN_SEEN
         return bool(bdtr(self.num_agreeing, self.num_compared, share) < _MAX_CHANCE)
 
     @property
     def agrees(self) -> bool:
-        """Whether more people agree than are taken for others by chance, and none are missed for certain."""
+        """True if more people agree than are taken for others by chance, and none are missed for certain."""
         by_chance = bdtrc(self.num_agreeing - 1, self.num_compared, self.chance) if self.num_agreeing else 1.0
         return bool(by_chance < _MAX_CHANCE) and not self.contradicts
 

@@ -128,7 +128,7 @@ class PairDisagreement:
         return bool(chance > _MAX_CHANCE)
 
     def disagrees(self, pairs: Sequence[tuple[int, int]], hypothesis: Hypothesis) -> bool:
-        """Whether pairs of cameras disagree on average, for no other reason than that something is wrong."""
+        """True if pairs of cameras disagree on average, for no other reason than that something is wrong."""
         values = [self.pair_agreement(*pair, hypothesis).disagreement for pair in pairs]
         known = [value for value in values if np.isfinite(value)]
         return bool(known) and float(np.mean(known)) > DOUBTFUL and self.is_clear(pairs, hypothesis)

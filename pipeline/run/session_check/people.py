@@ -250,7 +250,7 @@ def _check_rest(
 
 
 def _has_company(sightings: SimultaneousPeople, number: int) -> bool:
-    """Whether another camera sees people at an instant at which a camera does, if it ever does."""
+    """True if another camera sees people at an instant at which a camera does, if it ever does."""
     sees = np.array([[own is not None and len(own) > 0 for own in people] for people in sightings.points_px])
     return not sees[number].any() or bool((sees[number] & np.delete(sees, number, axis=0).any(0)).any())
 

@@ -51,7 +51,7 @@ def judge(check: SessionCheck, cameras: Sequence[Camera], config: Reconstruction
 
 
 def is_deferred(check: SessionCheck, cameras: Sequence[Camera], config: ReconstructionConfig) -> bool:
-    """Whether ``judge`` has left errors to the refinement of the calibration."""
+    """True if ``judge`` has left errors to the refinement of the calibration."""
     return not config.force and not _has_results(config) and bool(_errors(cameras, check))
 
 

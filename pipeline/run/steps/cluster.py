@@ -52,7 +52,7 @@ def find_poses(task: stage.Task, context: stage.Context) -> stage.Output:
 
 
 def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Whether a job finds people by clustering."""
+    """True if a job finds people by clustering."""
     return config.is_of_people and config.method == "clustering"
 
 

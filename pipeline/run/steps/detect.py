@@ -106,7 +106,7 @@ def _first_people(task: Task, context: Context, content: bytes) -> bytes | None:
 
 
 def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    """Whether a job has people detected in videos: to reconstruct them, or to calibrate by them."""
+    """True if a job has people detected in videos: to reconstruct them, or to calibrate by them."""
     making = config.making
     is_wanted = config.is_of_people or (isinstance(making, CalibrationChoices) and making.board is None)
     return facts.has_videos and is_wanted

@@ -107,7 +107,7 @@ class PcpScores:
 def _is_right(
     predicted_m: Float[np.ndarray, "14 3"], truth_m: Float[np.ndarray, "14 3"]
 ) -> dict[str, Bool[np.ndarray, " _"]]:
-    """Whether each part is correct; a part with an unknown end is not."""
+    """True if each part is correct; a part with an unknown end is not."""
 
     def right(predicted_ends: np.ndarray, true_ends: np.ndarray) -> np.ndarray:
         error_m = np.linalg.norm(predicted_ends - true_ends, axis=-1).mean(-1)

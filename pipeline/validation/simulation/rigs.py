@@ -117,7 +117,7 @@ class Clock:
     frame_rate_hz: float = 25.0  # Rate of the output frames, and of synchronised cameras
     # Rates of the cameras, repeated in turn; empty if all cameras have the common rate
     camera_rates_hz: tuple[float, ...] = ()
-    random_phase: bool = False  # Whether each camera starts at a random time within its first period
+    random_phase: bool = False  # True if each camera starts at a random time within its first period
     dropped: float = 0.0  # Share of frames that are dropped
 
 

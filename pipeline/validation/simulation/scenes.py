@@ -83,7 +83,7 @@ class Simulation:
     # True joint angles of ``angles.definitions.ANGLE_NAMES`` in degrees; NaN while a person is absent, and of segments
     # that are not simulated
     truth_deg: Float[np.ndarray, "people frames angles"]
-    present: Bool[np.ndarray, "people frames"]  # Whether each person is present, visible or not
+    present: Bool[np.ndarray, "people frames"]  # True if each person is present, visible or not
     # Content of each camera's heatmaps and part affinity fields; see ``views.fields.render``
     sketches: tuple[Sketch, ...]
 

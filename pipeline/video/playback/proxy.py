@@ -179,7 +179,7 @@ class _Converter:
         self._graph.link_nodes(*nodes, self._graph.add("buffersink")).configure()
 
     def fits(self, frame: VideoFrame) -> bool:
-        """Whether a picture has the size and the format of the first one."""
+        """True if a picture has the size and the format of the first one."""
         return (frame.width, frame.height, frame.format.name) == self._kind
 
     def convert(self, frame: VideoFrame) -> VideoFrame:

@@ -34,7 +34,7 @@ _NUMERIC = re.compile(r"\d+|0x[0-9a-f]*", re.ASCII | re.IGNORECASE)
 
 
 def is_public(address: str) -> bool:
-    """Whether an IP address is public; raises ``ValueError`` if the text is not an IP address.
+    """True if an IP address is public; raises ``ValueError`` if the text is not an IP address.
 
     >>> is_public("8.8.8.8"), is_public("10.0.0.1"), is_public("::ffff:8.8.8.8")
     (True, False, False)
@@ -47,7 +47,7 @@ def is_public(address: str) -> bool:
 
 
 def may_be_public(host: str) -> bool:
-    """Whether the host of a URL may be public: a public IP address, or any name but ``localhost``."""
+    """True if the host of a URL may be public: a public IP address, or any name but ``localhost``."""
     try:
         return is_public(host)
     except ValueError:  # A name: its addresses are checked when a message is sent.
@@ -76,7 +76,7 @@ def url_fault(url: str) -> str | None:
 
 
 def _has_port(parts: SplitResult) -> bool:
-    """Whether the port is valid or omitted."""
+    """True if the port is valid or omitted."""
     try:
         return parts.port != 0
     except ValueError:

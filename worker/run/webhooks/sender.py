@@ -120,7 +120,7 @@ class _CheckedBackend(httpcore2.NetworkBackend):
 class Sender:
     """Sends single messages."""
 
-    allow_private: bool  # Whether messages may go to addresses of private networks and of this machine, too
+    allow_private: bool  # True if messages may go to addresses of private networks and of this machine, too
     try_s: float = _TRY_S  # Time limit of an attempt
 
     def send(self, delivery: Delivery, secrets: Sequence[WebhookSecret]) -> str | None:

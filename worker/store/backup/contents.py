@@ -71,7 +71,7 @@ class StoredFile:
 
     path: str  # Below the data folder
     sha256: str | None
-    needed: bool  # Whether a session, a job, a result or a character is lost without it
+    needed: bool  # True if a session, a job, a result or a character is lost without it
 
 
 @dataclass(frozen=True, slots=True)

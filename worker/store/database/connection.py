@@ -147,7 +147,7 @@ class Database:
 
     @property
     def is_damaged(self) -> bool:
-        """Whether the file was found damaged since this object was made."""
+        """True if the file was found damaged since this object was made."""
         return self._damage is not None
 
     @contextlib.contextmanager

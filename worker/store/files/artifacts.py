@@ -70,7 +70,7 @@ class ArtifactStore(Protocol):
         """Size of a file in bytes."""
 
     def exists(self, key: str) -> bool:
-        """Whether a file is stored."""
+        """True if a file is stored."""
 
     def signed_url(self, key: str, lifetime_s: float) -> str | None:
         """Address at which the file can be downloaded for a while without a key; ``None`` if the store has none."""
@@ -85,7 +85,7 @@ class ArtifactStore(Protocol):
         """Names of the folders directly below a prefix, which ends with a slash."""
 
     def ping(self) -> bool:
-        """Whether files can be stored now."""
+        """True if files can be stored now."""
 
     def sweep(self) -> None:
         """Remove temporary files and copies on this machine that are not in use."""
@@ -154,7 +154,7 @@ class LocalArtifacts:
         return path.stat().st_size
 
     def exists(self, key: str) -> bool:
-        """Whether a file is stored."""
+        """True if a file is stored."""
         return self._path(key).is_file()
 
     def delete(self, key: str) -> None:
@@ -173,7 +173,7 @@ class LocalArtifacts:
         return sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
 
     def ping(self) -> bool:
-        """Whether files can be stored now."""
+        """True if files can be stored now."""
         try:
             with self._temporary() as temporary:
                 temporary.write_bytes(b"ping")

@@ -55,7 +55,7 @@ class Verified:
         self._lock = threading.Lock()
 
     def holds(self, version: Hashable, sha256: str) -> bool:
-        """Whether a version was found to have a digest."""
+        """True if a version was found to have a digest."""
         return self._sha256_by_version.get(version) == sha256
 
     def add(self, version: Hashable, sha256: str) -> None:

@@ -45,7 +45,7 @@ def sync(path: Path) -> None:
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Whether an error of the file system or of the database says that a disk is full."""
+    """True if an error of the file system or of the database says that a disk is full."""
     if isinstance(error, DBAPIError) and error.orig is not None:
         return is_disk_full(error.orig)
     if isinstance(error, OSError):
@@ -96,12 +96,12 @@ class DiskSpace:
 
     @property
     def has_inodes(self) -> bool:
-        """Whether new files can be made; file systems without a fixed number of inodes state 0 of 0."""
+        """True if new files can be made; file systems without a fixed number of inodes state 0 of 0."""
         status = os.statvfs(self._folder)
         return status.f_favail >= min(_MAX_INODE_HEADROOM, status.f_files // 20)
 
     def has_room(self, num_bytes: int = 0) -> bool:
-        """Whether files can be made, and the headroom stays free after so many bytes are written."""
+        """True if files can be made, and the headroom stays free after so many bytes are written."""
         return self.has_inodes and self.free_bytes >= self.headroom_bytes + num_bytes
 
     def require_room(self, num_bytes: int = 0) -> None:

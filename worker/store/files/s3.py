@@ -287,7 +287,7 @@ class S3Artifacts:
         return int(self._head(key)["size"])
 
     def exists(self, key: str) -> bool:
-        """Whether an object is stored."""
+        """True if an object is stored."""
         try:
             self._head(key)
         except NotFound:
@@ -322,7 +322,7 @@ class S3Artifacts:
             return obstore.sign(self._store, "GET", key, timedelta(seconds=lifetime_s))
 
     def ping(self) -> bool:
-        """Whether the bucket answers."""
+        """True if the bucket answers."""
         try:
             list_any(self._store)
         except (BaseError, OSError):

@@ -97,7 +97,7 @@ class JobProblem:
 
 
 def is_worth_a_retry(state: JobState, problem: JobProblem | None) -> bool:
-    """Whether another attempt of a job may succeed: the job was canceled, or its problem is retryable."""
+    """True if another attempt of a job may succeed: the job was canceled, or its problem is retryable."""
     return state in RETRYABLE and (problem is None or problem.retryable)
 
 

@@ -22,9 +22,9 @@ class RecordingPhone:
 
     number: int
     name: str  # Of the camera in sessions; unique among the phones of the recording
-    device: str  # What its browser says of itself
+    device: str  # Name that its browser states
     joined_at: datetime
-    is_removed: bool  # Whether the host has removed it; it can't come back
+    is_removed: bool  # True if the host has removed it; it can't come back
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class ClipFile:
     first_frame_s: float  # Time of its first frame, by the service's clock
     std_s: float  # Standard deviation of that time
     duration_s: float
-    facts: Mapping[str, Any]  # What else the phone says of it: size, rate, numbers of frames, losses
+    facts: Mapping[str, Any]  # Further statements of the phone: size, rate, numbers of frames, losses
 
 
 @dataclass(frozen=True, slots=True)

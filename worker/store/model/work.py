@@ -28,7 +28,7 @@ class Ability:
 
     codes: frozenset[str] | None = None  # Digests of the stages' code that it runs; ``None``: any
     gpu_codes: frozenset[str] = frozenset()  # Of these, the digests of networks on a GPU
-    reserves_gpu: bool = False  # Whether it leaves all other work to workers without a GPU, while there are any
+    reserves_gpu: bool = False  # True if it leaves all other work to workers without a GPU, while there are any
     memory_bytes: int | None = None  # Memory of the process; ``None``: not stated
     machine_bytes: int | None = None  # Memory of all chunks that run on its machine at once; ``None``: without limit
 

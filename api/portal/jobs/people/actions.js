@@ -1,4 +1,4 @@
-// What can be done with the chosen person and with the take, at the play head.
+// Actions on the chosen person and on the take, at the play head.
 
 import { confirm, html, nothing, typed } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";

@@ -44,7 +44,7 @@ export class EditQueue extends EventTarget {
     return this.#waiting.reduce((edits, { change }) => change(edits) ?? edits, this.people.edits);
   }
 
-  // Whether a change is on its way to the service.
+  // True if a change is on its way to the service.
   get isSending() {
     return this.#waiting.length > 0;
   }
@@ -66,7 +66,7 @@ export class EditQueue extends EventTarget {
     return this.#earlier.get(this.#applied.get(revision));
   }
 
-  // Whether the files show earlier edits of the capture, or none of them, and nothing is being done about it.
+  // True if the files show earlier edits of the capture, or none of them, and nothing is being done about it.
   get isBehind() {
     return !this.isSending && hasEnded(this.job) && this.job.edits_revision !== this.job.newest_edits_revision;
   }

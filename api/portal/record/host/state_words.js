@@ -31,7 +31,7 @@ export function phoneFacts(live) {
   ].filter(Boolean);
 }
 
-/** What is there of a phone's clip of a take, by its number: `{ words, tone, isHere }`. */
+/** State of a phone's clip of a take, by its number: `{ words, tone, isHere }`. */
 export function clipState(clip, live, take) {
   const { started, stopped, files } = clip;
   const sending = live?.status?.sending;

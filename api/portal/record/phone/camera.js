@@ -132,7 +132,7 @@ export class PreviewFrames {
     return sorted.length < 5 ? null : sorted[sorted.length >> 1];
   }
 
-  /** Whether frames come later to the page than the next ones are taken: nothing else should be done then. */
+  /** True if frames come later to the page than the next ones are taken: nothing else should be done then. */
   get isLate() {
     return this.intervalS !== null && this.#lateS > MAX_LATE_FRAMES * this.intervalS;
   }

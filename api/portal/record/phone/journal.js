@@ -4,7 +4,7 @@ import { PHONE } from "../../shared/strings/phone.js";
 
 const FOLDER = "multicap-takes";
 
-/** What this browser has recorded. */
+/** Recordings of this browser. */
 export class TakeJournal {
   #worker = new Worker(new URL("./journal_worker.js", import.meta.url), { type: "module" });
   #waiting = new Map();
@@ -23,7 +23,7 @@ export class TakeJournal {
     });
   }
 
-  /** Whether this browser can keep recordings; private windows of some can't. */
+  /** True if this browser can keep recordings; private windows of some can't. */
   static async isOffered() {
     try {
       await navigator.storage.getDirectory();
@@ -76,7 +76,7 @@ export class TakeJournal {
   }
 }
 
-// Journals of recordings: a line of JSON a fact. What they tell of the parts of takes, and the messages about them.
+// Journals of recordings: a line of JSON a fact. Parts of takes are read from them, and the messages about the parts.
 
 const UNKNOWN_STD_S = 0.1; // of a first frame of which nothing was written any more
 

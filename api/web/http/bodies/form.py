@@ -219,7 +219,7 @@ class Parts:
             self.close()
 
     def has(self, part: str) -> bool:
-        """Whether the client sent a file of a part, even a refused one."""
+        """True if the client sent a file of a part, even a refused one."""
         return self._counts[part] > 0
 
     def reject_field(self, field: str, code: Code, message: str, hint: str) -> None:

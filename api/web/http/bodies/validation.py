@@ -186,7 +186,7 @@ def _where(error: ErrorDetails) -> Steps:
 
 
 def _lacks_item(error: ErrorDetails) -> bool:
-    """Whether an error is about a list with a fixed number of items that is too short."""
+    """True if an error is about a list with a fixed number of items that is too short."""
     return error["type"] == "missing" and bool(error["loc"]) and isinstance(error["loc"][-1], int)
 
 

@@ -15,7 +15,7 @@ def fits(
     error: Float[np.ndarray, "parents points"],
     tau3: float,
 ) -> Bool[np.ndarray, "parents points"]:
-    """Whether pairs satisfy eq. 2 and 3; a pair without evidence (score NaN) satisfies eq. 2.
+    """True if pairs satisfy eq. 2 and 3; a pair without evidence (score NaN) satisfies eq. 2.
 
     ``score`` is the connectivity, ``least`` the least one of each point; ``error`` is the relative error of the length,
     ``tau3`` the largest one that is allowed.
@@ -31,7 +31,7 @@ def nearly_fits(
     is_measured: Bool[np.ndarray, " points"],
     leniency: float,
 ) -> Bool[np.ndarray, "parents points"]:
-    """Whether pairs satisfy either of eq. 2 and 3, and the other one up to a factor.
+    """True if pairs satisfy either of eq. 2 and 3, and the other one up to a factor.
 
     Hypotheses from two views are less accurate than the final joint, and fields of touching limbs weaken each other.
     See ``fits``. ``is_measured``: the limb's length is known for any person; only then may connectivity

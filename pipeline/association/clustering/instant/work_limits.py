@@ -38,7 +38,7 @@ _STEPS_A_ROUND = 100
 class WorkLimits:
     """Account of the work at one instant."""
 
-    is_exact: bool = True  # Whether no limit was exceeded so far
+    is_exact: bool = True  # True if no limit was exceeded so far
     _left: int = _MAX_STEPS
 
     def allows(self, size: int, most: int) -> bool:

@@ -56,7 +56,7 @@ class PipSettings:
     extra_index_urls: tuple[str, ...] = ()
     find_links: tuple[str, ...] = ()
     trusted_hosts: tuple[str, ...] = ()
-    no_index: bool = False  # Whether only ``find_links`` is searched
+    no_index: bool = False  # True if only ``find_links`` is searched
     ca_file: str | None = None  # File of trusted certificates; ``None`` for the system's certificates
     proxy: str | None = None  # URL of the proxy; ``None`` for the environment's
 

@@ -73,7 +73,7 @@ NOTES: Mapping[Code, str] = {
     finding_codes.CAMERA_DISAGREES: "Known for the sample: its calibration has the orientation of cam03 about two "
     "degrees off, as it was delivered.",
 }
-"""What is known of the warnings that the sample capture ends with, by their codes."""
+"""Explanations of the warnings that the sample capture ends with, by their codes."""
 _VIDEO_DIGESTS = {member.sha256 for path, member in _MEMBERS.items() if path.startswith("videos/")}
 
 

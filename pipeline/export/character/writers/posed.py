@@ -131,7 +131,7 @@ class PosedCharacter:
         return (self._in_file(place) - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
 
     def _moves(self, node: int) -> bool:
-        """Whether a node of the file, -1 for none, is one of ``shifting`` or below it."""
+        """True if a node of the file, -1 for none, is one of ``shifting`` or below it."""
         return node >= 0 and not set(self.shifting()).isdisjoint(self.motion.figure.file.rig.ancestors(node))
 
     def shifting(self) -> tuple[int, ...]:

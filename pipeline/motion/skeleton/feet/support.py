@@ -57,7 +57,7 @@ class Support:
     squared_m2_s2: Float[np.ndarray, "frames 1"]
     shin_stands: Bool[
         np.ndarray, "frames 2"
-    ]  # Whether the knee is above the foot: shins lie of people who kneel or crawl
+    ]  # True if the knee is above the foot: shins lie of people who kneel or crawl
     # True if the foot carries an upright body that does not hang by its hands: the floor is under these feet
     carries: Bool[np.ndarray, "frames 2"]
     # Feet that bear nothing: legs are stretched below hands overhead, and the foot does not stay where it is while the

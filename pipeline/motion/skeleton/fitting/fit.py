@@ -179,7 +179,7 @@ class SkeletonFit:
 
     @property
     def sees_feet(self) -> bool:
-        """Whether toes or heels determine the rotation of feet."""
+        """True if toes or heels determine the rotation of feet."""
         return len(self._skeleton.freedoms) > len(FREEDOMS)
 
     def offset_m(self, name: str) -> Float[np.ndarray, " 3"] | None:
@@ -188,7 +188,7 @@ class SkeletonFit:
 
     @property
     def has_torso(self) -> bool:
-        """Whether a hip or a shoulder was ever located; without them, the skeleton's position is arbitrary."""
+        """True if a hip or a shoulder was ever located; without them, the skeleton's position is arbitrary."""
         return has_torso(self._track.xyz_m, self._joints)
 
     def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:

@@ -3,9 +3,9 @@
 An exact marginal of the whole system over time needs more arithmetic than a step of the fit. Instead, the information
 about each landmark in the frames around an instant is summed, with weights that fall with the distance in time as the
 term of acceleration lets them, and the skeleton's degrees of freedom combine the landmarks of the instant. In
-simulation, this agrees with the errors as well as the exact marginal does. What the sum leaves out, errors that last
-over frames and bodies that are not exactly the skeleton, is in two constants that were set in simulation
-(docs/lab/fit-notes.md).
+simulation, this agrees with the errors as well as the exact marginal does. The sum leaves out
+errors that last over frames, and bodies that are not exactly the skeleton: two constants stand for both, which were set
+in simulation (docs/lab/fit-notes.md).
 """
 
 from typing import Protocol, runtime_checkable

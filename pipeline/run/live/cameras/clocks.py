@@ -32,7 +32,7 @@ class StreamClock:
 
     A frame arrives some delay after it was taken. The delay varies, by the network and the size of the frame; the times
     of the camera don't. So a frame was taken at its own time plus the smallest delay so far, and jitter of arrival does
-    not move it. What the smallest delay holds is unknown, and is the same for all frames. As the clocks of camera and
+    not move it. The smallest delay itself is unknown, and is the same for all frames. As the clocks of camera and
     machine drift apart, the smallest delay is let grow by 0.02 % of the time.
     """
 

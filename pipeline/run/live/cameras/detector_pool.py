@@ -43,8 +43,8 @@ class DetectionJob(NamedTuple):
     rotation_deg: int  # Counterclockwise turn of the picture for display, after ``is_mirrored``
     turn_deg: float  # Counterclockwise turn that brings the shown picture upright
     sizes: CameraSizes | None  # Size of the picture in the network's input; ``None``: the usual one
-    measures_colours: bool  # Whether the colours of the clothes are measured
-    is_mirrored: bool = False  # Whether left and right of the picture are exchanged for display
+    measures_colours: bool  # True if the colours of the clothes are measured
+    is_mirrored: bool = False  # True if left and right of the picture are exchanged for display
 
 
 class DetectedBodies(NamedTuple):

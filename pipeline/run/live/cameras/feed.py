@@ -130,7 +130,7 @@ class PictureFormat:
     stored_size_px: tuple[int, int]  # Width and height, before pixels become square and before rotation
     square_width: int  # Width of the pictures with square pixels
     rotation_deg: int  # Counterclockwise turn for display, after ``is_mirrored``
-    is_mirrored: bool = False  # Whether left and right of the stored picture are exchanged for display
+    is_mirrored: bool = False  # True if left and right of the stored picture are exchanged for display
 
     @property
     def shown_size_px(self) -> tuple[int, int]:
@@ -173,7 +173,7 @@ class FeedEnded:
 
     camera: int
     problem: Problem | None  # ``None`` at the end of a file
-    is_over: bool  # Whether it is not opened again: a file
+    is_over: bool  # True if it is not opened again: a file
 
 
 FeedEvent = FeedOpened | FrameDecoded | PictureReady | FeedEnded

@@ -89,7 +89,7 @@ def _boxes(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Float[
 
 
 def _is_seen(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Bool[np.ndarray, "*batch"]:
-    """Whether at least half of the joints are in the image."""
+    """True if at least half of the joints are in the image."""
     points_px = project(camera, points_m)
     with np.errstate(invalid="ignore"):
         inside = ((points_px >= 0) & (points_px <= np.array(camera.size_px) - 1)).all(-1)
@@ -151,7 +151,7 @@ def association_accuracy(
 def _went_to_actor(
     actor: Int[np.ndarray, " n"], identity: Int[np.ndarray, " n"], num_actors: int
 ) -> Bool[np.ndarray, " n"]:
-    """Whether each identity is its actor's, with actors and identities matched one to one for the largest number."""
+    """True if each identity is its actor's, with actors and identities matched one to one for the largest number."""
     names, columns = np.unique(identity, return_inverse=True)
     counts = np.zeros((num_actors, len(names)))
     np.add.at(counts, (actor, columns), 1)

@@ -39,10 +39,7 @@ class Cast:
 
 
 def improvise(cast: Cast, boxes: Sequence[Box], duration_s: float, rng: np.random.Generator) -> tuple[Role, ...]:
-    """Draw the script of each person.
-
-    If no tried cue keeps the gap, the cue with the largest clearance is taken.
-    """
+    """Draw the script of each person. If no tried cue keeps the gap, the cue with the largest clearance is taken."""
     num_looks = -(-round(duration_s * GRID_HZ) // _STEP) + 1
     others = np.zeros((0, num_looks, 2))
     roles: list[Role] = []

@@ -53,7 +53,7 @@ class Route:
     xy_m: Float[np.ndarray, "times 2"]
     yaw_rad: Float[np.ndarray, " times"]
     steps: Float[np.ndarray, " times"]  # Number of steps so far
-    present: Bool[np.ndarray, " times"]  # Whether the person is present
+    present: Bool[np.ndarray, " times"]  # True if the person is present
 
     @property
     def end(self) -> Stance:

@@ -66,7 +66,7 @@ class Sketch:
     # Position of each joint of ``COCO_18`` with noise, and its strength, 0 for a missing joint
     points_px: Float[np.ndarray, "people frames joints 2"]
     amplitude: Float[np.ndarray, "people frames joints"]
-    confused: Bool[np.ndarray, "people frames joints"]  # Whether the joint also appears on the other side
+    confused: Bool[np.ndarray, "people frames joints"]  # True if the joint also appears on the other side
     seed: int  # Seed of the noise of single frames
 
 

@@ -38,7 +38,7 @@ class Box:
 def hidden_by_boxes(
     center_m: Float[np.ndarray, " 3"], points_m: Float[np.ndarray, "*batch 3"], boxes: Sequence[Box]
 ) -> Bool[np.ndarray, "*batch"]:
-    """Whether the line from a camera's centre to a point meets a box (slab method); false for NaN."""
+    """True if the line from a camera's centre to a point meets a box (slab method); false for NaN."""
     hidden = np.zeros(points_m.shape[:-1], dtype=bool)
     towards = points_m - center_m
     # Avoids a division by zero for lines parallel to a wall.
@@ -108,7 +108,7 @@ def _behind(
     capsules: Sequence[tuple[tuple[str, ...], tuple[str, ...], float]],
     scale: float,
 ) -> Bool[np.ndarray, "frames joints"]:
-    """Whether points of the image plane lie within and behind the capsules of a body."""
+    """True if points of the image plane lie within and behind the capsules of a body."""
     hidden = np.zeros(depth_m.shape, dtype=bool)
     for first, second, radius_m in capsules:
         begin_m, end_m = (body_m[:, COCO_17.indices(names)].mean(1) for names in (first, second))
