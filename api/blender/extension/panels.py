@@ -1,5 +1,6 @@
 """Panel in the sidebar of the 3D view."""
 
+import textwrap
 from typing import Any
 
 import bpy
@@ -57,7 +58,7 @@ class MULTICAP_PT_service(_Panel):  # noqa: N801 - likewise
             row.progress(factor=max(state.fraction, 0.0), text=f"{max(state.fraction, 0.0):.0%}")
             row.operator("multicap.stop", text="", icon="CANCEL")
         width = max(20, int(context.region.width / (8 * context.preferences.system.ui_scale)) if context.region else 40)
-        for number, line in enumerate(wrap(state.message, width)):
+        for number, line in enumerate(textwrap.wrap(state.message, width, break_long_words=False)):
             layout.label(text=line, icon="NONE" if number else "ERROR" if state.is_error else "INFO")
 
 
@@ -147,21 +148,6 @@ def _draw_armature(state: Any, layout: Any) -> None:
         row.operator("multicap.recognise")
         if state.may_write:
             row.operator("multicap.ask_for_bones")
-
-
-def wrap(text: str, width: int) -> list[str]:
-    """Text in lines of at most some letters: labels of Blender have one line.
-
-    >>> wrap("Nothing answers there.", 16)
-    ['Nothing answers', 'there.']
-    """
-    lines: list[str] = []
-    for word in text.split():
-        if lines and len(lines[-1]) + 1 + len(word) <= width:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(word)
-    return lines
 
 
 PANELS = (

@@ -67,7 +67,6 @@ class Intrinsics:
     camera: Camera  # Camera at the identity
     model: DistortionModel  # Chosen distortion model
     error_px: float  # Root mean square distance of the corners from their projections
-    held_out_error_px: float  # The same, of views that the model was not fitted to; NaN if there were too few views
     focal_sigma: float  # Standard deviation of the focal length as a share of it
 
 
@@ -82,7 +81,7 @@ def calibrate_intrinsics(views: BoardViews, board: Board) -> Intrinsics:
     fitted_to = views.select(choose_views(views, _FITTED_VIEWS))
     camera, focal_sigma = _adjusted(fitted_to, board, MODELS[number])
     error_px = float(np.sqrt(_errors2_px2(camera, fitted_to, board).mean()))
-    return Intrinsics(camera, MODELS[number], error_px, held_out[number], focal_sigma)
+    return Intrinsics(camera, MODELS[number], error_px, focal_sigma)
 
 
 def _adjusted(views: BoardViews, board: Board, model: DistortionModel) -> tuple[Camera, float]:
