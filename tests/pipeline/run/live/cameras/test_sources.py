@@ -7,7 +7,7 @@ import pytest
 from pipeline.core.errors import InputError
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE
 from pipeline.core.problems.session_codes import VIDEO_MISSING
-from pipeline.run.live.cameras.sources import CameraSource, read_sources
+from pipeline.run.live.cameras.sources import CameraSource, find_devices, read_sources
 
 
 def test_kinds_of_sources(tmp_path: Path) -> None:
@@ -44,3 +44,12 @@ def test_one_camera_is_not_enough() -> None:
     with pytest.raises(InputError, match="at least two"):
         read_sources(["a=rtsp://camera"], ["a", "b"])
     assert CameraSource("a", "rtsp", "rtsp://camera").shown == "rtsp://camera"
+
+
+def test_devices_of_machine_have_names(tmp_path: Path) -> None:
+    for device, index, name in [("video0", "0\n", "HD Webcam\n"), ("video1", "1\n", "HD Webcam\n"), ("video2", "", "")]:
+        (tmp_path / device).mkdir()
+        (tmp_path / device / "index").write_text(index)
+        (tmp_path / device / "name").write_text(name)
+    assert find_devices(tmp_path) == {"/dev/video0": "HD Webcam"}
+    assert find_devices(tmp_path / "none") == {}
