@@ -156,6 +156,19 @@ class MotionFloor(ResponseModel):
     slope_y: float = Field(description="Rise along Y.")
 
 
+class MotionPoint(ResponseModel):
+    """Point of the user's own: of a person, or of an object."""
+
+    name: str = Field(description="Name of the point.", examples=["racket_tip"])
+    person: int | None = Field(description="Number of the person; null for an object.")
+    start_frame: int = Field(description="Output frame of the first position.")
+    origin_m: tuple[float, float, float] = Field(description="World position that positions are relative to.")
+    position_step_m: float = Field(description="Unit of the positions in metres.")
+    positions: str = Field(
+        description="Base64 of three int16 for each frame, little-endian; -32768: unknown.", examples=["AAAAAAAA"]
+    )
+
+
 class MotionStrips(ResponseModel):
     """Heat strips of all people."""
 
@@ -189,6 +202,7 @@ class MotionDescription(ResponseModel):
     )
     record: MotionRecord
     people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
+    points: tuple[MotionPoint, ...] = Field(default=(), description="Points of the user's own; see `/help/formats`.")
     cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")
     clocks: tuple[MotionClock, ...] | None = Field(
         default=None, description="Measured clocks of all cameras; null if the declared times were taken."

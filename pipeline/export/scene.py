@@ -7,6 +7,7 @@ import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,8 +17,9 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
-from pipeline.export.timelines import presence
+from pipeline.export.timelines import presence, unknown_outside
 from pipeline.geometry.camera import center_in_world
+from pipeline.motion.skeleton.time_series import filled_linearly
 
 Rgb = tuple[int, int, int]
 
@@ -63,11 +65,33 @@ class ScenePerson:
     motion: SkeletonMotion
     track: Track3D  # Joints of the person in the same frames
     frames: range  # Output frames of the scene
+    points: tuple["ScenePoint", ...] = ()  # Points of the user's own
 
     @property
     def is_present(self) -> Bool[np.ndarray, " frames"]:
         """Frames of the scene in which the person is there."""
         return presence(self.track, self.frames)
+
+
+class ScenePoint(NamedTuple):
+    """Point of the user's own in the frames of a scene."""
+
+    name: str
+    xyz_m: Float[np.ndarray, "frames 3"]  # Positions; between known frames on a line, before and after them the nearest
+    is_known: Bool[np.ndarray, " frames"]
+
+
+def scene_points(names: Sequence[str], points: Track3D | None, frames: range) -> tuple[ScenePoint, ...]:
+    """Points of the user's own in the frames of a scene, without those that are known in no frame."""
+    if points is None:
+        return ()
+    xyz_m = unknown_outside(points.xyz_m, points.frames, frames)
+    is_known = np.isfinite(xyz_m).all(-1)
+    return tuple(
+        ScenePoint(name, filled_linearly(xyz_m[:, k], np.zeros(3)), is_known[:, k])
+        for k, name in enumerate(names)
+        if is_known[:, k].any()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +135,7 @@ class TakeScene:
     frames: range  # Output frames of the take
     frame_rate_hz: float
     origin_m: Float[np.ndarray, " 3"]  # World position that is the origin of files of single precision
+    objects: tuple[ScenePoint, ...] = ()  # Points of objects
 
 
 def take_scene(take: Reconstruction) -> TakeScene:
@@ -118,7 +143,8 @@ def take_scene(take: Reconstruction) -> TakeScene:
     frames = range(take.timebase.num_frames)
     return TakeScene(
         people=tuple(
-            ScenePerson(motion, track, frames) for motion, track in zip(take.motions, take.tracks, strict=True)
+            ScenePerson(motion, track, frames, scene_points(take.own.names, take.own.of_person(number), frames))
+            for number, (motion, track) in enumerate(zip(take.motions, take.tracks, strict=True))
         ),
         cameras=tuple(map(SceneCamera, take.cameras)),
         floor=take.animation.floor,
@@ -126,6 +152,7 @@ def take_scene(take: Reconstruction) -> TakeScene:
         frames=frames,
         frame_rate_hz=take.timebase.frame_rate_hz,
         origin_m=file_origin_m(take.cameras),
+        objects=() if take.own.scene is None else scene_points(take.own.scene[0].names, take.own.scene[1], frames),
     )
 
 

@@ -28,6 +28,7 @@ from pipeline.export.viewer.frames import (
     UNKNOWN_ERROR,
     PersonFrames,
     encode_person,
+    encode_points,
     encode_strips,
     frames_a_bucket,
     identity_confidence,
@@ -171,6 +172,7 @@ class ViewerMotion:
             "angle_names": self._angle_names,
             "record": self._describe_record(),
             "people": list(self._describe_people()),
+            **({"points": points} if (points := list(self._describe_points())) else {}),
             "body": None if self._shapes is None else describe_body(self._shapes),
             "cameras": [_describe_camera(camera, self._footage.get(camera.name)) for camera in take.cameras],
             "clocks": None if take.synchronization is None else list(_describe_clocks(take.synchronization)),
@@ -244,6 +246,15 @@ class ViewerMotion:
                 "body": None if self._shapes is None else describe_shape(self._shapes, motion, floor),
             }
             offset_bytes += track.num_frames * self.dtype.itemsize
+
+    def _describe_points(self) -> Iterator[dict[str, Any]]:
+        """Points of the user's own: of people, then of objects."""
+        own = self._take.own
+        for number, track in enumerate(self._take.tracks):
+            if (points := own.of_person(number)) is not None:
+                yield from encode_points(own.names, track.track_id, points)
+        if own.scene is not None:
+            yield from encode_points(own.scene[0].names, None, own.scene[1])
 
 
 def with_names(description: bytes, motions: Sequence[SkeletonMotion]) -> bytes:

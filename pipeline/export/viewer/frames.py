@@ -23,6 +23,7 @@ than 3.2 m from the origin.
 import base64
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -104,6 +105,25 @@ def encode_person(person: PersonFrames, dtype: np.dtype[np.void]) -> Iterator[by
         records["camera_error"] = error_byte(person.camera_error_px[rows])
         records["identity"] = share_byte(person.identity[rows])
         yield records.tobytes()
+
+
+def encode_points(names: Sequence[str], person: int | None, points: Track3D) -> Iterator[dict[str, Any]]:
+    """Describe points of the user's own that are known in any frame: positions in all frames of a track in base64."""
+    for name, xyz_m in zip(names, points.xyz_m.swapaxes(0, 1), strict=True):
+        known_m = xyz_m[np.isfinite(xyz_m).all(-1)]
+        if not len(known_m):
+            continue
+        origin_m = np.round((known_m.min(0) + known_m.max(0)) / 2.0, 3)
+        step_m = max(POSITION_STEP_M, float(np.abs(known_m - origin_m).max()) / _LARGEST)
+        places = base64.b64encode(_steps(xyz_m - origin_m, step_m).astype("<i2").tobytes()).decode("ascii")
+        yield {
+            "name": name,
+            "person": person,
+            "start_frame": points.start_frame,
+            "origin_m": origin_m.tolist(),
+            "position_step_m": step_m,
+            "positions": places,
+        }
 
 
 def share_byte(share: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:

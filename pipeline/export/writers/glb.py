@@ -8,7 +8,8 @@ animation begins at 0 s with the first frame of the file; its ``extras`` contain
 and after the motion's own frames the nearest pose holds. Where the person is not there, a morph target, ``absent``,
 shrinks the body to points or slivers: importers know morph targets, they ignore the scale of a node with a skin, and a
 scale of the joints would spoil the pose. Numbers have single precision: if the world's origin is far away, ``extras``
-also contain the world position in metres, ``origin_m``, that positions are relative to.
+also contain the world position in metres, ``origin_m``, that positions are relative to. Points of the user's own are
+nodes without a mesh, which have no size where they are unknown.
 """
 
 import errno
@@ -29,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.options.config import Body
 from pipeline.export.presets import GLTF
-from pipeline.export.scene import FLOOR, Rgb, SceneCamera, TakeScene, color_rgb
+from pipeline.export.scene import FLOOR, Rgb, SceneCamera, ScenePoint, TakeScene, color_rgb
 from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, BodyMesh, body_at_rest
 from pipeline.export.writers.registry import TakeWriter, Writer
@@ -199,6 +200,21 @@ class GlbDocument:
             output = buffer.add(partial(twisted, twist), gltf.VEC4)
             self._channels.append(_Channel(number, gltf.ROTATION, output))
 
+    def add_points(self, points: Sequence[ScenePoint], owner: SkeletonMotion | None = None) -> None:
+        """Add points of the user's own, of a person or of objects: nodes of size 0 where a point is unknown."""
+        file, buffer = self._file, self._buffer
+        if points and self._times is None:
+            self._times = buffer.add(np.arange(len(self._frames)) / self._frame_rate_hz, gltf.SCALAR)
+        for point in points:
+            number = len(file.nodes)
+            file.scenes[0].nodes.append(number)
+            file.nodes.append(gltf.Node(name=point.name if owner is None else f"{owner.name} {point.name}"))
+            places = GLTF.file_from_xyz_m(point.xyz_m - self._origin_m)
+            self._channels.append(_Channel(number, gltf.TRANSLATION, buffer.add(places, gltf.VEC3)))
+            if not point.is_known.all():
+                sizes = np.repeat(point.is_known[:, None], 3, axis=1)
+                self._channels.append(_Channel(number, gltf.SCALE, buffer.add(sizes, gltf.VEC3), "STEP"))
+
     def add_camera(self, shown: SceneCamera) -> None:
         """Add a camera, with the lens as extras."""
         file, place = self._file, shown.world_from_cam
@@ -281,6 +297,7 @@ def encode(
     frames: range | None = None,
     is_present: Bool[np.ndarray, " frames"] | None = None,
     body: BodyChoice = CAPSULES,
+    points: Sequence[ScenePoint] = (),
 ) -> Iterator[bytes]:
     """Write a motion as GLB, piece by piece. Equal motions give equal bytes.
 
@@ -297,6 +314,8 @@ def encode(
         Frames of the file in which the person is there; ``None``: all.
     body
         Body that follows the skeleton.
+    points
+        Points of the user's own in the frames of the file.
 
     Raises
     ------
@@ -313,6 +332,7 @@ def encode(
     frames = motion.frames if frames is None else frames
     document = GlbDocument(origin_m, frames, motion.frame_rate_hz)
     document.add_person(motion, np.ones(len(frames), bool) if is_present is None else is_present, body)
+    document.add_points(points, motion)
     yield from document.encode(motion.name)
 
 
@@ -327,6 +347,8 @@ def encode_take(scene: TakeScene, body: Body = "capsules") -> Iterator[bytes]:
     document = GlbDocument(scene.origin_m, scene.frames, scene.frame_rate_hz)
     for person in scene.people:
         document.add_person(person.motion, person.is_present, BodyChoice(body, scene.floor))
+        document.add_points(person.points, person.motion)
+    document.add_points(scene.objects)
     for camera in scene.cameras:
         document.add_camera(camera)
     document.add_floor(scene.floor_m)
@@ -455,7 +477,9 @@ def positions_m(reader: GlbReader, joints: Sequence[int]) -> Iterator[Float[np.n
 
 
 WRITER = Writer(
-    lambda person: encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
+    lambda person: encode(
+        person.motion, person.origin_m, person.frames, person.is_present, person.body, person.scene_points
+    ),
     lambda path, _: read_xyz_m(path),
     holds_name=True,
     has_origin=True,

@@ -21,7 +21,7 @@ from pipeline.core.joints import JointSet
 from pipeline.core.options.choices import plainly_annotated
 from pipeline.core.options.config import Body, Preset
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
-from pipeline.export.scene import TakeScene
+from pipeline.export.scene import ScenePoint, TakeScene, scene_points
 from pipeline.export.timelines import held, unknown_outside
 from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
@@ -79,6 +79,11 @@ class PersonContent:
     own: Track3D | None = None
     own_names: tuple[str, ...] = ()
     laboratory: Laboratory | None = None
+
+    @property
+    def scene_points(self) -> tuple[ScenePoint, ...]:
+        """Points of the user's own in the frames of the file."""
+        return scene_points(self.own_names, self.own, self.frames)
 
 
 plainly_annotated(PersonContent.__init__)

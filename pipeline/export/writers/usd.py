@@ -10,7 +10,7 @@ after the motion's own frames the nearest pose holds; where the person is not th
 
 Prims of people and cameras have their names as identifiers, which are unique, and as display names. Positions of joints
 have single precision: if the world's origin is far away, the file's data state the world position in metres,
-``origin_m``, that positions are relative to.
+``origin_m``, that positions are relative to. Points of the user's own are ``Xform`` prims.
 
 Files are written and read by the package ``usd-core``, the extra ``usd``.
 """
@@ -19,7 +19,7 @@ import errno
 import re
 import tempfile
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.options.config import Body
 from pipeline.export.presets import WORLD, Convention
-from pipeline.export.scene import FLOOR, Rgb, SceneCamera, TakeScene, color_rgb
+from pipeline.export.scene import FLOOR, Rgb, SceneCamera, ScenePoint, TakeScene, color_rgb
 from pipeline.export.timelines import frame_blocks, held
 from pipeline.export.writers.body_mesh import CAPSULES, BodyAtRest, BodyChoice, body_at_rest
 from pipeline.export.writers.registry import TakeWriter, Writer
@@ -62,12 +62,14 @@ def encode(
     frames: range | None = None,
     is_present: Bool[np.ndarray, " frames"] | None = None,
     body: BodyChoice = CAPSULES,
+    points: Sequence[ScenePoint] = (),
 ) -> Iterator[bytes]:
     """Write a motion as USD, piece by piece. Equal motions give equal bytes.
 
     - ``origin_m``: world position of the file's origin.
     - ``frames``: output frames of the file; ``None``: the motion's frames.
     - ``is_present``: frames of the file in which the person is there; ``None``: all.
+    - ``points``: points of the user's own in the frames of the file.
     - Raises ``ModelError`` if the body is a human, and that is not installed or was changed.
     - Raises ``OSError`` if the file can't be written.
     """
@@ -76,6 +78,7 @@ def encode(
         document = _Document(Path(folder), origin_m, frames, motion.frame_rate_hz)
         path = document.add_person(Sdf.Path.absoluteRootPath, motion, is_present, body)
         document.stage.SetDefaultPrim(document.stage.GetPrimAtPath(path))
+        document.add_points(path, points)
         yield from document.encode()
 
 
@@ -94,7 +97,9 @@ def encode_take(scene: TakeScene, body: Body = "capsules") -> Iterator[bytes]:
         for camera in scene.cameras:
             document.add_camera(cameras, camera)
         for person in scene.people:
-            document.add_person(people, person.motion, person.is_present, BodyChoice(body, scene.floor))
+            choice = BodyChoice(body, scene.floor)
+            document.add_points(document.add_person(people, person.motion, person.is_present, choice), person.points)
+        document.add_points(take, scene.objects)
         yield from document.encode()
 
 
@@ -157,6 +162,17 @@ class _Document:
         weights.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(mesh.weights, np.float32).reshape(-1)))
         self._animate(motion, body, *animated)
         return path
+
+    def add_points(self, parent: Any, points: Sequence[ScenePoint]) -> None:
+        """Add points of the user's own, invisible where they are unknown."""
+        for point in points:
+            added = UsdGeom.Xform.Define(self.stage, self._free_path(parent, point.name, "point"))
+            place = added.AddTranslateOp().GetAttr().GetPath()
+            with Sdf.ChangeBlock():
+                for frame, xyz_m in enumerate((point.xyz_m - self._origin_m).tolist()):
+                    self._layer.SetTimeSample(place, float(frame), Gf.Vec3d(*xyz_m))
+            if not point.is_known.all():
+                _show(added, point.is_known)
 
     def _free_path(self, parent: Any, name: str, otherwise: str) -> Any:
         """Path of a new prim below another, named as closely to a name as identifiers allow."""
@@ -369,7 +385,9 @@ class _StoredMotion:
 
 
 WRITER = Writer(
-    lambda person: encode(person.motion, person.origin_m, person.frames, person.is_present, person.body),
+    lambda person: encode(
+        person.motion, person.origin_m, person.frames, person.is_present, person.body, person.scene_points
+    ),
     lambda path, _: read_xyz_m(path),
     holds_name=True,
     has_origin=True,

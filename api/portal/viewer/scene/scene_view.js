@@ -5,6 +5,7 @@ import { el } from "../dom.js";
 import { cameraCenter } from "../motion/records.js";
 import { CharacterFigures } from "./characters.js";
 import { PeopleFigures } from "./people.js";
+import { OwnPoints } from "./points.js";
 import { Canvas3D } from "./stage.js";
 
 const OBLIQUE = new THREE.Vector3(0.55, -0.75, 0.42).normalize();
@@ -35,7 +36,8 @@ export class SceneView {
   replace(store) {
     const { options } = this.people;
     this.people.close();
-    for (const name of this.names) this.labels.remove(name);
+    this.points.close();
+    for (const name of [...this.names, ...this.pointNames]) this.labels.remove(name);
     this.#add(store);
     Object.assign(this.people.options, options);
   }
@@ -43,6 +45,8 @@ export class SceneView {
   #add(store) {
     this.people = new PeopleFigures(this.stage, store, this.characters);
     this.names = store.description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
+    this.points = new OwnPoints(this.stage, store.description);
+    this.pointNames = this.points.points.map(({ name, anchor, color }) => this.labels.add(name.replaceAll("_", " "), anchor, { color, kind: "point" }));
   }
 
   /** First picture: the ground below everybody and all cameras, and everybody in view. */
@@ -59,6 +63,7 @@ export class SceneView {
   show(frame) {
     this.#frame = frame ?? -1;
     this.people.show(this.#frame);
+    this.points.show(this.#frame);
   }
 
   /** Look at the people of the frame, or at the cameras if there are none: from a named direction, or as before. */
@@ -94,6 +99,7 @@ export class SceneView {
   setShown(person, isShown) {
     this.names[person].isShown = isShown;
     this.people.setShown(person, isShown);
+    this.points.setShown(person, isShown);
     this.show(this.#frame);
   }
 

@@ -1,0 +1,54 @@
+// Points of the user's own in 3D: a ball for each point of a person or of an object, in one draw call.
+
+import * as THREE from "../../vendor/three/three.module.js";
+import { integers } from "../motion/records.js";
+
+const RADIUS_M = 0.035;
+const OBJECT_COLOR = "#f4f1e8";
+const HIDDEN = new THREE.Matrix4().makeScale(0, 0, 0);
+
+export class OwnPoints {
+  #matrix = new THREE.Matrix4();
+  #absent;
+  #origin;
+
+  constructor(stage, { points = [], people, record, origin_m: origin = [0, 0, 0] }) {
+    this.stage = stage;
+    this.#absent = record.absent;
+    this.#origin = origin;
+    this.points = points.map((point) => {
+      const owner = people.findIndex(({ id }) => id === point.person);
+      const color = people[owner]?.color ?? OBJECT_COLOR;
+      return { ...point, owner, color, places: integers(point.positions), anchor: new THREE.Vector3(NaN, NaN, NaN), isShown: true };
+    });
+    this.balls = new THREE.InstancedMesh(new THREE.SphereGeometry(RADIUS_M, 16, 12), new THREE.MeshLambertMaterial(), Math.max(1, points.length));
+    this.balls.count = points.length;
+    this.balls.frustumCulled = false; // its bounds would have to be computed for each frame
+    this.points.forEach(({ color }, number) => this.balls.setColorAt(number, new THREE.Color(color)));
+    stage.add(this.balls);
+  }
+
+  setShown(person, isShown) {
+    for (const point of this.points) if (point.owner === person) point.isShown = isShown;
+  }
+
+  /** Put all points where they are in the nearest frame. */
+  show(place) {
+    this.points.forEach((point, number) => {
+      const { places, anchor, origin_m: from, position_step_m: step, start_frame: start } = point;
+      const row = 3 * (Math.round(place) - start);
+      const isHere = point.isShown && row >= 0 && row < places.length && places[row] !== this.#absent;
+      anchor.set(...[0, 1, 2].map((axis) => (isHere ? places[row + axis] * step + from[axis] - this.#origin[axis] : NaN)));
+      this.balls.setMatrixAt(number, isHere ? this.#matrix.makeTranslation(anchor) : HIDDEN);
+    });
+    this.balls.instanceMatrix.needsUpdate = true;
+    this.stage.invalidate();
+  }
+
+  close() {
+    this.stage.scene.remove(this.balls);
+    this.balls.geometry.dispose();
+    this.balls.material.dispose();
+    this.balls.dispose();
+  }
+}
