@@ -7,7 +7,7 @@ const RADIUS_M = 0.035;
 const OBJECT_COLOR = "#f4f1e8";
 const HIDDEN = new THREE.Matrix4().makeScale(0, 0, 0);
 
-export class OwnPoints {
+export class PointFigures {
   #matrix = new THREE.Matrix4();
   #absent;
   #origin;

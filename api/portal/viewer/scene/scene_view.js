@@ -5,7 +5,7 @@ import { el } from "../dom.js";
 import { cameraCenter } from "../motion/records.js";
 import { CharacterFigures } from "./characters.js";
 import { PeopleFigures } from "./people.js";
-import { OwnPoints } from "./points.js";
+import { PointFigures } from "./points.js";
 import { Canvas3D } from "./stage.js";
 
 const OBLIQUE = new THREE.Vector3(0.55, -0.75, 0.42).normalize();
@@ -45,7 +45,7 @@ export class SceneView {
   #add(store) {
     this.people = new PeopleFigures(this.stage, store, this.characters);
     this.names = store.description.people.map(({ name, color }, number) => this.labels.add(name, this.people.anchors[number], { color, kind: "person" }));
-    this.points = new OwnPoints(this.stage, store.description);
+    this.points = new PointFigures(this.stage, store.description);
     this.pointNames = this.points.points.map(({ name, anchor, color }) => this.labels.add(name.replaceAll("_", " "), anchor, { color, kind: "point" }));
   }
 
