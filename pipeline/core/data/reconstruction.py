@@ -52,14 +52,10 @@ class Reconstruction:
         Cameras of the session, refined if they were, joints of the tracks, and times of the output frames.
     located, observations
         Tracks with joints as association located them, before smoothing and fit; observations behind them.
-    animation
-        Final tracks and skeletons, in the same order.
-    warnings
-        Findings about the files and the choices.
-    num_approximate_frames
-        Number of output frames that exceeded a limit of the exact methods of association.
-    damaged
-        Videos with damaged frames, in the cameras' order.
+    animation, warnings
+        Final tracks and skeletons, in the same order; findings about the files and the choices.
+    num_approximate_frames, damaged
+        Number of output frames that exceeded a limit of exact association; videos with damaged frames by camera.
     doubts, losses
         Doubts about each person's identity, in the tracks' order; frames in which people are lost, or were phantoms.
     offsets
@@ -74,7 +70,7 @@ class Reconstruction:
     is_emptied, own
         Whether edits removed everybody who was found; points of the user's own.
     laboratory
-        What a laboratory recorded beside the cameras, with the time of its file if it is known; ``None``: nothing.
+        Recording of a laboratory beside the cameras, with the time of its file if it is known; ``None``: nothing.
     accepted
         Places of people, by the number of the track, that were looked at and are right; frames are of the take.
         Cameras that are right have the number 0.
