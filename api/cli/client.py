@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import time
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -18,13 +17,11 @@ import httpx2
 from pipeline.core.errors import PipelineError
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import SERVICE_ERROR
-from pipeline.core.problems.request_codes import VIDEOS_FETCHING
 from pipeline.core.runtime.pauses import Pauses
 
 Json = Mapping[str, Any]
 
 _POLL_S = 0.25
-_FETCH_POLL_S = 2.0
 # Tries of a request that the service does not answer, and the pauses between them: about a minute.
 _MAX_TRIES, _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 8, 1.0, 20.0
 _ENDS = {"succeeded": "succeeded", "failed": "failed", "canceled": "was canceled", "expired": "expired"}
@@ -99,10 +96,6 @@ class ServiceError(PipelineError):
 
 class UnavailableError(ServiceError):
     """The service, or a part of it, does not respond now."""
-
-
-class _FetchingError(ServiceError):
-    """The service fetches the videos of a request, which is sent again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +178,7 @@ class Client:
         ----------
         videos
             One video of each camera, with the camera's name as a word in its own; or as the manifest states. Either
-            all files, or all https links that the service fetches the files from; then the call waits for them.
+            all files, or all https links that the service fetches the files from; then the job waits for them.
         calibration
             Calibration file of any format that ``open_session`` reads.
         spec
@@ -244,7 +237,7 @@ class Client:
             return _job(self._call("POST", "/v1/jobs", files=[*described, *files]))
 
     def _submit_links(self, urls: Sequence[str], calibration: Path, texts: Mapping[str, Json]) -> Job:
-        """Send a session whose videos the service fetches; repeat the request until they are there."""
+        """Send a session whose videos the service fetches."""
         content, name = calibration.read_bytes(), base64.b64encode(calibration.name.encode()).decode()
         headers = {
             "Tus-Resumable": "1.0.0",
@@ -254,11 +247,7 @@ class Client:
         }
         place = self._sent("POST", "/v1/uploads", headers=headers, content=content).headers["location"]
         body = {**texts, "videos": urls, "calibration": place.rpartition("/")[2]}
-        headers = {"Idempotency-Key": str(uuid.uuid4())}
-        while True:
-            with contextlib.suppress(_FetchingError):
-                return _job(self._call("POST", "/v1/jobs/from-uploads", json=body, headers=headers))
-            time.sleep(_FETCH_POLL_S)
+        return _job(self._call("POST", "/v1/jobs/from-uploads", json=body))
 
     def submit_keypoints(
         self, archives: Mapping[str, bytes], calibration: bytes, timestamps: bytes, spec: Mapping[str, Any]
@@ -453,12 +442,10 @@ def _refusal(answer: httpx2.Response) -> ServiceError:
     """Error with the sentences of the service; a proxy may answer without any."""
     problem = _object(answer) or {}
     sentences = _sentences(problem)
-    if problem.get("code") == VIDEOS_FETCHING:
-        return _FetchingError(sentences)
     kind = UnavailableError if answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE else ServiceError
     return kind(sentences or f"The service at {answer.url.host} answered {answer.status_code}.")
 
 
 def _sentences(problem: Json) -> str:
-    items = [": ".join(filter(None, [item["file"], item["message"]])) for item in problem.get("errors", ())]
+    items = [": ".join(filter(None, [item.get("file"), item["message"]])) for item in problem.get("errors", ())]
     return " ".join(filter(None, [problem.get("detail"), *items, problem.get("hint")]))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from worker.store.database.access import Access, OpenTransaction
 from worker.store.database.quotas import NO_QUOTAS, read_usage, require_room
 from worker.store.model.rights import Usage
+from worker.store.repositories.arrivals import Arrivals
 from worker.store.repositories.calibrations import Calibrations
 from worker.store.repositories.characters import Characters
 from worker.store.repositories.edits import Edits
@@ -26,6 +27,7 @@ class Records:
 
     def __init__(self, access: Access) -> None:
         self.sessions = Sessions(access)
+        self.arrivals = Arrivals(access)
         self.calibrations = Calibrations(access)
         self.characters = Characters(access)
         self.edits = Edits(access)

@@ -14,7 +14,14 @@ import { CAPTURES } from "../shared/strings/captures.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { jobRow } from "./job_row.js";
 
+function fetchFact({ fetches }) {
+  const here = fetches.filter(({ state }) => state === "finished");
+  if (here.length === fetches.length) return CAPTURES.checking;
+  return CAPTURES.fetching(here.length, fetches.length, size(fetches.reduce((sum, { received_bytes: bytes }) => sum + bytes, 0)));
+}
+
 function captureFacts(session) {
+  if (session.state !== "ready") return [moment(session.created_at), ...(session.state === "fetching" ? [fetchFact(session)] : [])];
   const { cameras, timebase } = session.preflight;
   return [
     moment(session.created_at),
@@ -157,10 +164,10 @@ export function captureCard(view, session) {
         <p class="quiet facts">${captureFacts(session).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${view.canWrite ? html`<div class="actions">
-        ${isFootage ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
+        ${isFootage || session.state === "failed" ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
           ?disabled=${!view.options} id="run-${session.id}" aria-label=${CAPTURES.actionOf(run, session.name)} @click=${toggleForm}>${run}</button>`}
-        <button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
-          aria-label=${CAPTURES.actionOf(CAPTURES.recalibrate, session.name)} @click=${recalibrate}>${CAPTURES.recalibrate}</button>
+        ${session.state === "ready" ? html`<button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
+          aria-label=${CAPTURES.actionOf(CAPTURES.recalibrate, session.name)} @click=${recalibrate}>${CAPTURES.recalibrate}</button>` : nothing}
         <button type="button" class="button small" id="rename-${session.id}" aria-label=${COMMON.renameOf(session.name)} @click=${() => beginRename(view, session)}>${COMMON.rename}</button>
         ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.neededByJob : nothing}
           aria-label=${CAPTURES.deleteVideosOf(session.name)} @click=${removeVideos}>${CAPTURES.deleteVideos}</button>` : nothing}
@@ -168,12 +175,13 @@ export function captureCard(view, session) {
           aria-label=${CAPTURES.deleteOf(session.name)} @click=${remove}>${COMMON.delete}</button>
       </div>` : nothing}
     </div>
+    ${session.errors.length && !jobs.length ? problemBox({ message: CAPTURES.unusable, items: session.errors }) : nothing}
     ${problemBox(view.problems.get(session.id))}
     ${view.recalibrated.has(session.id) ? otherCalibrationForm(view, session) : nothing}
     ${view.opened.has(session.id) ? runAgainForm(view, session) : nothing}
     ${jobs.length ? html`<ol class="jobs">${repeat(jobs, ({ id }) => id, (job, index) => jobRow(view, job, jobs.length > 1 ? jobs.length - index : null, session.notes))}</ol>`
       : html`<p class="quiet">${CAPTURES.noJobs}</p>`}
-    ${cameraTable(view, session)}
+    ${session.state === "ready" ? cameraTable(view, session) : nothing}
   </li>`;
 }
 

@@ -30,11 +30,12 @@ export function errorBox(job) {
   if (!job.error) return nothing;
   const stage = job.stages.find(({ name }) => name === job.error.stage)?.label;
   const where = [job.error.camera && JOBS.camera(job.error.camera), stage].filter(Boolean).join(", ");
-  if (job.error.errors.length) {
+  if (job.error.code === "session_refused") {
     return problemBox({ message: JOBS.checkFailed, hint: JOBS.checkFailedHint, code: job.error.code, items: job.error.errors });
   }
   const advice = job.error.hint ?? (job.urls.retry ? JOBS.retryHint : null);
-  return problemBox({ message: where ? JOBS.located(job.error.detail, where) : job.error.detail, hint: advice, code: job.error.code });
+  const message = where ? JOBS.located(job.error.detail, where) : job.error.detail;
+  return problemBox({ message, hint: advice, code: job.error.code, items: job.error.errors });
 }
 
 // Outage that a job waits for; it continues by itself.
@@ -75,7 +76,7 @@ export function jobRow(view, job, number, notes) {
         ${isOpenable && !hasFiles(job) ? html`<a class="button small" href=${address("jobs", job.id)} aria-label=${JOBS.detailsOf(name)}>${JOBS.details}</a>` : nothing}
         ${view.canWrite && job.urls.cancel ? html`<button type="button" class="button small" aria-label=${JOBS.cancelOf(name)} @click=${() => act(job.urls.cancel, "POST", JOBS.canceled(name))}>${COMMON.cancel}</button>` : nothing}
         ${view.canWrite && job.urls.retry ? html`<button type="button" class="button small" aria-label=${JOBS.retryOf(name)} @click=${() => act(job.urls.retry, "POST", JOBS.retried(name))}>${JOBS.retry}</button>` : nothing}
-        ${view.canWrite && job.error?.errors.length ? html`<button type="button" class="button small" aria-label=${JOBS.forceOf(name)} @click=${force}>${JOBS.force}</button>` : nothing}
+        ${view.canWrite && job.error?.code === "session_refused" ? html`<button type="button" class="button small" aria-label=${JOBS.forceOf(name)} @click=${force}>${JOBS.force}</button>` : nothing}
         ${view.canWrite && hasEnded(job) ? html`<button type="button" class="button small ghost" aria-label=${JOBS.deleteOf(name)} @click=${remove}>${JOBS.delete}</button>` : nothing}
       </div>
     </div>

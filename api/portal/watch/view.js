@@ -13,6 +13,7 @@ import { captureCard } from "./capture_card.js";
 const PAGE = 20;
 const MOST = 200; // sessions that the service lists in one answer
 const TYPING_MS = 250;
+const FETCHED_MS = 2000; // between looks at sessions whose videos the service fetches
 
 export function open(place, route, caller) {
   const view = new Captures(place, caller);
@@ -89,6 +90,7 @@ class Captures {
     this.isLoaded = true;
     this.problem = null;
     this.draw();
+    if (this.sessions.some(({ state }) => state === "fetching")) this.reload(FETCHED_MS);
     await Promise.all(sessions.map((session) => this.#loadJobs(session)));
   }
 

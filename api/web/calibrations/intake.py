@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
-from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
@@ -17,10 +16,18 @@ from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC
 from api.web.http.idempotency import Answer
 from api.web.jobs.queueing import installed_on_workers
 from api.web.jobs.schemas import JobOut
-from api.web.sessions.intake import CheckedSession, limit_problems, located, preflight_arguments, record_path_in, stored
+from api.web.sessions.intake import (
+    NO_PREFLIGHT,
+    awaited_names,
+    limit_problems,
+    located,
+    preflight_arguments,
+    record_path_in,
+)
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
 from api.web.sessions.schemas import Manifest
+from api.web.sessions.storing import CheckedSession, stored
 from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import listed
@@ -98,9 +105,7 @@ class CheckedCalibration:
         return self.spec.choices(self.has_intrinsics, self.has_photographs)
 
 
-async def check_calibration(
-    request: Request, services: Services, records: TenantRecords, sent: Sent
-) -> CheckedCalibration:
+async def check_calibration(owner: str, services: Services, records: TenantRecords, sent: Sent) -> CheckedCalibration:
     """Check a calibration: its choices and its files.
 
     Raises
@@ -108,7 +113,6 @@ async def check_calibration(
     ApiError
         With all that is wrong.
     """
-    owner = request.state.caller.owner
     if isinstance(sent.content, UploadedCalibration):
         spec: CalibrationSpec | None = sent.content
         # Large files are read once, for their digests, in the turn of the checks.
@@ -128,7 +132,8 @@ async def check_calibration(
     if spec.method in {"file", "scene"}:
         return await _ready(services, owner, sent, form, spec, upload_ids, part)
     footage = await _checked_footage(services, owner, sent, form, spec, upload_ids, part)
-    name = spec.name or f"{spec.method}, {len(footage.preflight.cameras)} cameras"
+    num_cameras = len(footage.preflight.cameras) or len(form.files[VIDEOS])
+    name = spec.name or f"{spec.method}, {num_cameras} cameras"
     has_intrinsics, has_photographs = bool(form.files[INTRINSICS]), bool(form.files[IMAGES])
     return CheckedCalibration(spec, name, footage, has_intrinsics, has_photographs, upload_ids)
 
@@ -262,6 +267,10 @@ async def _checked_footage(
         units=spec.units,
         frame_rate_hz=_IMAGES_RATE_HZ if photographs else None,
     )
+    if (awaited := awaited_names(sent)) is not None:
+        if spec.method == "people" and (errors := _missing_networks(services)):
+            raise unprocessable(errors)
+        return CheckedSession(form, manifest, JobSpec(), NO_PREFLIGHT, record_path_in(sent.folder), (), None, awaited)
     # From here on photographs are sequences of images.
     footage = replace(form, files={**form.files, VIDEOS: photographs, IMAGES: ()}) if photographs else form
     record_path = record_path_in(sent.folder)
@@ -308,7 +317,8 @@ def begun_calibration(
             yield work, _begin(services, work, checked, content.id, stages)
     else:
         with stored(services, content) as new:
-            stages = plan_job(new, JobSpec(), making=making, provider=provider)
+            is_awaited = new.arrival is not None
+            stages = () if is_awaited else plan_job(new, JobSpec(), making=making, provider=provider)
             with records.transaction() as work:
                 new.add_to(work, "calibration")
                 yield work, _begin(services, work, checked, new.id, stages)

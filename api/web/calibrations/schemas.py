@@ -144,8 +144,8 @@ class UploadedCalibration(UploadedFootage, CalibrationSpec):
         default=None, description="Upload of a calibration file whose intrinsics are kept, and poses ignored."
     )
 
-    def uploads(self) -> list[tuple[str, UUID]]:
-        """Part of the form and id of each upload."""
+    def uploads(self) -> list[tuple[str, UUID | str]]:
+        """Part of the form and id or URL of each upload."""
         single = (("calibration", self.calibration), ("intrinsics", self.intrinsics))
         images = (("images", upload) for upload in self.images)
         return [*super().uploads(), *images, *((part, upload) for part, upload in single if upload is not None)]

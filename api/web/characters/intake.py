@@ -5,8 +5,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fastapi import Request
-
 from api.web.characters.schemas import CharacterSpec, UploadedCharacter
 from api.web.dependencies import Services
 from api.web.downloads import Download, damaged_file, missing_file
@@ -44,9 +42,8 @@ class CheckedCharacter:
         return self.spec.name or self.file.name
 
 
-async def check_character(request: Request, services: Services, records: TenantRecords, sent: Sent) -> CheckedCharacter:
+async def check_character(owner: str, services: Services, records: TenantRecords, sent: Sent) -> CheckedCharacter:
     """Check a character: its file and the corrections of its bones. Raises ``ApiError``: with all that is wrong."""
-    owner = request.state.caller.owner
     if isinstance(sent.content, UploadedCharacter):
         spec: CharacterSpec | None = sent.content
         # Large files are read once, for their digests, in the turn of the checks.

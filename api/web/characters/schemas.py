@@ -44,7 +44,7 @@ class UploadedCharacter(UploadedFiles, CharacterSpec):
 
     character: UUID = Field(description="Upload of the character's file.")
 
-    def uploads(self) -> list[tuple[str, UUID]]:
+    def uploads(self) -> list[tuple[str, UUID | str]]:
         """Part of the form and id of each upload."""
         return [(CHARACTER, self.character)]
 

@@ -3,11 +3,11 @@
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from urllib.parse import urlsplit
 from uuid import UUID
 
@@ -20,6 +20,7 @@ from api.web.errors import ApiError
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import Problem
 from pipeline.core.findings import CERTAIN
+from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.core.options.rules import Installed, installation_problems, session_problems
 from pipeline.core.problems import request_codes
@@ -32,6 +33,7 @@ from worker.store.files.file_keys import job_character_key, job_prefix
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobRecord, job_config
 from worker.store.model.session_records import SessionEdits
+from worker.store.model.work import StagePlan
 from worker.store.outages import is_perhaps_recorded
 from worker.store.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
 from worker.store.spec import JobSpec
@@ -55,6 +57,10 @@ class QueuedSession(PlannableSession, Protocol):
     @property
     def id(self) -> str:
         """Its id."""
+
+    @property
+    def arrival(self) -> Mapping[str, Any] | None:
+        """Its request while its videos are fetched."""
 
 
 def installed_on_workers(services: Services, *, has_videos: bool) -> Installed:
@@ -143,29 +149,42 @@ def queued_job(
     with copied_character(services, records, spec.character) as moved:
         character = None if moved is None else moved[1]
         config = job_config(spec, edits=edits.edits, character=character)
-        stages = plan_config(session, config, provider=services.store.workers.provider())
-        character_bytes = 0 if character is None else character.file.num_bytes
-        needed_bytes = foreseen_space(session.preflight, config, character_bytes).store_bytes
-        # Of a bucket nothing is known; the space that workers need meanwhile is on their own disks.
-        if not services.settings.artifacts_url and not services.disk.has_room(needed_bytes):
-            free = shown_bytes(max(0, services.disk.free_bytes - services.disk.headroom_bytes))
-            raise ApiError(
-                request_codes.SPACE_MISSING,
-                f"The job needs about {shown_bytes(needed_bytes)}, and the service's disk has {free}.",
-                hint="Delete captures that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
-                "time by frame_range.",
-                retryable=True,
-            )
+        stages: tuple[StagePlan, ...] = ()
+        if session.arrival is None:
+            stages = planned(services, session, config, services.store.workers.provider(), character)
         with files or contextlib.nullcontext(), records.transaction() as work:
             if record_session is not None:
                 record_session(work)
             retention_s = services.settings.retention_s
             job = work.jobs.add(session.id, spec, stages, retention_s, tracing.current(), moved=moved, edits=edits)
-            _queue_proxies(work, session)
+            queue_proxies(work, session)
             yield work, job
     _log.info("job_created", job=job.id, session=job.session_id)
     # When the broker is away, the reaper publishes later.
     services.queue.publish()
+
+
+def planned(
+    services: Services,
+    session: PlannableSession,
+    config: ReconstructionConfig,
+    provider: str,
+    character: JobCharacter | None,
+) -> tuple[StagePlan, ...]:
+    """Plan a job; raises ``ApiError`` if the disk has too little space for it."""
+    character_bytes = 0 if character is None else character.file.num_bytes
+    needed_bytes = foreseen_space(session.preflight, config, character_bytes).store_bytes
+    # Of a bucket nothing is known; the space that workers need meanwhile is on their own disks.
+    if not services.settings.artifacts_url and not services.disk.has_room(needed_bytes):
+        free = shown_bytes(max(0, services.disk.free_bytes - services.disk.headroom_bytes))
+        raise ApiError(
+            request_codes.SPACE_MISSING,
+            f"The job needs about {shown_bytes(needed_bytes)}, and the service's disk has {free}.",
+            hint="Delete captures that are no longer needed, ask for fewer files, or reconstruct fewer frames at a "
+            "time by frame_range.",
+            retryable=True,
+        )
+    return plan_config(session, config, provider=provider)
 
 
 @contextlib.contextmanager
@@ -210,7 +229,7 @@ def copied_character(
         undo.pop_all()
 
 
-def _queue_proxies(work: TenantRecords, session: QueuedSession) -> None:
+def queue_proxies(work: TenantRecords, session: QueuedSession) -> None:
     """Queue the job that makes a session's proxies, in an open transaction, unless there is one or none is needed.
 
     Of a session with a job that blurs faces, only blurred videos are shown, and of deleted videos there are no copies.

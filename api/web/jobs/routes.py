@@ -15,9 +15,10 @@ from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditiona
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.jobs import queueing
 from api.web.jobs.schemas import AttemptList, AttemptOut, JobEnded, JobOut, JobPage
-from api.web.sessions.intake import CheckedSession, check, session_and_job
+from api.web.sessions.intake import check
 from api.web.sessions.receiving import Creation, Texts, add_creation
 from api.web.sessions.schemas import CAPTURE_FORM
+from api.web.sessions.storing import CheckedSession, session_and_job
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
@@ -83,17 +84,18 @@ def create_job(
     idempotent: IdempotentRequestDep,
     spec: JobSpec = JobSpec(),  # noqa: B008 - frozen
 ) -> Response:
-    """Reconstruct a session."""
+    """Reconstruct a session. If the service still fetches its videos, the job waits for them."""
     if (earlier := idempotent.begin(spec.model_dump(mode="json"))) is not None:
         return earlier
     with idempotent.working():
-        session = idempotent.records.sessions.get(session_id)
+        session = idempotent.records.sessions.get(session_id, may_wait=True)
         if session.purpose == "calibration":
             message = "The capture was sent for a calibration, and its cameras are not calibrated."
             raise ApiError(CONFLICT, message, hint="Send its videos as a capture with the calibration's id.")
         spec = queueing.with_session_choices(spec, session.preflight)
         limits = queueing.spec_limits(services, idempotent.records, has_videos=has_videos(session))
-        if found := queueing.check_spec(spec, session.preflight, limits):
+        preflight = session.preflight if session.arrival is None else None
+        if found := queueing.check_spec(spec, preflight, limits):
             raise unprocessable([error_item(problem) for problem in found])
         services.disk.require_room()
         with queueing.queued_job(services, idempotent.records, session, spec) as (work, job):
@@ -167,7 +169,7 @@ def list_session_jobs(
     session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> JobPage:
     """List the jobs of a session, the newest first."""
-    records.sessions.get(session_id)
+    records.sessions.capture(session_id)
     return _page(records, state, session_id, limit, cursor)
 
 

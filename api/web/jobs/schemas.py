@@ -38,12 +38,13 @@ class StageOut(ResponseModel):
 
 
 class SessionErrorOut(ResponseModel):
-    """Error that the check of a job's session found."""
+    """Error that a check of a job's session found."""
 
     code: Code = Field(description="Stable code; `/help/problems` lists all codes.")
     message: str = Field(description="Description of the error, a sentence for a person.")
     camera: str | None = Field(description="Camera that the error is about; null if it is not about one.")
     hint: str | None = Field(description="Advice to the caller.")
+    file: str | None = Field(default=None, description="Name of the file that the error is about.")
 
 
 class JobError(ResponseModel):
@@ -60,8 +61,8 @@ class JobError(ResponseModel):
     retryable: bool = Field(description="Whether another attempt may succeed.", examples=[True])
     errors: tuple[SessionErrorOut, ...] = Field(
         default=(),
-        description="Errors of the session with `session_refused`; with `force` another job reconstructs it all the "
-        "same.",
+        description="Errors of the session with `session_unusable`, or `session_refused`: with `force` another job "
+        "reconstructs it all the same.",
     )
 
 
@@ -213,8 +214,8 @@ class JobOut(ResponseModel):
         description="Error that ended the job, or the update of its files; null if it did not fail."
     )
     waiting_for: JobError | None = Field(
-        description="Outage that the job waits for, such as `artifacts_unavailable`: a part of the service does not "
-        "respond. The job continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
+        description="What the job waits for: an outage such as `artifacts_unavailable`, or `videos_fetching`. The job "
+        "continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
     )
     warnings: tuple[FindingOut, ...] = Field(
         description="Warnings about the files, the choices and, once finished, the result, such as `nobody_found`."

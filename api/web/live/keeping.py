@@ -17,9 +17,10 @@ from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
 from api.web.live.problems import failed
 from api.web.live.schemas import POINTS, Layout
-from api.web.sessions.intake import CheckedSession, check, stored
+from api.web.sessions.intake import check
 from api.web.sessions.receiving import Sent
 from api.web.sessions.schemas import SESSION_FORM
+from api.web.sessions.storing import CheckedSession, stored
 from pipeline.run.live.packets import KeypointsHead, framed
 from worker.store.files.disk import append_whole, is_disk_full
 from worker.store.tenant_records import TenantRecords
@@ -128,7 +129,9 @@ async def keep_session(
     num_bytes = sum(file.num_bytes for of_part in files.values() for file in of_part)
     await run_in_threadpool(records.require_room, num_bytes)
     form = Form(files, {MANIFEST: json.dumps(manifest).encode()}, ())
-    checked = await check(connection, services, records, Sent(folder, SESSION_FORM, form, None, NO_PLACES))
+    checked = await check(
+        connection.state.caller.owner, services, records, Sent(folder, SESSION_FORM, form, None, NO_PLACES)
+    )
     return await run_in_threadpool(_store, services, records, checked)
 
 

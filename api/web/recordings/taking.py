@@ -18,7 +18,7 @@ from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEOS, FormKind
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.recordings.schemas import TakeCalibrationSpec, TakeSessionOut, TakeSessionSpec
-from api.web.sessions.intake import CheckedSession, check, session_and_job, stored
+from api.web.sessions.intake import check
 from api.web.sessions.receiving import Sent
 from api.web.sessions.schemas import (
     CAPTURE_FORM,
@@ -28,6 +28,7 @@ from api.web.sessions.schemas import (
     UploadedCapture,
     UploadedSession,
 )
+from api.web.sessions.storing import CheckedSession, session_and_job, stored
 from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import CLIP_NOT_SENT, CLIP_OUTSIDE_TAKE, CLIP_PART_LEFT_OUT
 from pipeline.core.problems.request_codes import CLIPS_MISSING, CONFLICT, UPLOAD_UNFINISHED, UPLOAD_UNKNOWN
@@ -132,7 +133,7 @@ async def made_session(
         form = await _form(request, services, records, folder, kind, videos, documents)
         sent = Sent(folder, kind, form, None, NO_PLACES)
     try:
-        checked = await check(request, services, records, sent)
+        checked = await check(request.state.caller.owner, services, records, sent)
     except ApiError as error:
         raise _without_pointers(error) from None
     if videos is not None:
@@ -159,7 +160,7 @@ async def made_calibration(
     form = await _form(request, services, records, folder, intake.CALIBRATION_FORM, videos, documents)
     sent = Sent(folder, intake.CALIBRATION_FORM, form, None, NO_PLACES)
     try:
-        checked = await intake.check_calibration(request, services, records, sent)
+        checked = await intake.check_calibration(request.state.caller.owner, services, records, sent)
     except ApiError as error:
         raise _without_pointers(error) from None
     if isinstance(checked.content, CheckedSession):

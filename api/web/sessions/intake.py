@@ -1,10 +1,10 @@
-"""Intake of sessions: what arrived is checked and stored."""
+"""Intake of sessions: what arrived is checked."""
 
 import contextlib
 import hashlib
 import json
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -12,38 +12,32 @@ from typing import Any
 import uuid_utils
 from opentelemetry import trace
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import HTTPConnection
 
 from api.web.dependencies import Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form, ReceivedFile
-from api.web.jobs.queueing import check_spec, queued_job, spec_limits, with_session_choices
+from api.web.jobs.queueing import check_spec, spec_limits, with_session_choices
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
 from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
+from api.web.sessions.storing import CheckedSession
 from api.web.settings import Settings
-from pipeline.capture.preflight_record import Preflight, thumbnail_name
+from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.finding_codes import PAIRED_IN_SORTED_ORDER
 from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
 from worker.store.errors import NotFound
-from worker.store.files.file_keys import input_key, record_key, session_prefix, thumbnail_key
-from worker.store.model.job_records import JobRecord
-from worker.store.model.session_records import InputFile, Purpose, Session
-from worker.store.outages import is_perhaps_recorded
+from worker.store.model.session_records import Session
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
-
-# Kinds of files that differ from the name of the form's part.
-_KINDS = {form_kinds.VIDEOS: "video", form_kinds.INTRINSICS: form_kinds.CALIBRATION}
 
 # Fields of a camera in the manifest that determine its frame times.
 _OF_CAMERA = {"offset_s", "offset_std_s", "rate"}
 
-# Ranges of frames of a take, and the fewest frames of one: each chunk decodes from the keyframe before it.
-_MIN_RANGES, _MIN_CHUNK_FRAMES = 4, 25
+NO_PREFLIGHT = Preflight((), PreflightTimebase(0.0, 25.0, 0), ())
+"""Preflight of a session whose files are fetched."""
 
 _tracer = trace.get_tracer("multicap")
 
@@ -74,64 +68,17 @@ class Arrival:
         return replace(self, errors=(*self.errors, error))
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedSession:
-    """A session without errors whose files are not in the artifact store yet.
-
-    Parameters
-    ----------
-    record_path
-        File that the preflight wrote for the workers.
-    thumbnails
-        Folder with the thumbnails that the preflight wrote; ``None`` without any.
-    """
-
-    form: Form
-    manifest: Manifest
-    spec: JobSpec
-    preflight: Preflight
-    record_path: Path
-    upload_ids: tuple[str, ...]
-    thumbnails: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class NewSession:
-    """A session that is in the artifact store and not in the database yet."""
-
-    id: str
-    name: str
-    files: tuple[InputFile, ...]
-    preflight: Preflight
-    upload_ids: tuple[str, ...]
-    metadata: Mapping[str, Any]
-    record_sha256: str
-    chunk_frames: int
-
-    def add_to(self, work: TenantRecords, purpose: Purpose = "capture") -> Session:
-        """Record the session, and that its uploads are used, in an open transaction."""
-        work.uploads.use(self.upload_ids)
-        return work.sessions.add(
-            self.name,
-            self.files,
-            self.preflight,
-            self.id,
-            self.metadata,
-            self.record_sha256,
-            purpose,
-            self.chunk_frames,
-        )
-
-
-async def check(request: HTTPConnection, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
+async def check(owner: str, services: Services, records: TenantRecords, sent: Sent) -> CheckedSession:
     """Check a session: its files by the preflight, its documents, and both against the limits of the service.
+
+    Files that are fetched are checked when they are there, by another call.
 
     Raises
     ------
     ApiError
         With all that is wrong.
     """
-    owner = request.state.caller.owner
+    awaited = awaited_names(sent)
     if isinstance(sent.content, UploadedSession):
         # Large files are read once, for their digests, in the turn of the checks.
         arrival = await services.checks.run(owner, _named, services, records, sent, sent.content)
@@ -141,10 +88,10 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
     form, errors = arrival.form, [*arrival.form.errors, *arrival.errors]
     if arrival.manifest:
         errors.extend(_misplaced_facts(arrival.manifest, form))
-    preflight: Preflight | None = None
+    preflight = None if awaited is None else NO_PREFLIGHT
     record_path, thumbnails = record_path_in(sent.folder), sent.folder / str(uuid_utils.uuid7())
     thumbnails.mkdir()
-    if not form.errors and (form.points or form.files[form_kinds.CALIBRATION]):
+    if preflight is None and not form.errors and (form.points or form.files[form_kinds.CALIBRATION]):
         try:
             with _tracer.start_as_current_span("preflight"):
                 preflight = await services.checks.run(
@@ -162,7 +109,7 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
         errors.extend(error_item(problem) for problem in limit_problems(preflight, services.settings))
     if arrival.spec and sent.kind.has_job:
         limits = await run_in_threadpool(spec_limits, services, records, has_videos=bool(form.videos))
-        problems = await run_in_threadpool(check_spec, arrival.spec, preflight, limits)
+        problems = await run_in_threadpool(check_spec, arrival.spec, None if awaited else preflight, limits)
         errors.extend(error_item(problem, (form_kinds.SPEC,)) for problem in problems)
     if errors or preflight is None or arrival.manifest is None or arrival.spec is None:
         raise unprocessable(errors)
@@ -175,7 +122,14 @@ async def check(request: HTTPConnection, services: Services, records: TenantReco
         record_path,
         arrival.upload_ids,
         thumbnails,
+        awaited,
     )
+
+
+def awaited_names(sent: Sent) -> form_kinds.UploadedFootage | None:
+    """Names of uploads and URLs, if some files are fetched."""
+    names = sent.content
+    return names if isinstance(names, form_kinds.UploadedFootage) and names.has_urls else None
 
 
 def limit_problems(preflight: Preflight, settings: Settings) -> Iterator[Problem]:
@@ -189,81 +143,6 @@ def limit_problems(preflight: Preflight, settings: Settings) -> Iterator[Problem
             if width * height > settings.max_pixels:
                 message = f"Its frames have {width} x {height} pixels; at most {settings.max_pixels} are taken."
                 yield Problem(request_codes.FRAMES_TOO_LARGE, message, file=camera.file, camera=camera.name)
-
-
-def new_session(services: Services, checked: CheckedSession) -> NewSession:
-    """Name the files of a session in the artifact store, before they are there."""
-    session_id = services.store.sessions.reserve_id()
-    sources = [(part, file) for part, files in checked.form.files.items() for file in files]
-    with checked.record_path.open("rb") as content:
-        record_sha256 = hashlib.file_digest(content, "sha256").hexdigest()
-    return NewSession(
-        id=session_id,
-        name=checked.manifest.name,
-        files=tuple(
-            InputFile(
-                name=file.name,
-                kind=_KINDS.get(part, part),
-                key=input_key(session_id, index, file.name),
-                num_bytes=file.num_bytes,
-                sha256=file.sha256,
-            )
-            for index, (part, file) in enumerate(sources)
-        ),
-        preflight=checked.preflight,
-        upload_ids=checked.upload_ids,
-        metadata=checked.manifest.metadata,
-        record_sha256=record_sha256,
-        chunk_frames=_chunk_frames(services.settings, checked.preflight.timebase.num_frames),
-    )
-
-
-def _chunk_frames(settings: Settings, num_frames: int) -> int:
-    """Frames of a camera in a chunk: fewer of a short take, so that its first people are there before its last."""
-    return min(settings.chunk_frames, max(_MIN_CHUNK_FRAMES, -(-num_frames // _MIN_RANGES)))
-
-
-@contextlib.contextmanager
-def stored(services: Services, checked: CheckedSession, new: NewSession | None = None) -> Iterator[NewSession]:
-    """Put the files of a session into the artifact store; the block records the session in the database.
-
-    If the block fails, the files are removed; else the files of its uploads are. The reaper removes the files of a
-    process that is killed in between, and of a transaction whose answer was lost, if it was not committed.
-    """
-    new = new or new_session(services, checked)
-    sources = [file for files in checked.form.files.values() for file in files]
-    with contextlib.ExitStack() as undo:
-        undo.callback(services.artifacts.delete_prefix, session_prefix(new.id))
-        for file, source in zip(new.files, sources, strict=True):
-            services.artifacts.put_file(file.key, source.path)
-        services.artifacts.put_file(record_key(new.id), checked.record_path)
-        if checked.thumbnails is not None:
-            for camera, number, _ in checked.preflight.thumbnails():
-                name = thumbnail_name(camera, number)
-                services.artifacts.put_file(thumbnail_key(new.id, name), checked.thumbnails / name)
-        try:
-            yield new
-        except Exception as error:
-            if is_perhaps_recorded(error):
-                undo.pop_all()
-            raise
-        undo.pop_all()
-    for upload_id in checked.upload_ids:
-        services.uploads.remove(upload_id)
-
-
-@contextlib.contextmanager
-def session_and_job(
-    services: Services, records: TenantRecords, checked: CheckedSession
-) -> Iterator[tuple[TenantRecords, JobRecord]]:
-    """Store the files of a session and record it with its job; both or neither.
-
-    The block gets the open transaction and the job. A worker is woken after it.
-    """
-    new = new_session(services, checked)
-    files = stored(services, checked, new)
-    with queued_job(services, records, new, checked.spec, files, new.add_to) as (work, job):
-        yield work, job
 
 
 def _parsed(sent: Sent) -> Arrival:

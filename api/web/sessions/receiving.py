@@ -3,7 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -25,7 +25,7 @@ from api.web.http.bodies.reading import announced_bytes, limited
 from api.web.http.bodies.validation import model_items
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
-from api.web.uploads.intake import unfinished, with_fetched
+from api.web.uploads.intake import source_fault, source_name, unfinished
 from pipeline.core.problems import request_codes
 from worker.store.errors import NotFound
 from worker.store.tenant_records import TenantRecords
@@ -163,19 +163,15 @@ async def _receive_names(
         raise unprocessable(items) from None
 
 
-def _with_fetched(services: Services, records: TenantRecords, sent: Sent) -> Sent:
-    """Replace URLs of videos by ids of uploads; see ``with_fetched``."""
-    if not isinstance(sent.content, form_kinds.UploadedFootage):
-        return sent
-    return replace(sent, content=with_fetched(services, records, sent.content))
-
-
 def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_kinds.UploadedFiles) -> Form:
-    """Build the form from uploads, whose files stay on their spool."""
+    """Build the form from uploads, whose files stay on their spool; empty files stand for files that are fetched."""
     parts = Parts(sent.folder, services.limits, sent.kind, sent.places)
-    for part, upload_id in names.uploads():
+    for part, named in names.uploads():
+        if isinstance(named, str):
+            _announce(services, parts, part, named, sent.folder)
+            continue
         try:
-            upload = records.uploads.get(str(upload_id))
+            upload = records.uploads.get(str(named))
             num_bytes = services.uploads.offset(upload)
         except NotFound:
             message = "There is no such upload."
@@ -199,6 +195,16 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_
     if (source_id := names.source_id()) is not None:
         _copy_footage(services, records, source_id, parts)
     return parts.form(names.named(), _num_stated_parts(records, names))
+
+
+def _announce(services: Services, parts: Parts, part: str, url: str, folder: Path) -> None:
+    """Add an empty file to a form for one that is fetched, so that names and numbers of files are checked before."""
+    if (fault := source_fault(services, url)) is not None:
+        parts.lack(part, *fault)
+        return
+    empty = folder / str(uuid_utils.uuid7())
+    empty.touch()
+    parts.adopt(part, source_name(url), empty)
 
 
 def _num_stated_parts(records: TenantRecords, names: form_kinds.UploadedFiles) -> int:
@@ -258,8 +264,8 @@ class Creation(Generic[_Checked]):
     """How records are created."""
 
     form: form_kinds.FormKind  # Kind of the form, or of the JSON in its place
-    # Checks what was sent; raises ``ApiError`` with all that is wrong
-    check: Callable[[Request, Services, TenantRecords, Sent], Awaitable[_Checked]]
+    # Checks what an owner sent; raises ``ApiError`` with all that is wrong
+    check: Callable[[str, Services, TenantRecords, Sent], Awaitable[_Checked]]
     add: Callable[[Services, IdempotentRequest, _Checked], Answer]  # Stores the files and the record, both or neither
 
     async def respond(
@@ -270,8 +276,7 @@ class Creation(Generic[_Checked]):
             if (earlier := await run_in_threadpool(idempotent.begin, sent.parts)) is not None:
                 return earlier
             async with idempotent.held():
-                whole = await run_in_threadpool(_with_fetched, services, idempotent.records, sent)
-                checked = await self.check(request, services, idempotent.records, whole)
+                checked = await self.check(request.state.caller.owner, services, idempotent.records, sent)
                 answer = await run_in_threadpool(self.add, services, idempotent, checked)
         return answer.response()
 

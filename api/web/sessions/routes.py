@@ -5,16 +5,17 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response, status
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
-from api.web.contract.description import Resource, location, problems
+from api.web.contract.description import RETRY_AFTER, Resource, location, problems
 from api.web.dependencies import Cursor, Limit, Services, ServicesDep, SessionId
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
-from api.web.sessions.intake import CheckedSession, check, stored
+from api.web.sessions.intake import check
 from api.web.sessions.receiving import Creation, Texts, add_creation
 from api.web.sessions.schemas import SESSION_FORM, SessionChanges, SessionOut, SessionPage
+from api.web.sessions.storing import CheckedSession, stored
+from api.web.uploads.intake import FETCH_RETRY_S
 from worker.store.files.unneeded import remove_files
-from worker.store.model.session_records import Capture
 from worker.store.model.states import JobState
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
@@ -31,16 +32,20 @@ State = Annotated[JobState | None, Query(description="Only sessions whose newest
 def _add_session(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session and record it."""
     with stored(services, checked) as new, idempotent.records.transaction() as work:
-        body = SessionOut.from_capture(Capture(new.add_to(work))).model_dump_json()
-        return idempotent.store(work, Answer(201, {"Location": f"/v1/sessions/{new.id}"}, body))
+        new.add_to(work)
+        body = SessionOut.from_capture(work.sessions.capture(new.id)).model_dump_json()
+        headers = {"Location": f"/v1/sessions/{new.id}"}
+        if new.arrival is None:
+            return idempotent.store(work, Answer(201, headers, body))
+        return idempotent.store(work, Answer(202, headers | {"Retry-After": str(FETCH_RETRY_S)}, body))
 
 
 _CREATE = """\
 Send a session: its videos, or what another program found in them, and the cameras' calibration.
 
 As a form with the files, or as JSON that names finished uploads. Every file is checked. The answer says what was
-found, or all that is wrong. Generated clients use `createSessionFromFiles` and `createSessionFromUploads`, which do
-the same with one kind of body each.
+found, or all that is wrong. Videos can be URLs: then the answer is 202, and the session tells its `state`. Generated
+clients use `createSessionFromFiles` and `createSessionFromUploads`, which do the same with one kind of body each.
 """
 add_creation(
     router,
@@ -62,6 +67,11 @@ add_creation(
     response_model=SessionOut,
     responses={
         201: {"headers": {"Location": location("session")}},
+        202: {
+            "description": "Session whose videos are fetched.",
+            "model": SessionOut,
+            "headers": {"Location": location("session"), **RETRY_AFTER},
+        },
         **problems(400, 408, 409, 413, 415, 422, 507),
     },
 )

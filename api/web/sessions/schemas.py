@@ -11,14 +11,16 @@ from pydantic_core import PydanticCustomError
 
 from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut, printable_name
+from api.web.errors import ErrorItem
 from api.web.http.bodies import form_kinds
+from api.web.uploads.schemas import UploadState
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.options.job_choices import blurred_name, proxy_name
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import JSON_VALUE, MISSING_PART, PART_NOT_ALLOWED
 from pipeline.core.runtime.packages import samples
 from pipeline.run.space import foreseen_space
-from worker.store.model.session_records import Capture
+from worker.store.model.session_records import Capture, SessionState
 from worker.store.model.states import JobState
 from worker.store.spec import JobSpec
 
@@ -212,8 +214,8 @@ class UploadedSession(form_kinds.UploadedFootage):
     )
     manifest: Manifest = Field(default=Manifest(), examples=[{"name": "Handshake, take 3"}])
 
-    def uploads(self) -> list[tuple[str, UUID]]:
-        """Part of the form and id of each upload."""
+    def uploads(self) -> list[tuple[str, UUID | str]]:
+        """Part of the form and id or URL of each upload."""
         single = (("calibration", self.calibration), ("timestamps", self.timestamps))
         several = [(part, upload) for part in ("keypoints", "points") for upload in getattr(self, part)]
         return [*super().uploads(), *several, *((part, upload) for part, upload in single if upload is not None)]
@@ -374,6 +376,17 @@ class SessionOut(ResponseModel):
     id: Id
     name: str = Field(description="Name of the session for people.", examples=["Handshake, take 3"])
     created_at: AwareDatetime = Field(description="Time of the creation.")
+    state: SessionState = Field(
+        description="`fetching` while the service fetches videos from URLs and checks them: `files` and `preflight` "
+        "are empty, and jobs wait; `failed` if they can't be used.",
+        examples=["ready"],
+    )
+    fetches: tuple[UploadState, ...] = Field(
+        default=(), description="Uploads that the session waits for; `received_bytes` are some seconds old."
+    )
+    errors: tuple[ErrorItem, ...] = Field(
+        default=(), description="Everything that is wrong with a session that failed. Delete it, and send it again."
+    )
     files: tuple[FileOut, ...] = Field(description="Files of the session.")
     num_bytes: int = Field(description="Size of all files that are not deleted.", examples=[5_242_880])
     videos_deleted_at: AwareDatetime | None = Field(
@@ -400,7 +413,7 @@ class SessionOut(ResponseModel):
     space: SpaceOut | None = Field(
         default=None,
         description="Space that a reconstruction of the session with the default choices is foreseen to need; null of "
-        "a session that was sent for a calibration.",
+        "a session that was sent for a calibration, and until its files are there.",
     )
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
     notes: dict[str, str] = Field(
@@ -413,9 +426,10 @@ class SessionOut(ResponseModel):
         """Build the response from a session and its jobs."""
         session = capture.session
         address = f"/v1/sessions/{session.id}"
-        is_whole = session.purpose != "calibration"
+        has_space = session.purpose != "calibration" and session.state == "ready"
         return cls.from_record(
             session,
+            fetches=tuple(UploadState.from_upload(upload) for upload in capture.uploads),
             files=tuple(
                 FileOut.from_record(file, is_deleted=file not in session.stored_files) for file in session.files
             ),
@@ -429,7 +443,7 @@ class SessionOut(ResponseModel):
             sync=session.preflight.sync,
             timeline=session.preflight.timeline,
             notes=samples.notes_about([file.sha256 for file in session.files if file.kind == "video"]),
-            space=foreseen_space(session.preflight, JobSpec().config) if is_whole else None,
+            space=foreseen_space(session.preflight, JobSpec().config) if has_space else None,
             urls=SessionUrls(self=address, jobs=f"{address}/jobs"),
         )
 

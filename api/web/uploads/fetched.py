@@ -5,10 +5,10 @@ from fastapi import APIRouter, Response, status
 from api.web.auth import UploadsDep
 from api.web.contract.description import RETRY_AFTER, Resource, location, problems
 from api.web.dependencies import ServicesDep, UploadId
-from api.web.errors import unprocessable
+from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.idempotency import Answer, IdempotentRequestDep
-from api.web.uploads.intake import FETCH_RETRY_S, begun_upload, source_error, source_name
+from api.web.uploads.intake import FETCH_RETRY_S, begun_upload, source_fault, source_name
 from api.web.uploads.schemas import UploadSource, UploadState
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"], route_class=SmallBodyRoute)
@@ -30,8 +30,9 @@ def create_upload_from_url(source: UploadSource, services: ServicesDep, idempote
     if (earlier := idempotent.begin(source.model_dump(mode="json"))) is not None:
         return earlier
     with idempotent.working():
-        if (error := source_error(services, source.url, source.filename, "url")) is not None:
-            raise unprocessable([error])
+        if (fault := source_fault(services, source.url, source.filename)) is not None:
+            code, message, hint = fault
+            raise unprocessable([ErrorItem(code=code, message=message, pointer=pointer_to("url"), hint=hint)])
         name = source.filename or source_name(source.url)
         with begun_upload(services, idempotent.records, name, source_url=source.url) as (work, upload):
             headers = {"Location": f"/v1/uploads/{upload.id}", "Retry-After": str(FETCH_RETRY_S)}

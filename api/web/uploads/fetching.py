@@ -11,7 +11,7 @@ import re
 import socket
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 from urllib.parse import urlsplit
@@ -23,11 +23,12 @@ from starlette.concurrency import run_in_threadpool
 from api.web.dependencies import Services
 from api.web.errors import ApiError, as_api_error
 from api.web.http.bodies.form import too_large
+from api.web.sessions.completing import complete
 from pipeline.core.problems import request_codes
 from worker.run.webhooks.sender import RefusedAddressError, connection_fault, resolve
 from worker.store.errors import DamagedDatabase
 from worker.store.model.job_records import JobProblem
-from worker.store.model.session_records import Fetch
+from worker.store.model.session_records import Fetch, FetchedSession
 
 _log = structlog.get_logger(__name__)
 
@@ -81,20 +82,28 @@ class _CheckedBackend(httpcore2.AnyIOBackend):
 
 
 async def fetch_forever(services: Services) -> None:
-    """Fetch uploads that are due, some at a time, until the database is damaged."""
+    """Fetch uploads that are due, some at a time, and complete their sessions, until the database is damaged."""
     running: dict[str, tuple[asyncio.Task[None], str]] = {}
+    fetched_bytes = Counter[str]()
+    completing: dict[str, asyncio.Task[None]] = {}
     renewed_s = time.monotonic()
     async with asyncio.TaskGroup() as group:
         while not services.store.is_damaged:
             running = {upload_id: work for upload_id, work in running.items() if not work[0].done()}
+            completing = {session_id: task for session_id, task in completing.items() if not task.done()}
             try:
                 if time.monotonic() > renewed_s + _RENEW_S:
                     renewed_s = time.monotonic()
-                    for upload_id in running.keys() - await run_in_threadpool(_renewed, services, list(running)):
+                    found = {upload_id: fetched_bytes[upload_id] for upload_id in running}
+                    for upload_id in found.keys() - await run_in_threadpool(_renewed, services, found, [*completing]):
                         running[upload_id][0].cancel()  # it was deleted
+                    for upload_id in fetched_bytes.keys() - running.keys():
+                        del fetched_bytes[upload_id]
                 busy = Counter(tenant for _, tenant in running.values())
                 for fetch in await run_in_threadpool(_claimed, services, busy):
-                    running[fetch.upload.id] = group.create_task(_fetch(services, fetch)), fetch.tenant
+                    running[fetch.upload.id] = group.create_task(_fetch(services, fetch, fetched_bytes)), fetch.tenant
+                for arrival in await run_in_threadpool(_claimed_arrivals, services):
+                    completing[arrival.session_id] = group.create_task(complete(services, arrival))
             except DamagedDatabase:
                 break
             except Exception:
@@ -102,8 +111,21 @@ async def fetch_forever(services: Services) -> None:
             await asyncio.sleep(_LOOK_S)
 
 
-def _renewed(services: Services, upload_ids: list[str]) -> set[str]:
-    return services.store.uploads.renew_fetches(upload_ids, _LEASE_S, services.settings.upload_keep_s)
+def _renewed(services: Services, fetched_bytes: Mapping[str, int], session_ids: Collection[str]) -> set[str]:
+    """Renew fetches, and sessions that are completed; return the ids of the uploads that still exist."""
+    times = _LEASE_S, services.settings.upload_keep_s
+    services.store.arrivals.renew(session_ids, *times)
+    return services.store.uploads.renew_fetches(fetched_bytes, *times)
+
+
+def _claimed_arrivals(services: Services) -> list[FetchedSession]:
+    """Take sessions whose files are all here."""
+    return [
+        arrival
+        for arrival in services.store.arrivals.due()
+        if all(map(services.uploads.is_here, arrival.uploads))
+        and services.store.arrivals.claim(arrival.session_id, _LEASE_S)
+    ]
 
 
 def _claimed(services: Services, busy: Counter[str]) -> list[Fetch]:
@@ -118,12 +140,12 @@ def _claimed(services: Services, busy: Counter[str]) -> list[Fetch]:
     return claimed
 
 
-async def _fetch(services: Services, fetch: Fetch) -> None:
-    """Fetch an upload and record the end, unless it is left to another try."""
+async def _fetch(services: Services, fetch: Fetch, fetched_bytes: Counter[str]) -> None:
+    """Fetch an upload and record the end, unless it is left to another try; count its bytes."""
     upload_id = fetch.upload.id
     problem = None
     try:
-        await _until_whole(services, fetch)
+        await _until_whole(services, fetch, fetched_bytes)
         _log.info("upload_fetched", upload=upload_id)
     except Exception as error:
         answer = as_api_error(error)
@@ -140,16 +162,17 @@ async def _fetch(services: Services, fetch: Fetch) -> None:
         _log.exception("fetch_not_recorded", upload=upload_id)
 
 
-async def _until_whole(services: Services, fetch: Fetch) -> None:
+async def _until_whole(services: Services, fetch: Fetch, fetched_bytes: Counter[str]) -> None:
     """Fetch the rest of an upload; after a break continue where it broke."""
     num_tries, furthest = 0, -1
     while True:
         offset = await run_in_threadpool(services.uploads.offset, fetch.upload)
+        fetched_bytes[fetch.upload.id] = offset
         if 0 < offset == fetch.upload.num_bytes:
             return
         if offset > furthest:
             num_tries, furthest = 0, offset
-        attempt = _Attempt(services, fetch, offset)
+        attempt = _Attempt(services, fetch, offset, fetched_bytes)
         try:
             if await attempt.received() == attempt.fetch.upload.num_bytes:
                 return
@@ -184,6 +207,7 @@ class _Attempt:
     services: Services
     fetch: Fetch
     offset: int
+    fetched_bytes: Counter[str]
 
     async def received(self) -> int:
         """Request the bytes and append them to the upload; return its new offset."""
@@ -248,6 +272,7 @@ class _Attempt:
             if elapsed_s > settings.client_idle_s and num_bytes < elapsed_s * settings.client_min_bytes_per_s:
                 raise httpcore2.ReadTimeout
             if start < len(data):
+                self.fetched_bytes[self.fetch.upload.id] += len(data) - start
                 yield data[start:]
 
 

@@ -20,7 +20,7 @@ from api.web.errors import ApiError
 from api.web.http.bodies.form import name_error, too_large
 from api.web.http.bodies.reading import announced_bytes, drain
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
-from api.web.uploads.intake import begun_upload, is_size_unknown
+from api.web.uploads.intake import begun_upload
 from api.web.uploads.spool import Checksum
 from pipeline.core.problems import request_codes
 from worker.store.model.session_records import Upload
@@ -156,7 +156,7 @@ def get_upload(
     upload = records.uploads.get(upload_id)
     headers = {
         "Upload-Offset": str(services.uploads.offset(upload)),
-        **({"Upload-Defer-Length": "1"} if is_size_unknown(upload) else {"Upload-Length": str(upload.num_bytes)}),
+        **({"Upload-Defer-Length": "1"} if upload.is_size_unknown else {"Upload-Length": str(upload.num_bytes)}),
     }
     if upload.metadata:
         headers["Upload-Metadata"] = upload.metadata
@@ -198,7 +198,7 @@ async def continue_upload(
     _require_piece_type(request)
     offset, checksum = _natural(upload_offset, "Upload-Offset"), _checksum(upload_checksum)
     upload = await run_in_threadpool(records.uploads.renew, upload_id, services.settings.upload_keep_s)
-    if upload.source_sha256 is not None:
+    if upload.is_fetching or upload.problem is not None:
         raise ApiError(request_codes.CONFLICT, "The service fetches this upload; it takes no pieces.")
     offset, upload = await _append(request, services, records, upload, offset, checksum)
     return Response(status_code=204, headers={"Upload-Offset": str(offset)} | _common_headers(upload))

@@ -5,7 +5,6 @@ from typing import Literal, Self
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.contract.schemas import Id, ResponseModel, SourceUrl
-from api.web.uploads.intake import is_size_unknown
 from pipeline.core.problems.code_group import Code
 from worker.store.model.session_records import Upload
 
@@ -47,15 +46,17 @@ class UploadState(ResponseModel):
     expires_at: AwareDatetime = Field(description="Time at which the upload is removed unless more bytes arrive.")
 
     @classmethod
-    def from_upload(cls, upload: Upload, received_bytes: int) -> Self:
-        """Build the response from an upload and the bytes that are stored."""
+    def from_upload(cls, upload: Upload, received_bytes: int | None = None) -> Self:
+        """Build the response from an upload and the bytes that are stored; ``None``: as its row has them."""
+        if received_bytes is None:
+            received_bytes = upload.fetched_bytes
         if upload.problem is not None:
             state = "failed"
         elif upload.is_fetching:
             state = "fetching"
         else:
             state = "finished" if received_bytes == upload.num_bytes else "receiving"
-        num_bytes = None if is_size_unknown(upload) else upload.num_bytes
+        num_bytes = None if upload.is_size_unknown else upload.num_bytes
         return cls.from_record(
             upload,
             filename=upload.name,

@@ -85,7 +85,7 @@ export class Client {
    *
    * @param name - Name of the capture for people.
    * @param videos - A video of each camera, with the camera's name as a word in its own; or as the manifest states.
-   * The service fetches https links; then the call waits for the files.
+   * The service fetches https links; the job waits for them.
    * @param calibration - Calibration of all cameras.
    * @param spec - Choices of the job.
    * @throws {@link ServiceError} with all problems of all files if the service refuses them.

@@ -163,6 +163,12 @@ INPUT_ERROR = JOBS.code("input_error", "job")
 SESSION_REFUSED = JOBS.code("session_refused", "job")
 """The check of the capture found errors, which `errors` lists: a reconstruction would be wrong. | Correct what they
 name, or reconstruct the session all the same by `force`."""
+VIDEOS_FETCHING = JOBS.code("videos_fetching", "job")
+"""The job waits for videos that the service fetches from URLs. | Wait: it starts by itself. The session tells how many
+bytes are there."""
+SESSION_UNUSABLE = JOBS.code("session_unusable", "job")
+"""The files of the session, fetched from URLs, can't be used; `errors` lists everything that is wrong. | Correct it,
+and send the session again."""
 MODEL_ERROR = JOBS.code("model_error", "job", "command")
 """A detector network or the sample capture can't be installed or used. | Follow the message, then retry."""
 CHILD_FAILED = JOBS.code("child_failed", "job", "command")

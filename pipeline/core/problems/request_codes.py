@@ -67,9 +67,6 @@ IDEMPOTENCY_KEY_REUSED = ANSWERS.code("idempotency_key_reused", 422)
 CLIPS_MISSING = ANSWERS.code("clips_missing", 409)
 """No phone has sent its clip of the take of a recording. | Ask the phones for it by `upload`, and wait until they have
 sent it."""
-VIDEOS_FETCHING = ANSWERS.code("videos_fetching", 409)
-"""The service fetches videos from the URLs of the request. | Send the same request again after `Retry-After` seconds,
-until the videos are there."""
 VIDEOS_DELETED = ANSWERS.code("videos_deleted", 409, 410, 422, "job")
 """The videos of the session were deleted, and what is asked for needs them: to detect people, to draw over them, to
 show or to copy them. | Use the results of the session's jobs; else send the videos again as a new session."""

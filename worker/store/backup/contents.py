@@ -143,7 +143,8 @@ def _session_files(connection: Connection) -> Iterator[StoredFile]:
         *(sessions.c.id, sessions.c.files, sessions.c.record_sha256, sessions.c.preflight),
         sessions.c.videos_deleted_at,
     )
-    query = select(*columns).order_by(sessions.c.id)
+    # Sessions whose videos are fetched, or can't be used, have no files yet.
+    query = select(*columns).where(sessions.c.arrival.is_(None), sessions.c.errors.is_(None)).order_by(sessions.c.id)
     rows = connection.execute(query, execution_options={"yield_per": _ROWS_AT_ONCE})
     for session_id, files, record_sha256, preflight, videos_deleted_at in rows:
         for file in files:

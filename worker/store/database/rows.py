@@ -50,6 +50,7 @@ def read_session(row: Row[Any]) -> Session:
         files=tuple(InputFile(**file) for file in row.files),
         preflight=Preflight.from_json(row.preflight),
         metadata=row.client_metadata,
+        errors=tuple(row.errors or ()),
     )
 
 
@@ -80,7 +81,8 @@ def read_jobs(connection: Connection, rows: Sequence[Row[Any]]) -> list[JobRecor
     blurred = _num_blurred(connection, [row.id for row in rows if row.spec["blur_faces"]])
     positions = _queue_positions(connection, [row for row in rows if row.state == JobState.QUEUED])
     return [
-        _job(row, stages[row.id], visuals.get(row.id), blurred.get(row.id, 0), positions.get(row.id)) for row in rows
+        _job(row, stages.get(row.id, ()), visuals.get(row.id), blurred.get(row.id, 0), positions.get(row.id))
+        for row in rows
     ]
 
 
@@ -140,7 +142,7 @@ def _job(
     spec = read_spec(row.spec)
     config = job_config(spec)
     preflight = Preflight.from_json(row.preflight)
-    has_videos = any(stage.name == DETECT for stage in stages)
+    has_videos = not stages or any(stage.name == DETECT for stage in stages)
     making, character = read_making(row.kind, row.making), read_job_character(row.character)
     return read(
         JobRecord,
@@ -150,7 +152,7 @@ def _job(
         attempt_state=JobState(row.state),
         spec=spec,
         stages=stages,
-        progress=sum(stage.done for stage in stages) / sum(stage.total for stage in stages),
+        progress=sum(stage.done for stage in stages) / max(1, sum(stage.total for stage in stages)),
         queue_position=queue_position,
         eta_s=_eta_s(row, stages, config),
         problem=read_problem(row.problem),
@@ -165,7 +167,7 @@ def _job(
         character=character,
         has_videos=row.videos_deleted_at is None,
         space=None
-        if making is not None
+        if making is not None or preflight.timebase.num_frames == 0
         else foreseen_space(preflight, config, 0 if character is None else character.file.num_bytes),
     )
 

@@ -64,6 +64,10 @@ sessions = Table(
     Column("search_name", String, nullable=False, server_default=""),  # name as ``searchable`` makes it
     Column("videos_deleted_at", UtcTimestamp),  # null: the videos are there
     Column("chunk_frames", Integer, nullable=False, server_default="100"),  # frames of a camera in a chunk of its jobs
+    # Of a session whose videos the service fetches: the request, and when an API process may check its files
+    Column("arrival", JSON(none_as_null=True)),  # null: the files are there, or can't be used
+    Column("arrival_due_at", UtcTimestamp, index=True),
+    Column("errors", JSON(none_as_null=True)),  # why they can't be used
     Index(None, "tenant", "id"),
 )
 
@@ -80,10 +84,11 @@ uploads = Table(
     Column("spool", String, nullable=False),  # host and folder that hold its bytes
     Column("recording_id", String(36), index=True),  # whose phone sends it; null: a key sends it
     Column("phone", Integer),  # number of the phone
-    Column("source_sha256", String(64)),  # of the URL that the service fetches the file from; null: a client sends it
-    Column("source_url", String),  # a secret; null once the fetch has ended
+    Column("session_id", ForeignKey("sessions.id", ondelete="CASCADE"), index=True),  # that waits for it
+    Column("source_url", String),  # a secret; null once the fetch has ended, or if a client sends the file
     Column("source_validator", String),  # its ETag or Last-Modified; null: it has none, or did not answer yet
     Column("fetch_due_at", UtcTimestamp),  # when an API process takes the fetch up; null: nothing is fetched
+    Column("fetched_bytes", BigInteger, nullable=False, server_default="0"),  # for readers: up to seconds old
     Column("problem", JSON(none_as_null=True)),  # why the fetch failed
     Index(None, "tenant", "id"),
     Index(None, "expires_at"),

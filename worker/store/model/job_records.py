@@ -66,12 +66,13 @@ def job_config(
 
 @dataclass(frozen=True, slots=True)
 class SessionError:
-    """Error that the check of a job's session found."""
+    """Error that a check of a job's session found."""
 
     code: Code
     message: str
     camera: str | None = None
     hint: str | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

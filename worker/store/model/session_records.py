@@ -37,9 +37,14 @@ class Upload:
     metadata: str
     expires_at: datetime
     spool: str
-    source_sha256: str | None = None  # Digest of the URL that it is fetched from; ``None``: a client sends it
     is_fetching: bool = False
+    fetched_bytes: int = 0  # Of a fetch, some seconds ago: the size of the file is the offset
     problem: JobProblem | None = None  # Why the fetch failed
+
+    @property
+    def is_size_unknown(self) -> bool:
+        """Whether the source has not stated the size of the file yet."""
+        return self.is_fetching and self.num_bytes == 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,18 @@ class Fetch:
 
 
 Purpose = Literal["capture", "calibration"]
+SessionState = Literal["fetching", "ready", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class FetchedSession:
+    """Session whose videos the service has fetched, as far as it can, and whose files are to be checked."""
+
+    session_id: str
+    tenant: str
+    purpose: Purpose
+    body: Mapping[str, Any]  # Request of the client, with ids of uploads in place of URLs
+    uploads: tuple[Upload, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +97,14 @@ class Session:
     # Time at which its videos and their pictures were deleted; ``None``: they are there, or it has keypoints
     videos_deleted_at: datetime | None = None
     chunk_frames: int = DEFAULT_CHUNK_FRAMES  # Frames of a camera in a chunk of each of its jobs
+    # Request of a session whose videos are fetched; its preflight is empty until they are there
+    arrival: Mapping[str, Any] | None = None
+    errors: tuple[Mapping[str, Any], ...] = ()  # Why fetched files can't be used, as the web API describes errors
+
+    @property
+    def state(self) -> SessionState:
+        """State of its files."""
+        return "failed" if self.errors else "ready" if self.arrival is None else "fetching"
 
     @property
     def stored_files(self) -> tuple[InputFile, ...]:
@@ -92,6 +117,7 @@ class Capture:
     """A session with its reconstructions and its proxies."""
 
     session: Session
+    uploads: tuple[Upload, ...] = ()  # That it waits for
     # Number of reconstructions, and the newest one; ``None`` without any
     num_jobs: int = 0
     newest_job: NewestJob | None = None

@@ -22,6 +22,7 @@ from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobReco
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.states import FINISHED, REMAKABLE, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, Remake, StagePlan
+from worker.store.repositories.arrivals import wait_for_videos
 from worker.store.repositories.attempts import keep_attempt, read_attempts
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
@@ -59,6 +60,8 @@ class Jobs(Repository):
     ) -> JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
+        A job without stages is one of a session whose videos are fetched: they are planned when the videos are there.
+
         A job that blurs faces deletes the proxies of its session, which are not blurred.
 
         Parameters
@@ -79,12 +82,13 @@ class Jobs(Repository):
         NotFound
             There is no such session.
         Conflict
-            The copy of the character took more than a day, and was removed.
+            The copy of the character took more than a day, and was removed. Or there is no stage, and the videos are
+            not fetched any more.
         VideosDeleted
             The session's videos were deleted, and the job needs them.
         QuotaExceeded
         ValueError
-            There is no stage, or one without chunks: such a job would never end.
+            There is a stage without chunks: such a job would never end.
         """
         access = self._access
         job_id, character = moved or (str(uuid7()), None)
@@ -120,8 +124,11 @@ class Jobs(Repository):
                     edits_revision=edits.revision if spec.apply_edits else None,
                 )
             )
-            insert_chunks(connection, job_id, stages)
             note(connection, job_id, "state", JobState.QUEUED)
+            if stages:
+                insert_chunks(connection, job_id, stages)
+            else:
+                wait_for_videos(connection, session_id, job_row(connection, access, job_id))
             record_event(connection, access.actor, tenant, AuditAction.JOB_CREATED, job_id)
             return self._read(connection, job_id)
 
@@ -154,7 +161,7 @@ class Jobs(Repository):
     def changes(self, job_ids: Collection[str]) -> dict[str, Change]:
         """Progress of jobs by id, for callers that look for changes; unknown ids are left out."""
         last_event = select(func.max(events.c.id)).where(events.c.job_id == jobs.c.id)
-        done_units = select(func.sum(chunks.c.done_units)).where(chunks.c.job_id == jobs.c.id)
+        done_units = select(func.coalesce(func.sum(chunks.c.done_units), 0)).where(chunks.c.job_id == jobs.c.id)
         query = select(
             jobs.c.id, last_event.scalar_subquery().label("event"), done_units.scalar_subquery().label("done")
         ).where(jobs.c.id.in_(job_ids), self._access.may_reach(jobs))

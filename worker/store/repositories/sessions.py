@@ -25,6 +25,7 @@ from worker.store.model.session_records import Capture, InputFile, Purpose, Sess
 from worker.store.model.states import FINISHED, UNFINISHED, JobState, job_state
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
+from worker.store.repositories.uploads import awaited_uploads
 
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
@@ -52,8 +53,9 @@ class Sessions(Repository):
         record_sha256: str | None = None,
         purpose: Purpose = "capture",
         chunk_frames: int = DEFAULT_CHUNK_FRAMES,
+        arrival: Mapping[str, Any] | None = None,
     ) -> Session:
-        """Add a session whose files are in the artifact store.
+        """Add a session whose files are in the artifact store, or are fetched.
 
         Parameters
         ----------
@@ -63,7 +65,7 @@ class Sessions(Repository):
             JSON object of the client, stored as it is.
         record_sha256
             Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
-        purpose, chunk_frames
+        purpose, chunk_frames, arrival
             See ``worker.store.model.session_records.Session``.
 
         Raises
@@ -91,15 +93,23 @@ class Sessions(Repository):
                     record_sha256=record_sha256,
                     purpose=purpose,
                     chunk_frames=chunk_frames,
+                    arrival=arrival,
+                    arrival_due_at=None if arrival is None else now(),
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.SESSION_CREATED, session_id)
             return self._read(connection, session_id)
 
-    def get(self, session_id: str) -> Session:
-        """Session with an id; ``NotFound`` if there is none."""
+    def get(self, session_id: str, may_wait: bool = False) -> Session:
+        """Session with an id; ``NotFound`` if there is none, ``Conflict`` if its files are not there.
+
+        ``may_wait``: its videos may still be fetched.
+        """
         with self._access.reading() as connection:
-            return self._read(connection, session_id)
+            session = self._read(connection, session_id)
+        if session.state == "failed" or (session.state == "fetching" and not may_wait):
+            raise Conflict("The videos of this capture are not there; reading the capture tells why.")
+        return session
 
     def capture(self, session_id: str) -> Capture:
         """Session with an id, and its reconstructions; ``NotFound`` if there is none."""
@@ -258,11 +268,13 @@ def _read_captures(connection: Connection, rows: Sequence[Row[Any]]) -> list[Cap
         jobs_that_make[row.session_id] = NewestJob(row.id, JobState(row.state))
         if row.name is not None:
             made[row.session_id].add(row.name)
+    waits = awaited_uploads(connection, [row.id for row in rows if row.arrival is not None])
     blurred = _blurred_videos(connection, [row.id for row in rows])
     shown = _shown_until_blurred(connection, list(blurred))
     return [
         Capture(
             read_session(row),
+            tuple(waits[row.id]),
             row.num_jobs,
             None if row.job_id is None else _newest_job(row),
             frozenset(made[row.id]),

@@ -4,8 +4,8 @@ A row holds the announcement. The number of bytes that have arrived is the size 
 that receives it. One API process fetches an upload at a time: it renews the time at which the fetch is due again.
 """
 
-import hashlib
-from collections.abc import Collection
+from collections import defaultdict
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -78,7 +78,6 @@ class Uploads(Repository):
                     spool=spool,
                     recording_id=None if phone is None else phone.recording_id,
                     phone=None if phone is None else phone.number,
-                    source_sha256=None if source_url is None else source_digest(source_url),
                     source_url=source_url,
                     fetch_due_at=None if source_url is None else now(),
                 )
@@ -90,14 +89,6 @@ class Uploads(Repository):
         """Upload with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
             return self._read(connection, upload_id)
-
-    def find_fetched(self, source_url: str) -> Upload | None:
-        """Oldest upload that is fetched, or was, from a URL; ``None`` if there is none."""
-        is_fetched = uploads.c.source_sha256 == source_digest(source_url)
-        query = select(uploads).where(self._may_reach(), is_fetched, uploads.c.expires_at >= now())
-        with self._access.reading() as connection:
-            row = connection.execute(query.order_by(uploads.c.id).limit(1)).one_or_none()
-        return None if row is None else _upload(row)
 
     def due_fetches(self) -> list[Fetch]:
         """Fetches that no process is at work on, the oldest first."""
@@ -112,14 +103,22 @@ class Uploads(Repository):
         with self._access.writing() as connection:
             return connection.execute(claimed).rowcount == 1
 
-    def renew_fetches(self, upload_ids: Collection[str], lease_s: float, keep_s: float) -> set[str]:
-        """Keep fetches, and their uploads, for longer; return the ids that still exist."""
-        chosen = uploads.c.id.in_(upload_ids), uploads.c.fetch_due_at.is_not(None)
+    def renew_fetches(self, fetched_bytes: Mapping[str, int], lease_s: float, keep_s: float) -> set[str]:
+        """Keep fetches, and all uploads that their sessions wait for, for longer; return the ids that still exist.
+
+        ``fetched_bytes`` are the bytes that have come, by the ids of the uploads.
+        """
+        renewed = set()
         with self._access.writing() as connection:
-            connection.execute(
-                update(uploads).where(*chosen).values(fetch_due_at=now() + lease_s, expires_at=now() + keep_s)
-            )
-            return set(connection.scalars(select(uploads.c.id).where(*chosen)))
+            for upload_id, num_bytes in fetched_bytes.items():
+                chosen = uploads.c.id == upload_id, uploads.c.fetch_due_at.is_not(None)
+                values = {"fetch_due_at": now() + lease_s, "fetched_bytes": num_bytes}
+                if connection.execute(update(uploads).where(*chosen).values(**values)).rowcount:
+                    renewed.add(upload_id)
+            waiting = select(uploads.c.session_id).where(uploads.c.id.in_(renewed)).scalar_subquery()
+            kept = uploads.c.id.in_(renewed) | uploads.c.session_id.in_(waiting)
+            connection.execute(update(uploads).where(kept).values(expires_at=now() + keep_s))
+        return renewed
 
     def announce(self, upload_id: str, num_bytes: int, validator: str | None) -> Upload:
         """Record the size of a file that is fetched, which counts for the tenant's quota from now on.
@@ -134,7 +133,9 @@ class Uploads(Repository):
 
     def end_fetch(self, upload_id: str, problem: JobProblem | None = None) -> None:
         """Record that a file was fetched, or the problem, and forget its URL; a deleted upload stays deleted."""
-        ended = {"source_url": None, "source_validator": None, "fetch_due_at": None}
+        ended: dict[str, Any] = {"source_url": None, "source_validator": None, "fetch_due_at": None}
+        if problem is None:
+            ended["fetched_bytes"] = uploads.c.num_bytes
         document = None if problem is None else asdict(problem)
         with self._access.writing() as connection:
             connection.execute(update(uploads).where(uploads.c.id == upload_id).values(problem=document, **ended))
@@ -158,11 +159,11 @@ class Uploads(Repository):
         """Delete uploads whose files a session of the same transaction takes.
 
         Call it before the session is added, so that no byte counts twice for the quota. Raises ``Conflict`` if one of
-        the uploads is unknown.
+        the uploads is unknown, or another session waits for it.
         """
         if not upload_ids:
             return
-        chosen = delete(uploads).where(self._may_reach(), uploads.c.id.in_(upload_ids))
+        chosen = delete(uploads).where(self._may_reach(), uploads.c.id.in_(upload_ids), uploads.c.session_id.is_(None))
         with self._access.writing() as connection:
             if connection.execute(chosen).rowcount != len(upload_ids):
                 raise Conflict("An upload was deleted, or used for another capture, in the meantime.")
@@ -197,9 +198,14 @@ class Uploads(Repository):
         return _upload(row)
 
 
-def source_digest(url: str) -> str:
-    """Digest by which an upload is found again after its URL, a secret, is forgotten."""
-    return hashlib.sha256(url.encode()).hexdigest()
+def awaited_uploads(connection: Connection, session_ids: Collection[str]) -> Mapping[str, list[Upload]]:
+    """Uploads that sessions wait for, in the order in which they were begun."""
+    found = defaultdict[str, list[Upload]](list)
+    if session_ids:
+        query = select(uploads).where(uploads.c.session_id.in_(session_ids)).order_by(uploads.c.id)
+        for row in connection.execute(query):
+            found[row.session_id].append(_upload(row))
+    return found
 
 
 def _upload(row: Row[Any]) -> Upload:

@@ -33,8 +33,8 @@ class UploadedFiles(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def uploads(self) -> list[tuple[str, UUID]]:
-        """Part of the form and id of each upload."""
+    def uploads(self) -> list[tuple[str, UUID | str]]:
+        """Part of the form and id of each upload, or the URL that its file is fetched from."""
         return []
 
     def named(self) -> Iterable[str]:
@@ -47,7 +47,7 @@ class UploadedFiles(BaseModel):
 
     def upload_ids(self) -> tuple[str, ...]:
         """Ids of all uploads."""
-        return tuple(sorted({str(upload_id) for _, upload_id in self.uploads()}))
+        return tuple(sorted({str(upload) for _, upload in self.uploads() if isinstance(upload, UUID)}))
 
 
 class UploadedFootage(UploadedFiles):
@@ -56,14 +56,19 @@ class UploadedFootage(UploadedFiles):
     videos: tuple[UUID | SourceUrl, ...] = Field(
         default=(),
         description="Uploads of the videos, one for each camera, or of a zip of its images. Or URLs of such files, "
-        "whose names are the last parts of the paths: the service fetches them, and answers 409 `videos_fetching` to "
-        "the request, which is sent again, until they are there.",
+        "whose names are the last parts of the paths: the service fetches them, and checks the files when all are "
+        "there. Jobs of the session wait for them.",
         examples=[UPLOAD_IDS],
     )
 
-    def uploads(self) -> list[tuple[str, UUID]]:
-        """Part of the form and id of each upload."""
-        return [("videos", upload) for upload in self.videos if isinstance(upload, UUID)]
+    def uploads(self) -> list[tuple[str, UUID | str]]:
+        """Part of the form and id or URL of each upload."""
+        return [(VIDEOS, upload) for upload in self.videos]
+
+    @property
+    def has_urls(self) -> bool:
+        """Whether some videos are fetched."""
+        return any(isinstance(video, str) for video in self.videos)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Uploads that the service fetches from URLs, and sessions whose videos are URLs."""
+"""Uploads that the service fetches from URLs."""
 
 import contextlib
 import json
@@ -13,11 +13,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import pytest
 import structlog
 
-from api.cli.client import Client, ServiceError
 from api.web.settings import Settings
 from api.web.uploads import fetching
 from tests.api.conftest import Live, problem_of, running
@@ -156,18 +154,6 @@ def database_text(live: Live) -> str:
         return copy.serialize().decode("latin-1")
 
 
-def submitted(live: Live, body: dict[str, Any], path: str = "/v1/jobs") -> httpx2.Response:
-    """Send a request until its videos are there."""
-    deadline_s = time.monotonic() + 60
-    while (answer := live.client.post(path, json=body)).status_code == 409:
-        assert time.monotonic() < deadline_s
-        assert SECRET not in answer.text
-        problem = problem_of(answer, 409, "videos_fetching")
-        assert (problem["retryable"], answer.headers["retry-after"]) == (True, "2")
-        time.sleep(0.05)
-    return answer
-
-
 def test_file_at_url_becomes_upload(fetcher: Live, source: VideoSource) -> None:
     source.hold.clear()
     source.break_after = [30_000, 0, 0]  # connections stall until they are given up
@@ -188,38 +174,6 @@ def test_file_at_url_becomes_upload(fetcher: Live, source: VideoSource) -> None:
     assert source.requests[1]["if-range"] == '"1"'
 
 
-def test_session_of_urls_exists_when_videos_are_there(fetcher: Live, source: VideoSource) -> None:
-    source.hold.clear()
-    calibration = Uploader(fetcher.client).upload(b"[cam_0]", "calibration.toml")
-    body = {"videos": [source.url("cam_0.mp4"), source.url("cam_1.mp4")], "calibration": calibration}
-    problem = problem_of(fetcher.client.post("/v1/jobs", json=body), 409, "videos_fetching")
-    assert [error["pointer"] for error in problem["errors"]] == ["/videos/0", "/videos/1"]
-    wait_for(lambda: len(source.requests) == 2, 60)
-    source.hold.set()
-    answer = submitted(fetcher, body)
-    assert answer.status_code == 202, answer.text
-    session = fetcher.client.get(answer.json()["urls"]["session"]).json()
-    assert [file["name"] for file in session["files"]] == ["cam_0.mp4", "cam_1.mp4", "calibration.toml"]
-    assert session["files"][1]["num_bytes"] == len(CONTENT)
-    assert len(source.requests) == 2
-    assert fetcher.services.store.uploads.find_fetched(source.url("cam_0.mp4")) is None  # it was used
-
-
-def test_client_submits_links(
-    fetcher: Live, source: VideoSource, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("api.cli.client._FETCH_POLL_S", 0.05)
-    calibration = tmp_path / "calibration.toml"
-    calibration.write_bytes(b"[cam_0]")
-    with Client.connect(f"http://127.0.0.1:{fetcher.address[1]}") as client:
-        job = client.submit("Take", [source.url("cam_0.mp4"), source.url("cam_1.mp4")], calibration, {"people": 2})
-        assert client.get(job["urls"]["session"])["name"] == "Take"
-        assert client.get(job["urls"]["self"])["spec"]["people"] == 2
-        with pytest.raises(ServiceError, match="The source answers with 404") as refused:
-            client.submit("Take", [source.url("gone.mp4")], calibration)
-    assert SECRET not in str(refused.value)
-
-
 @pytest.mark.parametrize("has_ranges", [True, False])
 def test_broken_connection_continues(fetcher: Live, source: VideoSource, has_ranges: bool) -> None:
     source.has_ranges = has_ranges
@@ -228,17 +182,6 @@ def test_broken_connection_continues(fetcher: Live, source: VideoSource, has_ran
     address = begin(fetcher, source.url("cam_0.mp4"), filename="left.mp4")
     assert ended(fetcher, address)["state"] == "finished"
     assert file_of(fetcher, address).read_bytes() == CONTENT
-
-
-def test_failed_fetch_is_reported_once(fetcher: Live, source: VideoSource) -> None:
-    calibration = Uploader(fetcher.client).upload(b"[cam_0]", "calibration.toml")
-    content = source.files.pop("cam_1.mp4")
-    body = {"videos": [source.url("cam_0.mp4"), source.url("cam_1.mp4")], "calibration": calibration}
-    problem = problem_of(submitted(fetcher, body, "/v1/sessions"), 422, "invalid_request")
-    (error,) = problem["errors"]
-    assert (error["code"], error["pointer"], error["file"]) == ("source_not_found", "/videos/1", "cam_1.mp4")
-    source.files["cam_1.mp4"] = content
-    assert submitted(fetcher, body, "/v1/sessions").status_code == 201
 
 
 @pytest.mark.parametrize(
@@ -320,14 +263,6 @@ def test_unfinished_and_failed_fetches_are_no_files(fetcher: Live, source: Video
     assert [error["code"] for error in problem["errors"]] == ["source_not_found", "upload_unfinished"]
 
 
-def test_too_many_urls_are_not_fetched(fetcher: Live, source: VideoSource) -> None:
-    most = fetcher.services.limits.max_files("videos")
-    urls = [f"http://127.0.0.1:{source.port}/{number}" for number in range(most + 1)]
-    problem = problem_of(fetcher.client.post("/v1/jobs", json={"videos": urls}), 422, "invalid_request")
-    assert [(error["code"], error["pointer"]) for error in problem["errors"]] == [("too_many_videos", "/videos")]
-    assert fetcher.services.store.uploads.find_fetched(urls[0]) is None
-
-
 def test_quotas_count_fetched_bytes(make_settings: Callable[..., Settings], source: VideoSource) -> None:
     settings = make_settings(fetch_private=True, max_tenant_bytes=len(CONTENT) + 10, max_tenant_uploads=2)
     with running(settings) as live:
@@ -365,10 +300,11 @@ def test_full_disk_ends_fetch(make_settings: Callable[..., Settings], source: Vi
 def test_refused_urls(live: Live, url: str, code: str) -> None:
     problem = problem_of(live.client.post("/v1/uploads/from-url", json={"url": url}), 422, "invalid_request")
     assert [(error["code"], error["pointer"]) for error in problem["errors"]] == [(code, "/url")]
-    problem = problem_of(live.client.post("/v1/sessions", json={"videos": [url]}), 422, "invalid_request")
+    body = {"videos": [url], "calibration": Uploader(live.client).upload(b"[cam_0]", "calibration.toml")}
+    problem = problem_of(live.client.post("/v1/sessions", json=body), 422, "invalid_request")
     assert [(error["code"], error["pointer"]) for error in problem["errors"]] == [(code, "/videos/0")]
     assert "word" not in json.dumps(problem)
-    assert live.kept() == []
+    assert [path.name for path in live.kept()] == [body["calibration"]]
 
 
 def test_name_of_private_address_is_refused(live: Live, source: VideoSource, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -422,5 +358,11 @@ def test_secrets_are_in_no_log_and_no_metrics(fetcher: Live, source: VideoSource
         ended(fetcher, begin(fetcher, source.url("cam_0.mp4")))
         failed(fetcher, begin(fetcher, source.url("gone.mp4")))
         problem_of(fetcher.client.post("/v1/jobs", json={"videos": [source.url("")]}), 422, "invalid_request")
-    assert {"upload_fetched", "fetch_broken", "fetch_ended"} <= {entry["event"] for entry in logged}
+        calibration = Uploader(fetcher.client).upload(b"[cam_0]", "calibration.toml")
+        answer = fetcher.client.post("/v1/jobs", json={"videos": [source.url("cam_1.mp4")], "calibration": calibration})
+        path = answer.json()["urls"]["session"]
+        wait_for(lambda: fetcher.client.get(path).json()["state"] == "ready", 60)
+    assert {"upload_fetched", "fetch_broken", "fetch_ended", "session_completed"} <= {
+        entry["event"] for entry in logged
+    }
     assert "s3cr3t" not in repr(logged) + fetcher.client.get("/metrics").text

@@ -110,10 +110,11 @@ def test_job_new_has_first_stage_ready(jobs: StoreBench) -> None:
     assert jobs.store.jobs.get(job.id) == job == jobs.store.jobs.page()[0]
 
 
-@pytest.mark.parametrize("plan", [(), (stages(0))])
-def test_job_without_work_is_refused(jobs: StoreBench, plan: Any) -> None:
+def test_job_without_work_is_refused(jobs: StoreBench) -> None:
     with pytest.raises(ValueError, match="chunk"):
-        jobs.store.jobs.add(jobs.session_id, JobSpec(), plan)
+        jobs.store.jobs.add(jobs.session_id, JobSpec(), stages(0))
+    with pytest.raises(Conflict, match="just now"):  # its videos are not fetched
+        jobs.store.jobs.add(jobs.session_id, JobSpec(), ())
     assert jobs.store.jobs.page() == []
 
 
