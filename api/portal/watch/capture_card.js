@@ -1,5 +1,6 @@
 // Card of a capture: its facts, its cameras, its jobs, and what can be done with it.
 
+import { OF_CAMERAS } from "../send/capture_plan.js";
 import { pickCharacter, choicesForm, shownSpec } from "../send/choices.js";
 import { findingList, cameraPicture } from "../send/rows.js";
 import { sending } from "../send/sending.js";
@@ -103,6 +104,9 @@ function renameForm(view, session) {
   </form>`;
 }
 
+// Whether a capture has 3D points, and no cameras.
+const is3d = ({ files }) => files.some(({ kind }) => kind === "points");
+
 export function captureCard(view, session) {
   const jobs = feed.ofSession(session.id);
   const isBusy = jobs.some((job) => !hasEnded(job));
@@ -166,7 +170,7 @@ export function captureCard(view, session) {
       ${view.canWrite ? html`<div class="actions">
         ${isFootage || session.state === "failed" ? nothing : html`<button type="button" class="button small" aria-expanded=${view.opened.has(session.id) ? "true" : "false"}
           ?disabled=${!view.options} id="run-${session.id}" aria-label=${CAPTURES.actionOf(run, session.name)} @click=${toggleForm}>${run}</button>`}
-        ${session.state === "ready" ? html`<button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
+        ${session.state === "ready" && !is3d(session) ? html`<button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
           aria-label=${CAPTURES.actionOf(CAPTURES.recalibrate, session.name)} @click=${recalibrate}>${CAPTURES.recalibrate}</button>` : nothing}
         <button type="button" class="button small" id="rename-${session.id}" aria-label=${COMMON.renameOf(session.name)} @click=${() => beginRename(view, session)}>${COMMON.rename}</button>
         ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.neededByJob : nothing}
@@ -228,7 +232,7 @@ function runAgainForm(view, session) {
     return isVideo && choice.name === "profile" ? estimateTime(wanted, countCameraFrames(counts, wanted), feed.newest(), view.options)?.text : null;
   };
   return html`<form class="again" id="again-${session.id}" aria-label=${CAPTURES.again.label(session.name)} @submit=${submit}>
-    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, valueNote })}
+    ${choicesForm({ id: `again-${session.id}`, options: view.options, spec, onChange: change, hidden: is3d(session) ? OF_CAMERAS : [], valueNote })}
     <label class="tile"><input type="checkbox" .checked=${spec.apply_edits !== false} @change=${(event) => change("apply_edits", event.target.checked ? undefined : false)}><span class="tile-label">${CAPTURES.again.applyEdits}</span></label>
     <div class="actions"><button class="button primary">${CAPTURES.again.submit}</button>
       <button type="button" class="button" @click=${close}>${COMMON.close}</button></div>

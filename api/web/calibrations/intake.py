@@ -35,7 +35,7 @@ from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.request_codes import MISSING_PART, NOT_A_CAPTURE, PART_NOT_ALLOWED
 from worker.run import tracing
-from worker.run.planning import has_videos, plan_job
+from worker.run.planning import has_points, has_videos, plan_job
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import Session
 from worker.store.model.work import StagePlan
@@ -147,6 +147,9 @@ def _of_session(
         message = "The capture was sent for a calibration itself."
         error = ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))
         raise unprocessable([error])
+    if has_points(session):
+        message = "The capture has 3D points, and no cameras."
+        raise unprocessable([ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))])
     errors = _point_errors(spec, session.preflight, part)
     if has_videos(session):
         errors += _missing_networks(services)
