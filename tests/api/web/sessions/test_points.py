@@ -1,4 +1,4 @@
-"""Sessions of 3D points: sent to the service with its real check, as forms and as uploads' neighbours of other kinds."""
+"""Sessions of 3D points: sent to the service with its real check."""
 
 import io
 import json
@@ -110,7 +110,8 @@ def test_names_of_ones_own_and_zip_of_frames(checking: Live) -> None:
 
 def test_points_calibrate_no_cameras(checking: Live, walk: list[tuple[str, Any]]) -> None:
     session = post(checking, walk).raise_for_status().json()["id"]
-    answer = checking.client.post("/v1/calibrations", json={"method": "people", "session_id": session})
+    spec = {"method": "people", "session_id": session}
+    answer = checking.client.post("/v1/calibrations", files=[("spec", (None, json.dumps(spec)))])
     (item,) = problem_of(answer, 422, "invalid_request")["errors"]
     assert item["code"] == "not_a_capture"
 
