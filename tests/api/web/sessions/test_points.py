@@ -110,7 +110,7 @@ def test_names_of_ones_own_and_zip_of_frames(checking: Live) -> None:
 
 def test_points_calibrate_no_cameras(checking: Live, walk: list[tuple[str, Any]]) -> None:
     session = post(checking, walk).raise_for_status().json()["id"]
-    spec = {"method": "people", "session_id": session}
+    spec = {"method": "people", "session_id": session, "stature_m": [1.7]}
     answer = checking.client.post("/v1/calibrations", files=[("spec", (None, json.dumps(spec)))])
     (item,) = problem_of(answer, 422, "invalid_request")["errors"]
     assert item["code"] == "not_a_capture"
