@@ -2,12 +2,12 @@
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--clock CLOCK] [--frame-rate HZ] | --keypoints ZIP...
 [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--recordings JSON] [--units UNITS] [--up AXIS]
-[--layout LAYOUT] [--pair-by-order]``, or ``--points FILE... [--names JSON] [--frame-rate HZ] [--units UNITS]
-[--up AXIS]``, prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code 2. So a
-caller can check a session without loading the numeric libraries, and without opening untrusted files itself. ``--record
-FILE`` stores the opened session, so that the files need not be examined again. ``--thumbnails FOLDER`` also checks the
-cameras against each other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies are stored
-in the folder as ``thumbnail_name`` says.
+[--layout LAYOUT] [--pair-by-order] [--laboratory FILE]``, or ``--points FILE... [--names JSON] [--frame-rate HZ]
+[--units UNITS] [--up AXIS]``, prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code
+2. So a caller can check a session without loading the numeric libraries, and without opening untrusted files itself.
+``--record FILE`` stores the opened session, so that the files need not be examined again. ``--thumbnails FOLDER`` also
+checks the cameras against each other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies
+are stored in the folder as ``thumbnail_name`` says.
 
 With a calibration alone it checks that, and prints what it contains; with ``--scene`` it makes the calibration, with
 the lenses of ``--intrinsics`` if they are given. ``--videos`` without ``--calibration``, or with ``--intrinsics`` in
@@ -25,7 +25,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.camera_checks import check_cameras
@@ -39,6 +39,7 @@ from pipeline.capture import preflight_record
 from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
+from pipeline.capture.laboratory.laboratory_files import with_laboratory
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.points import open_points, parse_names
 from pipeline.capture.preflight_npz import encode_keypoints, encode_points, encode_session
@@ -53,6 +54,7 @@ from pipeline.core.runtime.checking import print_answer
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz
 from pipeline.video.images.files import is_sequence
 
+_Session = TypeVar("_Session", bound=Session)
 # Time at which the program began.
 _STARTED_S = time.monotonic()
 
@@ -138,6 +140,7 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Prefl
         session = replace(
             session, findings=tuple(finding for finding in session.findings if finding.code not in OF_TIMES)
         )
+    session = _with_laboratory(session, arguments)
     files = [[path.name for path in video.paths] for video in session.videos]
     preflight, record = report(session, files, units, recordings, clock, arguments.up), encode_session(session)
     if arguments.thumbnails:
@@ -146,6 +149,14 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Prefl
         preflight = replace(preflight, cameras=tuple(map(_with_thumbnails, preflight.cameras, stored)))
         preflight = _with_findings(preflight, [*check_cameras(session.cameras), *looked.findings])
     return preflight, record
+
+
+def _with_laboratory(session: _Session, arguments: argparse.Namespace) -> _Session:
+    """Session with the C3D file of a laboratory, if there is one."""
+    if arguments.laboratory is None:
+        return session
+    facts = json.loads(arguments.laboratory_facts)
+    return with_laboratory(session, arguments.laboratory, **facts, up=arguments.up)
 
 
 def _recordings(arguments: argparse.Namespace) -> list[Recording]:
@@ -201,6 +212,7 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Pr
             up=arguments.up,
             layout=arguments.layout,
         )
+    session = _with_laboratory(session, arguments)
     archives = {path.stem: path.name for path in arguments.keypoints}
     # Parts of an array of all cameras have no archives of their own.
     files = [[archives.get(session.folders[camera.name], arguments.keypoints[0].name)] for camera in session.cameras]
@@ -238,6 +250,8 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
         return _check_calibration(arguments)
     else:
         preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+        if arguments.laboratory:
+            preflight = replace(preflight, laboratory=json.loads(arguments.laboratory_facts))
     if arguments.record:
         _write_record(
             arguments.record,
@@ -301,6 +315,8 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
+    parser.add_argument("--laboratory", type=Path, help="C3D file of a laboratory beside the cameras.")
+    parser.add_argument("--laboratory-facts", default="{}", help="JSON object: clock, channel and place of its axes.")
     parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")
     parser.add_argument(
         "--clock", choices=get_args(preflight_record.Clock), default="declared", help="Clock of the videos' starts."

@@ -133,6 +133,8 @@ class Preflight:
     timeline: Timeline = "take"
     layout: LayoutRead | None = None  # Layout of keypoints whose files do not name their points
     names: Mapping[str, str] = field(default_factory=dict)  # Joints by names of 3D points that the client stated
+    # Facts about a laboratory's file that the client stated: clock, channel, place; empty without a file
+    laboratory: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
@@ -170,6 +172,7 @@ class Preflight:
                 timeline=document.get("timeline", "take"),
                 layout=LayoutRead(**document["layout"]) if document.get("layout") else None,
                 names=document.get("names", {}),
+                laboratory=document.get("laboratory", {}),
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
@@ -189,6 +192,7 @@ class Preflight:
             "up": self.up,
             **({} if self.layout is None else {"layout": asdict(self.layout)}),
             **({"names": dict(self.names)} if self.names else {}),
+            **({"laboratory": dict(self.laboratory)} if self.laboratory else {}),
         }
 
 

@@ -146,7 +146,7 @@ def command(
     c3d: Annotated[
         Path | None,
         typer.Option(
-            help="C3D of a laboratory: force plates, analog channels and events, see `multicap help formats`."
+            help="C3D of a laboratory: force plates, analog channels and events, see `multicap help laboratory`."
         ),
     ] = None,
     c3d_clock: Annotated[

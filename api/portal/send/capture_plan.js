@@ -5,7 +5,7 @@ import { dateAndTime, stem } from "../shared/format.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
 import { shownSpec } from "./choices.js";
-import { needsCamera } from "./files.js";
+import { isLaboratory, needsCamera } from "./files.js";
 import { naturalOrder, groupRecordings } from "./matching.js";
 
 // Start of the cameras that nobody knows: the service measures their clocks.
@@ -23,14 +23,17 @@ export function planCapture({ draft, rig, options }) {
   const files = draft.rows.filter(({ isUsed }) => isUsed);
   const has = (kind) => files.some((row) => row.kind === kind);
   const hasPoints = has("keypoints") || has("array");
-  const is3d = has("points");
+  const laboratory = files.filter((row) => isLaboratory(row, files));
+  const is3d = files.some((row) => row.kind === "points" && !laboratory.includes(row));
   const isMeasured = draft.clock === MEASURED && !is3d;
   const choices = options ? shownSpec(draft.spec, options) : {};
   if (is3d) for (const name of OF_CAMERAS) delete choices[name];
   return {
     name: draft.name,
     files,
-    views: files.filter(({ kind }) => kind !== "timestamps"),
+    views: files.filter((row) => row.kind !== "timestamps" && !laboratory.includes(row)),
+    laboratory,
+    laboratoryClock: laboratory.length ? draft.laboratoryClock : null,
     is3d,
     calibration: is3d ? null : rig.record,
     calibrate: !is3d && draft.calibrateFrom && { method: draft.calibrateFrom, ...(draft.calibrateFrom === "board" ? { board: boardSpec(draft.board) } : { stature_m: readStatures(draft.stature) }) },
@@ -77,20 +80,24 @@ const cameraManifest = (name, [first, ...more]) => ({
   offset_s: first.offset_s, ...(first.rate !== null && { rate: first.rate }),
 });
 
+const laboratoryPart = ([row]) => row && { laboratory: uploadIds([row], row.kind)[0] };
+
 const captureName = (name) => name.trim() || SEND.defaultName(dateAndTime(new Date()));
 
 // Request that makes a calibration from the people or the board in the videos of a capture. Its cameras have the names of the files.
-export function calibrationBody({ name, files, calibrate }) {
-  const cameras = groupRows(files).map((rows) => cameraManifest(stem(rows[0].name), rows));
+export function calibrationBody({ name, files, views, calibrate }) {
+  const cameras = groupRows(views).map((rows) => cameraManifest(stem(rows[0].name), rows));
   return { ...calibrate, name: captureName(name), videos: uploadIds(files, "video"), cameras };
 }
 
 // Request that makes a session of the footage of a calibration.
-export const calibratedBody = ({ name, spec }, calibrationId, sessionId) => (
-  { session_id: sessionId, calibration_id: calibrationId, manifest: { name: captureName(name), sync: spec.sync } });
+export const calibratedBody = ({ name, laboratory, laboratoryClock, spec }, calibrationId, sessionId) => ({
+  session_id: sessionId, calibration_id: calibrationId, ...laboratoryPart(laboratory),
+  manifest: { name: captureName(name), sync: spec.sync, ...(laboratoryClock && { laboratory: { clock: laboratoryClock } }) },
+});
 
 // Request that makes a session of a capture whose files are sent.
-export function sessionBody({ name, files, is3d, calibration, clock, frameRate_hz, layout, units, up, spec }) {
+export function sessionBody({ name, files, is3d, laboratory, laboratoryClock, calibration, clock, frameRate_hz, layout, units, up, spec }) {
   if (is3d) {
     const stated = { ...(frameRate_hz && { frame_rate_hz: frameRate_hz }), ...(units && { units }), ...(up && { up }) };
     return { points: uploadIds(files, "points"), manifest: { name: captureName(name), ...stated } };
@@ -100,10 +107,10 @@ export function sessionBody({ name, files, is3d, calibration, clock, frameRate_h
   const [timestamps] = ids("timestamps");
   return {
     videos: ids("video"), keypoints: [...ids("keypoints"), ...ids("array")], ...(timestamps && { timestamps }),
-    calibration_id: calibration.id,
+    ...laboratoryPart(laboratory), calibration_id: calibration.id,
     manifest: {
       name: captureName(name), cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
-      ...(layout && { layout }),
+      ...(layout && { layout }), ...(laboratoryClock && { laboratory: { clock: laboratoryClock } }),
       sync: spec.sync, ...(ids("array").length && { pair_by_order: true }),
     },
   };
@@ -125,13 +132,14 @@ export function findDoubled(views) {
 
 const listed = (rows) => rows.map(({ name }) => name).join(", ");
 
-export function findFaults({ files, views, is3d, calibration, calibrate, start, needsFrameRate, frameRate_hz }, rig) {
+export function findFaults({ files, views, is3d, laboratory, calibration, calibrate, start, needsFrameRate, frameRate_hz }, rig) {
   const faults = [];
   const missing = files.filter((row) => row.file === null && !row.isSent);
   if (is3d) {
     const others = files.filter(({ kind }) => kind !== "points");
     return [...(others.length ? [SEND.faults.points(listed(others))] : []), ...(missing.length ? [SEND.faults.missing(listed(missing))] : [])];
   }
+  if (laboratory.length > 1) faults.push(SEND.faults.laboratory(listed(laboratory)));
   const arrays = views.filter(({ kind }) => kind === "array");
   if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));
   if (!arrays.length && groupRows(views).length < MIN_CAMERAS) faults.push(SEND.faults.fewCameras(MIN_CAMERAS));

@@ -53,6 +53,9 @@ export function uniqueNames(files) {
 
 const fileEnding = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
+// Whether a file of points is a laboratory's: a C3D file beside videos or keypoints.
+export const isLaboratory = (row, rows) => row.kind === "points" && /\.c3d$/i.test(row.name) && rows.some(({ kind, isUsed }) => isUsed && ["video", "keypoints", "array"].includes(kind));
+
 // Files that belong to one camera, by their kinds.
 export const needsCamera = ({ kind }) => kind === "video" || kind === "keypoints";
 
@@ -182,7 +185,7 @@ export const FACTS = ["name", "size", "modified", "kind", "numFrames", "camera",
 
 export function emptyDraft(kept = {}) {
   return {
-    name: "", calibrationId: null, calibrateFrom: null, stature: "", board: emptyBoard(), clock: "declared", frameRate_hz: null, layout: null, units: null, up: null, spec: {}, rows: [],
+    name: "", calibrationId: null, calibrateFrom: null, stature: "", board: emptyBoard(), clock: "declared", frameRate_hz: null, layout: null, units: null, up: null, laboratoryClock: null, spec: {}, rows: [],
     wasSending: false, calibrating: null, request: null, sessionId: null, ...kept,
   };
 }

@@ -4,6 +4,7 @@ import { percent, size, stem } from "../shared/format.js";
 import { helpLink, html, live, moreLink, nothing, problemBox, prose, repeat, typed } from "../shared/lit.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
+import { isLaboratory } from "./files.js";
 
 function rowState(row) {
   const share = percent(row.sent / row.size);
@@ -24,7 +25,7 @@ function timing(row, name, { label, empty, change, isLocked }) {
 
 function cameraField(row, sending, change, isLocked) {
   if (row.kind === "timestamps") return html`<span class="quiet">${SEND.timestamps}</span>`;
-  if (row.kind === "points") return html`<span class="quiet">${SEND.points}</span>`;
+  if (row.kind === "points") return html`<span class="quiet">${isLaboratory(row, sending.rows) ? SEND.laboratory : SEND.points}</span>`;
   if (row.kind === "array") return html`<span class="quiet">${SEND.allCameras}</span>`;
   if (sending.draft.calibrateFrom) return html`<span class="quiet">${stem(row.name)}</span>`;
   const names = sending.cameraNames;

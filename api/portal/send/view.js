@@ -83,7 +83,7 @@ export function open(place) {
 
   // What the files do not say about their times.
   function timePart(isLocked) {
-    const { start, views, is3d, needsFrameRate, frameRate_hz: rate, hasPoints, layout, units, up } = sending.capture;
+    const { start, views, is3d, needsFrameRate, frameRate_hz: rate, hasPoints, layout, units, up, laboratory, laboratoryClock } = sending.capture;
     if (views.length === 0) return nothing;
     const rateField = (label, hint, isRequired) => html`<label class="field clock"><span>${label}</span>
         <input type="number" class="number" min="1" max="1000" step="any" ?required=${isRequired} .value=${typed(rate)} ?disabled=${isLocked}
@@ -107,6 +107,7 @@ export function open(place) {
         <select id="start" ?disabled=${isLocked} @change=${(event) => { sending.draft.clock = event.target.value; sending.changed(); }}>
           ${starts.map(([name, label]) => html`<option value=${name} .selected=${live(name === start)}>${label}</option>`)}</select></div>
       ${needsFrameRate ? rateField(SEND.rate, SEND.rateHint, true) : nothing}
+      ${laboratory.length ? select(SEND.laboratoryClock, "laboratoryClock", laboratoryClock, SEND.laboratoryClocks) : nothing}
       ${hasPoints ? select(SEND.layout, "layout", layout, [["", SEND.layoutAuto], ...LAYOUTS.map((name) => [name, name])]) : nothing}`;
   }
 

@@ -20,14 +20,14 @@ from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.jobs.queueing import check_spec, spec_limits, with_session_choices
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
-from api.web.sessions.schemas import CameraManifest, Manifest, UploadedCapture, UploadedSession
+from api.web.sessions.schemas import CameraManifest, LaboratoryManifest, Manifest, UploadedCapture, UploadedSession
 from api.web.sessions.storing import CheckedSession
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.finding_codes import PAIRED_IN_SORTED_ORDER
-from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, SESSION_TOO_LONG
+from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, LABORATORY_CLOCK, SESSION_TOO_LONG
 from worker.store.errors import NotFound
 from worker.store.model.session_records import Session
 from worker.store.spec import JobSpec
@@ -190,6 +190,7 @@ def _as_before(manifest: Manifest, source: Session) -> Manifest:
             for recording in preflight.recordings
         ),
         "clock": preflight.clock,
+        "laboratory": LaboratoryManifest.model_validate(dict(preflight.laboratory)),
         "sync": preflight.sync,
         "timeline": preflight.timeline,
         "layout": preflight.layout.name if preflight.layout and preflight.layout.told_by == "choice" else None,
@@ -303,6 +304,8 @@ def preflight_arguments(form: Form, manifest: Manifest, max_joints: int) -> list
         arguments.append(f"--frame-rate={manifest.frame_rate_hz!r}")
     if manifest.pair_by_order:
         arguments.append("--pair-by-order")
+    if form.files.get(form_kinds.LABORATORY):
+        arguments.append(f"--laboratory-facts={manifest.laboratory.model_dump_json()}")
     if form.keypoints:
         arguments.append(f"--max-joints={max_joints}")
     return arguments
@@ -313,6 +316,8 @@ def located(item: ErrorItem, form: Form, manifest: Manifest) -> ErrorItem:
 
     Problems of a file in an archive point to the archive. Of several entries of a camera, the last one is wrong.
     """
+    if item.code == LABORATORY_CLOCK:
+        return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, "laboratory")})
     if form.points and item.field in Manifest.model_fields:
         return item.model_copy(update={"pointer": pointer_to(form_kinds.MANIFEST, item.field)})
     if item.code == KEYPOINTS_LAYOUT and not form.points:

@@ -22,6 +22,7 @@ import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from api.web.errors import ApiError, ErrorItem
+from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form
 from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from pipeline.core.findings import Finding
@@ -50,9 +51,9 @@ _S_PER_SENT_BYTE = 60 / 2**30
 
 def allowance_s(form: Form) -> float:
     """Time that the check of a form's files may take in addition to ``PreflightProgram.timeout_s``."""
-    views = (*form.videos, *form.keypoints, *form.points)
+    views, beside = (*form.videos, *form.keypoints, *form.points), form.files.get(form_kinds.LABORATORY, ())
     of_videos = sum(file.num_bytes for file in form.videos) * _S_PER_VIDEO_BYTE
-    of_keypoints = sum(file.num_bytes for file in (*form.keypoints, *form.points)) * _S_PER_KEYPOINTS_BYTE
+    of_keypoints = sum(file.num_bytes for file in (*form.keypoints, *form.points, *beside)) * _S_PER_KEYPOINTS_BYTE
     return len(views) * _S_PER_FILE + of_videos + of_keypoints
 
 

@@ -36,6 +36,7 @@ _FOOTAGE = {
     "video": form_kinds.VIDEOS,
     form_kinds.KEYPOINTS: form_kinds.KEYPOINTS,
     form_kinds.TIMESTAMPS: form_kinds.TIMESTAMPS,
+    form_kinds.LABORATORY: form_kinds.LABORATORY,
 }
 
 
@@ -222,7 +223,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
 
     Copies, so that each session has files of its own: either may be deleted.
     """
-    if any(parts.has(part) for part in _FOOTAGE.values()):
+    if any(parts.has(part) for part in _FOOTAGE.values() if part != form_kinds.LABORATORY):
         message = "The footage comes from a capture: files of footage can't be sent too."
         parts.reject_field(
             form_kinds.SESSION_ID, request_codes.PART_NOT_ALLOWED, message, "Omit session_id, or the files."
@@ -236,7 +237,8 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
             return
         files = session.files
         for file in files:
-            if (part := _FOOTAGE.get(file.kind)) is None:
+            # The file of a laboratory may be sent later, or again.
+            if (part := _FOOTAGE.get(file.kind)) is None or (part == form_kinds.LABORATORY and parts.has(part)):
                 continue
             services.disk.require_room(file.num_bytes)
             with services.artifacts.open(file.key, file.sha256) as source:

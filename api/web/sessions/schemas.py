@@ -115,6 +115,31 @@ class CameraManifest(BaseModel):
     )
 
 
+Place = Annotated[float, Field(strict=True, ge=-10_000.0, le=10_000.0, allow_inf_nan=False)]
+
+
+class LaboratoryManifest(BaseModel):
+    """Facts about the C3D file of a laboratory. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    clock: Literal["auto", "timecode", "trigger", "contacts"] = Field(
+        default="auto",
+        description="What tells when the file begins: `timecode` of the file and of a video; a `trigger` channel that "
+        "rises as the first frame is taken; `contacts` of feet and the vertical force; `auto`: the first of these that "
+        "the files allow.",
+    )
+    channel: str | None = Field(
+        default=None, max_length=100, description="Name of the trigger channel; null: by its name and its two levels."
+    )
+    place: tuple[Place, Place, Place, Place] | None = Field(
+        default=None,
+        description="Place of the laboratory's axes in the world: x, y, z in metres, and degrees about the vertical. "
+        "Null: the calibration has the laboratory's axes.",
+        examples=[[0.5, 0.0, 0.0, 90.0]],
+    )
+
+
 class Manifest(BaseModel):
     """Description of a session beside its files. Unknown fields are refused."""
 
@@ -170,6 +195,9 @@ class Manifest(BaseModel):
         description="Clock of the first frames of videos: `declared` is their start plus `offset_s`; `timecode` and "
         "`creation_time` are those that the files state, to which `offset_s` is added.",
     )
+    laboratory: LaboratoryManifest = Field(
+        default=LaboratoryManifest(), description="Facts about the file of the part `laboratory`."
+    )
     sync: Literal["declared", "auto"] = Field(
         default="declared",
         description="Synchronisation of the session's jobs whose spec does not state `sync`: `auto` measures the "
@@ -206,6 +234,10 @@ class UploadedSession(form_kinds.UploadedFootage):
         default=None,
         description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
     )
+    laboratory: UUID | None = Field(
+        default=None,
+        description="Upload of a laboratory's C3D file beside videos or keypoints: force plates, channels, events.",
+    )
     session_id: UUID | None = Field(
         default=None,
         description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
@@ -216,7 +248,7 @@ class UploadedSession(form_kinds.UploadedFootage):
 
     def uploads(self) -> list[tuple[str, UUID | str]]:
         """Part of the form and id or URL of each upload."""
-        single = (("calibration", self.calibration), ("timestamps", self.timestamps))
+        single = [(part, getattr(self, part)) for part in ("calibration", "timestamps", "laboratory")]
         several = [(part, upload) for part in ("keypoints", "points") for upload in getattr(self, part)]
         return [*super().uploads(), *several, *((part, upload) for part, upload in single if upload is not None)]
 
@@ -240,7 +272,7 @@ class FileOut(ResponseModel):
 
     name: str = Field(description="Name of the file.", examples=["cam_0.mp4"])
     kind: str = Field(
-        description="Kind of the file: `video`, `keypoints`, `points`, `calibration` or `timestamps`.",
+        description="Kind of the file: `video`, `keypoints`, `points`, `calibration`, `timestamps` or `laboratory`.",
         examples=["video"],
     )
     num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
@@ -486,6 +518,7 @@ _PARTS: Mapping[str, str] = {
     "or JSON; or a zip of a JSON file a frame.",
     form_kinds.CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
     form_kinds.TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
+    form_kinds.LABORATORY: "C3D file of a laboratory beside videos or keypoints: force plates, channels, events.",
 }
 
 SESSION_FORM = form_kinds.FormKind(

@@ -53,6 +53,9 @@ export const SEND = {
   asIs: "as is",
   timestamps: "timestamps",
   points: "3D points",
+  laboratory: "force plates, channels",
+  laboratoryClock: "The C3D file begins",
+  laboratoryClocks: [["", "Automatic"], ["timecode", "At its timecode"], ["trigger", "By its trigger channel"], ["contacts", "By feet and vertical force"]],
   pointsTell: "As in the file, or told by the people",
   pointsRate: "Frame rate of the points, Hz",
   pointsRateHint: "Only for files that do not state it.",
@@ -102,6 +105,7 @@ export const SEND = {
   allCaptures: "All captures",
   faults: {
     points: (files) => `3D points are sent alone. Leave out ${files}.`,
+    laboratory: (files) => `A capture has one C3D file of a laboratory. Leave out all but one of ${files}.`,
     array: (file) => `${file} has the keypoints of all cameras. Leave out this file or the others.`,
     fewCameras: (number) => `Add the videos of at least ${number} cameras.`,
     unit: (calibration) => `Choose the unit of length of ${calibration}.`,

@@ -17,7 +17,17 @@ from typing import BinaryIO, Literal
 
 from api.web.errors import ApiError, ErrorItem, pointer_to
 from api.web.http.bodies.field_places import FieldPlaces
-from api.web.http.bodies.form_kinds import CHARACTER, IMAGES, KEYPOINTS, MANIFEST, POINTS, VIDEOS, VIEWS, FormKind
+from api.web.http.bodies.form_kinds import (
+    CHARACTER,
+    IMAGES,
+    KEYPOINTS,
+    LABORATORY,
+    MANIFEST,
+    POINTS,
+    VIDEOS,
+    VIEWS,
+    FormKind,
+)
 from pipeline.capture.parts import group_parts
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
@@ -133,8 +143,8 @@ class Parts:
         self._limits = limits
         self._kind = kind
         self._places = places
-        limit_of = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, KEYPOINTS: limits.max_keypoints_bytes}
-        limit_of |= {CHARACTER: limits.max_character_bytes, POINTS: limits.max_keypoints_bytes}
+        limit_of = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, CHARACTER: limits.max_character_bytes}
+        limit_of |= dict.fromkeys((KEYPOINTS, POINTS, LABORATORY), limits.max_keypoints_bytes)
         self._max_file_bytes = {part: limit_of.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)

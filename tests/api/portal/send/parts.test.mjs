@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
 
-import { isPassedOver, detectKind, uniqueNames } from "../../../../api/portal/send/files.js";
+import { isLaboratory, isPassedOver, detectKind, uniqueNames } from "../../../../api/portal/send/files.js";
 import { groupRecordings } from "../../../../api/portal/send/matching.js";
 
 const cases = JSON.parse(readFileSync(`${process.env.FIXTURES}/parts_cases.json`, "utf8"));
@@ -30,7 +30,7 @@ test("files that systems and cameras put beside others", () => {
 
 test("an array of the points of all cameras", async () => {
   const kinds = await Promise.all(["mediapipe_2dData_numCams_pixelXY.npy", "body_3d_xyz.npy"].map((name) => detectKind({ name, type: "" })));
-  assert.deepEqual(kinds, ["array", null]);
+  assert.deepEqual(kinds, ["array", "points"]);
 });
 
 // Directory of a zip with these names, as far as it is read.
@@ -53,4 +53,13 @@ test("what a zip is, by the names in it", async () => {
   for (const [kind, zips] of Object.entries(kinds)) {
     for (const names of zips) assert.equal(await detectKind(zipOf(...names)), kind, names.join());
   }
+});
+
+test("a C3D file beside videos or keypoints is a laboratory's, else 3D points", () => {
+  const row = (kind, name, isUsed = true) => ({ kind, name, isUsed });
+  const trial = row("points", "Trial.C3D");
+  const beside = (...others) => isLaboratory(trial, [trial, ...others]);
+  assert.deepEqual([beside(row("video", "a.mp4")), beside(row("keypoints", "a.zip")), beside(row("array", "2d.npy"))], [true, true, true]);
+  assert.deepEqual([beside(), beside(row("points", "b.c3d")), beside(row("video", "a.mp4", false))], [false, false, false]);
+  assert.equal(isLaboratory(row("points", "a.trc"), [row("video", "a.mp4")]), false);
 });
