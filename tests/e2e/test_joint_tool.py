@@ -134,6 +134,9 @@ def test_keys_and_ranges_are_set_by_keyboard(shown: Shown) -> None:
     assert (edit["action"], edit["joint"]) == ("key", "left_wrist")
     assert edit["place_m"][2] == pytest.approx(before[2] + 0.1, abs=1e-3)
     assert place_of(page, "left_wrist")["place"][2] == pytest.approx(before[2] + 0.1, abs=1e-3)
+    origin_m = page.evaluate("() => globalThis.viewer.description.origin_m")
+    leg_m = [place_of(page, f"right_{kind}")["place"] for kind in ("hip", "knee", "ankle")]
+    right_m = (np.mean(leg_m, axis=0) + origin_m).tolist()
     page.locator(".look-canvas").focus()
     for key in ("i", "Shift+ArrowRight", "o"):
         page.keyboard.press(key)
@@ -146,7 +149,7 @@ def test_keys_and_ranges_are_set_by_keyboard(shown: Shown) -> None:
     found = [{name: value for name, value in edit.items() if name != "person"} for edit in edits(page)[1:]]
     assert found == [
         {"action": "ignore_detections", "camera": "a", "part": "left_arm", **span},
-        {"action": "exchange_sides", "part": "legs", **span},
+        {"action": "exchange_sides", "part": "legs", "left_m": pytest.approx(right_m, abs=1e-5), **span},
         {"action": "contact", "limb": "left_foot", "stands": False, **span},
     ]
     assert axe_findings(page, ".look-viewer") == []

@@ -137,7 +137,7 @@ def test_places_to_look_at_are_visited_and_accepted(shown: Shown) -> None:
         if number + 1 < len(concerns):
             expect(status).to_contain_text(f"1 of {len(concerns) - number - 1}: ")
     expect(status).to_have_text("No place is left to look at.")
-    fields = ("person", "kind", "start_frame", "stop_frame")
+    fields = ("person", "camera", "kind", "start_frame", "stop_frame")
     accepted = [{"action": "accept", **{name: concern[name] for name in fields}} for concern in concerns]
     assert page.evaluate("() => globalThis.edits") == accepted
 

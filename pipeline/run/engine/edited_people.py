@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pipeline.core.data.animation import Animation, SkeletonMotion
+from pipeline.core.data.animation import Animation
 from pipeline.core.data.arrays import no_detections, read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Doubt, Observations, People, Source, Track3D
@@ -16,7 +16,9 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.corrections import PARTS
 from pipeline.core.options.edited_take import EditedPerson, EditedTake, Known, apply_edits
 from pipeline.core.options.edits import PersonSpan
-from pipeline.motion.skeleton.corrections.evidence import corrected_evidence
+from pipeline.motion.skeleton.corrections.evidence import CorrectedEvidence, corrected_evidence
+from pipeline.motion.skeleton.corrections.poses import rows_of
+from pipeline.motion.skeleton.corrections.stances import clipped
 from pipeline.run.engine.detection_source import detection_source
 from pipeline.run.engine.stage import Context
 from pipeline.run.engine.stored_people import StoredSequence
@@ -118,19 +120,17 @@ def put_together(
         of_person = _doubts(people, take, number_of[source or 0]) if is_doubted else []
         doubts.append([doubt for doubt in of_person if not _accepts(person, doubt.frame, doubt.frame + 1)])
 
+    def evidence(k: int) -> CorrectedEvidence:
+        person, kept, row = sources[k]
+        return corrected_evidence(kept.tracks[row], kept.observations[row], person.corrections, cameras, joints)
+
     def track(k: int) -> Track3D:
         person, kept, row = sources[k]
-        located = kept.tracks[row]
-        if person.corrections:
-            located = corrected_evidence(located, kept.observations[row], person.corrections, cameras, joints).located
-        return replace(located, track_id=person.id)
+        return replace(evidence(k).located if person.corrections else kept.tracks[row], track_id=person.id)
 
     def observations(k: int) -> Observations:
         person, kept, row = sources[k]
-        seen = kept.observations[row]
-        if person.corrections:
-            seen = corrected_evidence(kept.tracks[row], seen, person.corrections, cameras, joints).seen
-        return replace(seen, track_id=person.id)
+        return replace(evidence(k).seen if person.corrections else kept.observations[row], track_id=person.id)
 
     edited = People(
         StoredSequence(len(sources), track),
@@ -170,50 +170,32 @@ def cut(reconstruction: Reconstruction, frames: range) -> Reconstruction:
         if rows.start < rows.stop:
             kept.append((number, rows))
             tracks.append(_moved(track.part(rows), frames.start))
-            motions.append(replace(_part_of_motion(motion, rows), start_frame=tracks[-1].start_frame))
+            part = replace(rows_of(motion, rows), start_frame=tracks[-1].start_frame)
+            motions.append(replace(part, contacts=clipped(motion.contacts, rows)))
     located, observations, doubts = reconstruction.located, reconstruction.observations, reconstruction.doubts
+    first, stop = frames.start, frames.stop
     return replace(
         reconstruction,
         timebase=cut_timebase(reconstruction.timebase, frames),
         located=StoredSequence(len(kept), lambda k: _moved(located[kept[k][0]].part(kept[k][1]), frames.start)),
         observations=StoredSequence(len(kept), lambda k: observations[kept[k][0]].part(kept[k][1])),
         doubts=[
-            [
-                doubt._replace(frame=doubt.frame - frames.start)
-                for doubt in doubts[number]
-                if frames.start <= doubt.frame < frames.stop
-            ]
-            for number, _ in kept
-        ]
-        if doubts
-        else (),
+            [doubt._replace(frame=doubt.frame - first) for doubt in doubts[number] if first <= doubt.frame < stop]
+            for number, _ in (kept if doubts else ())
+        ],
         losses=[
             loss._replace(
-                start_frame=max(loss.start_frame, frames.start) - frames.start,
-                stop_frame=min(loss.stop_frame, frames.stop) - frames.start,
+                start_frame=max(loss.start_frame, first) - first, stop_frame=min(loss.stop_frame, stop) - first
             )
             for loss in reconstruction.losses
-            if loss.start_frame < frames.stop and loss.stop_frame > frames.start
+            if loss.start_frame < stop and loss.stop_frame > first
         ],
         animation=Animation(tuple(tracks), tuple(motions), reconstruction.animation.floor),
         accepted={
-            number: [
-                replace(edit, start_frame=edit.start_frame - frames.start, stop_frame=edit.stop_frame - frames.start)
-                for edit in edits
-            ]
+            number: [replace(e, start_frame=e.start_frame - first, stop_frame=e.stop_frame - first) for e in edits]
             for number, edits in reconstruction.accepted.items()
         },
     )
-
-
-def _part_of_motion(motion: SkeletonMotion, rows: slice) -> SkeletonMotion:
-    contacts = []
-    for contact in motion.contacts:
-        start, stop = max(contact.start_frame, rows.start), min(contact.start_frame + contact.num_frames, rows.stop)
-        if start < stop:
-            contacts.append(replace(contact, start_frame=start - rows.start, num_frames=stop - start))
-    root_m, parent_from_joint = motion.root_m[rows], motion.parent_from_joint[rows]
-    return replace(motion, root_m=root_m, parent_from_joint=parent_from_joint, contacts=tuple(contacts))
 
 
 def _rows(track: Track3D, frames: range) -> slice:

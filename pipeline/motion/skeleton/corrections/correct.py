@@ -21,7 +21,7 @@ from pipeline.core.data.animation import Floor, FootContact, SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, JointSet, without_hands
-from pipeline.core.options.edits import Contact, Correction
+from pipeline.core.options.edits import Contact, Correction, Limb, frames_of
 from pipeline.geometry.tracks import reproject
 from pipeline.motion.skeleton.animate import PersonFitter
 from pipeline.motion.skeleton.corrections import keys as keying
@@ -123,7 +123,7 @@ class _Person:
             is_touched[list(of_joint)] = True
         for correction in corrections:
             if isinstance(correction, Contact):
-                is_touched[stances.contact_rows(correction, track.start_frame, num_frames)] = True
+                is_touched[keying.rows_between(*frames_of(correction), track.start_frame, num_frames)] = True
         self.away, self.reach = _distance(is_touched), keying.reach_frames(self._rate_hz)
         self._root_m, self._quat = np.array(motion.root_m), np.array(motion.parent_from_joint)
         self._contacts = motion.contacts
@@ -223,21 +223,15 @@ class _Person:
             is_found[rows] = share >= 0.5
             found = foot_contacts(fresh.points, self._floor, self._rate_hz, self._fitter.config.feet)
             found = tuple(replace(contact, start_frame=contact.start_frame + rows.start) for contact in found)
+        first = self._track.start_frame + rows.start
+        limbs: tuple[Limb, Limb] = ("left_foot", "right_foot")
         lifted = [
-            Contact(
-                person=0,
-                limb="left_foot" if side == "left" else "right_foot",
-                start_frame=start,
-                stop_frame=stop,
-                stands=False,
-            )
-            for side in SIDES
+            Contact(person=0, limb=limb, start_frame=first + start, stop_frame=first + stop, stands=False)
+            for side, limb in zip(SIDES, limbs, strict=True)
             for kind in _ON_FOOT
             if (by_m := moved_m.get(f"{side}_{kind}")) is not None
             for start, stop in find_runs(np.linalg.norm(by_m, axis=-1) > _LIFTED_M)
         ]
-        first = self._track.start_frame + rows.start
-        lifted = [replace(c, start_frame=c.start_frame + first, stop_frame=c.stop_frame + first) for c in lifted]
         corrections = [*lifted, *(c for c in self._corrections if isinstance(c, Contact))]
         self._contacts = stances.contacts_between(
             self._contacts, found, is_found, corrections, self._track.start_frame, feet.by_parts, self._rate_hz
@@ -349,10 +343,9 @@ class _Person:
             is_known = np.where(refitted, fresh_known > 0, is_known)
             source = np.where(refitted, fresh_source, source)
             if sigma_m is not None and fresh.uncertainty_m is not None:
-                variance_m2 = (1.0 - share)[:, None] * sigma_m[:, columns] ** 2 + share[
-                    :, None
-                ] * fresh.uncertainty_m**2
-                kept_m = np.where(share[:, None] == 1.0, fresh.uncertainty_m, sigma_m[:, columns])
+                of_fresh, free_m, fresh_m = share[:, None], sigma_m[:, columns], fresh.uncertainty_m
+                variance_m2 = (1.0 - of_fresh) * free_m**2 + of_fresh * fresh_m**2
+                kept_m = np.where(of_fresh == 1.0, fresh_m, free_m)
                 sigma_m[:, columns] = np.where(np.isfinite(variance_m2), np.sqrt(variance_m2), kept_m)
         for name, by_m in moved_m.items():
             column = joints.index(name)

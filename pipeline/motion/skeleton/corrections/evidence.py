@@ -12,10 +12,11 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import JointSet, other_side
 from pipeline.core.options.corrections import joints_of_part, joints_of_sides
-from pipeline.core.options.edits import Correction, ExchangeSides, IgnoreDetections, PlaceDetection
+from pipeline.core.options.edits import Correction, ExchangeSides, IgnoreDetections, PlaceDetection, frames_of
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_views
+from pipeline.motion.skeleton.corrections.keys import rows_between
 
 # Score with which the fit weighs a detection that was placed by hand: 27 times a sure one of the detector.
 _PLACED_SCORE = 3.0
@@ -62,14 +63,10 @@ def corrected_evidence(
     is_changed = np.zeros(score[:, 0].shape, bool)
     names = [camera.name for camera in cameras]
 
-    def rows(start_frame: int, stop_frame: int) -> slice:
-        first, stop = (np.clip(np.array((start_frame, stop_frame)) - located.start_frame, 0, len(score))).tolist()
-        return slice(first, stop)
-
     for correction in corrections:
+        here = rows_between(*frames_of(correction), located.start_frame, len(score))
         match correction:
             case ExchangeSides():
-                here = rows(correction.start_frame, correction.stop_frame)
                 mine = [
                     name for name in joints_of_sides(correction.part, joints.names) if other_side(name) in joints.names
                 ]
@@ -87,14 +84,15 @@ def corrected_evidence(
                     array[here, columns] = array[here, others]
                 is_changed[here, columns] = True
             case IgnoreDetections() if correction.camera in names:
-                here, camera = rows(correction.start_frame, correction.stop_frame), names.index(correction.camera)
-                columns = joints.indices(tuple(joints_of_part(correction.part, joints.names)))
+                camera, columns = (
+                    names.index(correction.camera),
+                    joints.indices(tuple(joints_of_part(correction.part, joints.names))),
+                )
                 points_px[here, camera, columns], score[here, camera, columns] = np.nan, 0.0
                 is_placed[here, camera, columns] = False
                 is_moved[here, columns] = is_changed[here, columns] = True
             case PlaceDetection() if correction.camera in names and correction.joint in joints.names:
-                here, camera = rows(correction.frame, correction.frame + 1), names.index(correction.camera)
-                column = joints.index(correction.joint)
+                camera, column = names.index(correction.camera), joints.index(correction.joint)
                 points_px[here, camera, column], score[here, camera, column] = correction.place_px, 1.0
                 is_placed[here, camera, column] = is_moved[here, column] = is_changed[here, column] = True
     found = replace(seen, points_px=read_only(points_px), score=read_only(score))

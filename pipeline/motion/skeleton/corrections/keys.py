@@ -20,6 +20,12 @@ def reach_frames(frame_rate_hz: float) -> int:
     return max(int(REACH_S * frame_rate_hz), 1)
 
 
+def rows_between(start_frame: int, stop_frame: int, first: int, num_frames: int) -> slice:
+    """Rows of a track, which begins at the frame ``first``, within frames."""
+    start, stop = np.clip((start_frame - first, stop_frame - first), 0, num_frames).tolist()
+    return slice(start, stop)
+
+
 def keys_by_joint(
     corrections: Sequence[Correction], start_frame: int, num_frames: int
 ) -> Mapping[str, Mapping[int, Float[np.ndarray, " 3"]]]:

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 
 from pipeline.core.data.animation import Floor, FootContact, FootPart
 from pipeline.core.options.corrections import LIMBS
-from pipeline.core.options.edits import Contact, Correction
+from pipeline.core.options.edits import Contact, Correction, frames_of
+from pipeline.motion.skeleton.corrections.keys import rows_between
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, SIDES, find_runs
 from pipeline.motion.skeleton.feet.holding import PARTS, at_own_distance, led_m
 from pipeline.motion.skeleton.feet.stances import LANDMARKS, SHORTEST_S, FootPoints
@@ -54,7 +55,7 @@ def contacts_between(
                     begins[here[:1]] = contact is not some[0]
             is_added = np.zeros(len(is_found), bool)
             for correction in of_side:
-                rows = contact_rows(correction, start_frame, len(is_found))
+                rows = rows_between(*frames_of(correction), start_frame, len(is_found))
                 stands[rows] = is_added[rows] = correction.stands and is_by_parts == (part != "foot")
                 confidence[rows], pinned[rows] = 1.0, True
             for start, stop in _cut(find_runs(stands), begins & ~(is_found != np.roll(is_found, 1))):
@@ -155,16 +156,9 @@ def added_contacts(
     stands: dict[str, np.ndarray] = {limb: np.zeros(num_frames, bool) for limb in LIMBS}
     for correction in corrections:
         if isinstance(correction, Contact):
-            stands[correction.limb][contact_rows(correction, start_frame, num_frames)] = correction.stands
+            rows = rows_between(*frames_of(correction), start_frame, num_frames)
+            stands[correction.limb][rows] = correction.stands
     return stands
-
-
-def contact_rows(correction: Contact, start_frame: int, num_frames: int) -> slice:
-    """Rows of a track that a contact is about."""
-    first, stop = (
-        int(np.clip(f - start_frame, 0, num_frames)) for f in (correction.start_frame, correction.stop_frame)
-    )
-    return slice(first, stop)
 
 
 def clipped(contacts: Sequence[FootContact], rows: slice) -> tuple[FootContact, ...]:
