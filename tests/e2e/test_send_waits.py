@@ -209,7 +209,11 @@ def actions_of(name: str, files: dict[str, Path]) -> tuple[list[Action], str]:
     zips = [path for name, path in sorted(files.items()) if name.endswith(".zip")]
 
     def unit(run: Run) -> None:
-        run.page.get_by_label("Unit of length").select_option("cm")
+        choice = run.page.get_by_label("Unit of length")
+        details = run.page.locator("details", has=choice)
+        if details.get_attribute("open") is None:
+            details.locator("summary").click()
+        choice.select_option("cm")
 
     def reload(run: Run) -> None:
         # The draft is stored with its calibration, if one was chosen and is not kept back.
