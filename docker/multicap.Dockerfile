@@ -43,8 +43,10 @@ RUN /opt/multicap/bin/multicap models install movenet-multipose movenet-multipos
         openpose-mobilenet-thin \
     && /opt/multicap/bin/multicap bodies install \
     && /opt/multicap/bin/python -P -m multicap.pipeline.run.warm_up
-# Packages of networks, tests of libraries, and what builds them: a seventh of the image.
+# Packages of networks, tests and converters of libraries, and what builds them: a seventh of the image.
 RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packages/onnx/backend/test \
+        /opt/multicap/lib/python3.11/site-packages/onnxruntime/tools \
+        /opt/multicap/lib/python3.11/site-packages/onnxruntime/transformers \
     && /opt/multicap/bin/python -m pip uninstall --quiet --yes setuptools \
     && find /opt/multicap/lib -type f -regex '.*\.\(h\|hpp\|c\|cpp\|f90\|px[di]\|pyi\|pyx\)' -delete \
     && find /opt/multicap/lib -type d -name tests -prune -exec rm -rf {} +
