@@ -78,29 +78,28 @@ def _gains(rays: SeenRays, limbs: LimbPair) -> Float[np.ndarray, "frames cameras
     """
     num_frames, num_cameras = rays.weight.shape[:2]
     gain = np.zeros((num_frames, num_cameras, num_cameras))
-    for first in range(num_cameras):
-        for second in range(first + 1, num_cameras):
-            total = np.zeros(num_frames)
-            for left, right in zip(limbs.left, limbs.right, strict=True):
-                far, weight = _far(rays, first, second, left, right)
-                for here, there in (((0, 0), (0, 1)), ((1, 1), (1, 0)), ((0, 0), (1, 0)), ((1, 1), (0, 1))):
-                    total += np.minimum(weight[here], weight[there]) * (far[there] - far[here]) / 2
-            gain[:, first, second] = gain[:, second, first] = total
+    for first in range(num_cameras - 1):
+        total = np.zeros((num_frames, num_cameras - first - 1))
+        for left, right in zip(limbs.left, limbs.right, strict=True):
+            far, weight = _far(rays, first, [left, right])
+            for here, there in (((0, 0), (0, 1)), ((1, 1), (1, 0)), ((0, 0), (1, 0)), ((1, 1), (0, 1))):
+                least = np.minimum(weight[..., *here], weight[..., *there])
+                total += least * (far[..., *there] - far[..., *here]) / 2
+        gain[:, first, first + 1 :] = gain[:, first + 1 :, first] = total
     return gain
 
 
 def _far(
-    rays: SeenRays, first: int, second: int, left: int, right: int
-) -> tuple[Float[np.ndarray, "2 2 frames"], Float[np.ndarray, "2 2 frames"]]:
-    """Distances between the rays of a joint's two sides in two views, from 0 to 1, and the weights of the pairs."""
-    sides = [left, right]
-    here, there = rays.direction[:, first, sides], rays.direction[:, second, sides]
-    normal = np.cross(here[:, :, None], there[:, None])
-    sine2 = (normal**2).sum(-1)
-    apart_m2 = (normal @ (rays.center_m[second] - rays.center_m[first])) ** 2
+    rays: SeenRays, first: int, sides: list[int]
+) -> tuple[Float[np.ndarray, "frames later 2 2"], Float[np.ndarray, "frames later 2 2"]]:
+    """Distances between rays of a joint's two sides in a view and in all later ones, from 0 to 1; and their weights."""
+    direction, weight = rays.direction[:, first:, sides], rays.weight[:, first:, sides]
+    here, there = direction[:, :1], direction[:, 1:].swapaxes(-1, -2)
+    sine2 = 1.0 - (here @ there) ** 2
+    baseline_m = rays.center_m[first + 1 :] - rays.center_m[first]
+    apart_m2 = (np.cross(baseline_m[:, None], here) @ there) ** 2
     apart_m2 = np.where(sine2 > _LEAST_SINE2, apart_m2 / np.maximum(sine2, _LEAST_SINE2), 0.0)
-    weight = np.sqrt(rays.weight[:, first, sides][:, :, None] * rays.weight[:, second, sides][:, None])
-    return np.moveaxis(apart_m2 / (apart_m2 + SCALE_M**2), 0, -1), np.moveaxis(weight, 0, -1)
+    return apart_m2 / (apart_m2 + SCALE_M**2), np.sqrt(weight[:, :1, :, None] * weight[:, 1:, None])
 
 
 # Scales of the function of Geman and McClure, one a step.

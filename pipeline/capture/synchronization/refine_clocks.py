@@ -19,10 +19,7 @@ from pipeline.core.data.cameras import Camera
 Match = tuple[int, int]
 """Numbers of two motions that are one person."""
 
-_STEPS = 15
 _CONVERGED_S = 2e-5
-# Instants of all matches together.
-_MAX_INSTANTS = 20_000
 # Time for which errors of a detector last, and length of the blocks of time that count as independent.
 _ERROR_LASTS_S, _BLOCK_S = 0.8, 1.0
 # Standard deviation of the constant error of a joint, in tolerances.
@@ -67,11 +64,13 @@ def refine_clocks(
     offset_s: Float[np.ndarray, " cameras"],
     has_drift: bool,
     reference: int = 0,
+    max_instants: int = 20_000,
+    max_steps: int = 15,
 ) -> FineClocks:
     """Refine clocks.
 
     ``matches`` are motions of two cameras that are one person. Offsets start from ``offset_s``; without ``has_drift``
-    rates are 1. The session's clock is the clock of camera ``reference``.
+    rates are 1. The session's clock is the clock of camera ``reference``. Instants are of all matches together.
     """
     offset_s, drift = offset_s.astype(float), np.zeros(len(cameras))
     begin, end = (
@@ -87,22 +86,23 @@ def refine_clocks(
     free[[reference, reference + len(cameras)]] = False
     free[len(cameras) :] &= has_drift
     prior = np.concatenate([np.zeros(len(cameras)), np.full(len(cameras), _RATE_SIGMA**-2)])
-    step_s = _step_s(motions, matches)
+    step_s = _step_s(motions, matches, max_instants)
     share = min(1.0, step_s / _ERROR_LASTS_S)
     normal, scores = np.zeros((len(prior), len(prior))), np.zeros((0, len(prior)))
     sigma = np.nan
     num_blocks = 0
-    for _ in range(_STEPS):
+    for _ in range(max_steps):
         rows = _linearise(motions, matches, essentials, (offset_s, drift, pivot_s), step_s)
         if not len(rows.residual):
             break
-        jacobian = _jacobian(rows, len(cameras), pivot_s)
-        residual, jacobian, weight, sigma = _without_constants(rows, jacobian, share)
+        residual, jacobian, weight, sigma = _without_constants(rows, _jacobian(rows, pivot_s), share)
         # A share of the rows is independent; the rest repeats their errors.
         factor = share / sigma**2
-        scores = np.zeros((rows.block.max() + 1, 2 * len(cameras)))
-        np.add.at(scores, rows.block, factor * (weight * residual)[:, None] * jacobian)
-        normal = factor * (jacobian * weight[:, None]).T @ jacobian
+        column = np.concatenate([rows.cameras, rows.cameras + len(cameras)], axis=1)
+        by_residual = factor * (weight * residual)[:, None] * jacobian
+        scores = _summed(rows.block[:, None], column, by_residual, (rows.block.max() + 1, len(prior)))
+        by_row = factor * weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None]
+        normal = _summed(column[:, :, None], column[:, None], by_row, normal.shape)
         values = np.concatenate([offset_s, drift])
         gradient = scores.sum(0) + prior * values
         damped = normal + np.diag(prior) + 1e-9 * np.eye(len(normal)) * max(float(np.trace(normal)), 1e-9)
@@ -117,10 +117,10 @@ def refine_clocks(
     return FineClocks(offset_s, drift, pivot_s, covariance, float(sigma), num_blocks)
 
 
-def _step_s(motions: Sequence[BodyMotion], matches: Sequence[Match]) -> float:
+def _step_s(motions: Sequence[BodyMotion], matches: Sequence[Match], max_instants: int) -> float:
     """Time between two sampled instants."""
     points = sum(min(len(motions[a].points), len(motions[b].points)) for a, b in matches)
-    return STEP_S * max(2.0, points / _MAX_INSTANTS)
+    return STEP_S * max(2.0, points / max_instants)
 
 
 def own_times_s(
@@ -193,20 +193,26 @@ def _at(
     return points, speed
 
 
-def _jacobian(rows: _Rows, num_cameras: int, pivot_s: float) -> Float[np.ndarray, "rows parameters"]:
-    """Derivatives by offsets, then drifts, of all cameras: a later clock shows an earlier instant."""
-    jacobian = np.zeros((len(rows.residual), 2 * num_cameras))
-    index = np.arange(len(rows.residual))
-    for side in (0, 1):
-        jacobian[index, rows.cameras[:, side]] -= rows.by_time[:, side]
-        jacobian[index, num_cameras + rows.cameras[:, side]] -= rows.by_time[:, side] * (rows.own_s[:, side] - pivot_s)
-    return jacobian
+def _jacobian(rows: _Rows, pivot_s: float) -> Float[np.ndarray, "rows 4"]:
+    """Derivatives by the offsets, then the drifts, of a row's two cameras: a later clock shows an earlier instant."""
+    return np.concatenate([-rows.by_time, -rows.by_time * (rows.own_s - pivot_s)], axis=1)
+
+
+def _summed(
+    first: Int[np.ndarray, "*#places"],
+    second: Int[np.ndarray, "*#places"],
+    values: Float[np.ndarray, "*places"],
+    shape: tuple[int, int],
+) -> Float[np.ndarray, "first second"]:
+    """Sum values at their places in an array."""
+    place = np.broadcast_to(first * shape[1] + second, values.shape)
+    return np.bincount(place.ravel(), values.ravel(), shape[0] * shape[1]).reshape(shape)
 
 
 def _without_constants(
-    rows: _Rows, jacobian: Float[np.ndarray, "rows parameters"], share: float
+    rows: _Rows, jacobian: Float[np.ndarray, "rows 4"], share: float
 ) -> tuple[
-    Float[np.ndarray, " rows"], Float[np.ndarray, "rows parameters"], Float[np.ndarray, " rows"], float
+    Float[np.ndarray, " rows"], Float[np.ndarray, "rows 4"], Float[np.ndarray, " rows"], float
 ]:  # fmt: skip
     """Residuals and derivatives less the constant of each group, weights of the rows, and their deviation."""
     num_groups = int(rows.group.max()) + 1

@@ -1,18 +1,32 @@
 """Remaining error of declared times: by how much cameras that should be synchronised are not."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.capture.synchronization.synchronize import synchronize
-from pipeline.core.data.cameras import Camera, FrameTimes
+from pipeline.capture.synchronization.groups import match_people
+from pipeline.capture.synchronization.motions import STEP_S, BodyMotion, find_motions
+from pipeline.capture.synchronization.pair_curves import compare_pair
+from pipeline.capture.synchronization.refine_clocks import refine_clocks
+from pipeline.capture.synchronization.synchronize import NOTHING_KNOWN, camera_clocks, shows_drift, synchronize
+from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet
 
 HALF_A_FRAME = 0.5
 """Error in frames above which a camera is wrong."""
+# Partners of each camera beside the tree of strongest pairs.
+_PARTNERS = 3
+MAX_PAIRS = _PARTNERS + 1
+"""Largest number of pairs a camera that are compared."""
+# Instants of all matches, and steps, that tell whether declared times are right.
+_INSTANTS, _STEPS = 2000, 4
+# Share of the joints in motion that agree at the declared times: 0.6 to 0.8 if they are right, 0.45 if a camera is late
+# by a frame and a half.
+_AGREES = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +37,12 @@ class RemainingOffset:
     # Time by which the camera's frames were taken later than declared, compared with the cameras that agree
     late_s: float
     sigma_s: float  # Standard deviation
-    frames: float  # ``late_s`` in periods of the camera's frames
+    period_s: float  # Period of the camera's frames
+
+    @property
+    def frames(self) -> float:
+        """Error in periods of the camera's frames."""
+        return self.late_s / self.period_s
 
     @property
     def is_wrong(self) -> bool:
@@ -39,11 +58,14 @@ def remaining_offsets(
 ) -> tuple[RemainingOffset, ...]:
     """Measure the error of declared times from people in motion, for checks before or after a take.
 
+    The pairs of cameras are few, so that the cost grows with the cameras. Clocks are refined from the declared times
+    first. Only cameras whose people do not agree there are compared at other lags.
+
     Parameters
     ----------
     times, detections
         Declared frame times and bodies by camera name, such as from ``pipeline.run.engine.local.detect_people`` or of
-        ``KeypointSession``. A few seconds in which people move are enough; a take of five minutes costs half a minute.
+        ``KeypointSession``. A few seconds in which people move are enough.
 
     Returns
     -------
@@ -53,18 +75,85 @@ def remaining_offsets(
     --------
     ``[offset for offset in remaining_offsets(...) if offset.is_wrong]`` are the cameras to warn of.
     """
-    synchronization = synchronize(cameras, times, detections, joints, dict.fromkeys(times, 0.0))
-    if not synchronization.is_certain:
-        return ()
+    motions = find_motions(cameras, times, detections, joints)
+    pairs = strongest_pairs(motions, len(cameras))
+    offsets = _offsets(_refined(cameras, times, motions, pairs), times)
+    shares = _shares(cameras, motions, pairs)
+    agreeing = {
+        offset.camera: 0.0
+        for offset, share in zip(offsets, shares, strict=True)
+        if share >= _AGREES and abs(offset.late_s) + 3.0 * offset.sigma_s <= HALF_A_FRAME * offset.period_s
+    }
+    if len(agreeing) == len(cameras):
+        return offsets
+    near_s = agreeing if len(agreeing) > 2 else NOTHING_KNOWN
+    synchronization = synchronize(
+        cameras, times, detections, joints, dict.fromkeys(times, 0.0), near_s=near_s, pairs=pairs
+    )
+    return _offsets(synchronization.clocks, times) if synchronization.is_certain else ()
+
+
+def strongest_pairs(motions: Sequence[BodyMotion], num_cameras: int) -> list[tuple[int, int]]:
+    """Pairs of cameras that see most motion at the same seconds: a tree (Kruskal 1956), and partners of each camera."""
+    num_steps = round(1.0 / STEP_S)
+    second = np.array([step // num_steps for motion in motions for step in range(motion.first, motion.stop)], int)
+    camera = np.repeat([motion.camera for motion in motions], [len(motion.points) for motion in motions]).astype(int)
+    moving = [np.minimum(1.0, np.nan_to_num(motion.path())).sum(1) for motion in motions]
+    seconds, column = np.unique(second, return_inverse=True)
+    seen = np.zeros((num_cameras, len(seconds)))
+    np.add.at(seen, (camera, column), np.concatenate(moving) if moving else [])
+    shared = np.array([np.minimum(own, seen).sum(1) for own in seen])
+    group, pairs = np.arange(num_cameras), set()
+    for first, other in sorted(itertools.combinations(range(num_cameras), 2), key=lambda pair: -shared[pair]):
+        if group[first] != group[other]:
+            group[group == group[other]] = group[first]
+            pairs.add((first, other))
+    np.fill_diagonal(shared, -1.0)
+    for first, partners in enumerate(np.argsort(-shared, axis=1, kind="stable")[:, : min(_PARTNERS, num_cameras - 1)]):
+        pairs |= {(min(first, other), max(first, other)) for other in partners.tolist()}
+    return sorted(pairs)
+
+
+def _refined(
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    motions: Sequence[BodyMotion],
+    pairs: Sequence[tuple[int, int]],
+) -> Sequence[CameraClock]:
+    """Clocks near the declared times."""
+    start = np.zeros(len(cameras), int)
+    matches = match_people(cameras, motions, start, pairs)
+    fine = refine_clocks(
+        cameras, motions, matches, start.astype(float), shows_drift(motions), max_instants=_INSTANTS, max_steps=_STEPS
+    )
+    return camera_clocks(cameras, times, fine)
+
+
+def _shares(
+    cameras: Sequence[Camera], motions: Sequence[BodyMotion], pairs: Sequence[tuple[int, int]]
+) -> Float[np.ndarray, " cameras"]:
+    """Agreement of each camera with its partners at the declared times, as a share of the joints in motion."""
+    gain, weight = np.zeros(len(cameras)), np.zeros(len(cameras))
+    moving = np.zeros(len(cameras))
+    for motion in motions:
+        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path())).sum()
+    for pair in pairs:
+        gain[list(pair)] += compare_pair(cameras, pair, motions, np.zeros(1, int)).gain[0]
+        weight[list(pair)] += moving[list(pair)].min()
+    return gain / np.maximum(weight, 1e-9)
+
+
+def _offsets(clocks: Sequence[CameraClock], times: Mapping[str, FrameTimes]) -> tuple[RemainingOffset, ...]:
+    """Errors of declared times in the middle of each camera's frames."""
     late_s = []
-    for clock in synchronization.clocks:
+    for clock in clocks:
         middle_s = times[clock.camera].time_s[[0, -1]].mean(keepdims=True)
         late_s.append(float(clock.session_s(middle_s)[0] - middle_s[0]))
-    periods_s = [float(np.median(np.diff(times[clock.camera].time_s))) for clock in synchronization.clocks]
+    periods_s = [float(np.median(np.diff(times[clock.camera].time_s))) for clock in clocks]
     agreed_s = _agreed_s(np.array(late_s), np.array(periods_s))
     return tuple(
-        RemainingOffset(clock.camera, value_s - agreed_s, clock.sigma_s, (value_s - agreed_s) / period_s)
-        for clock, value_s, period_s in zip(synchronization.clocks, late_s, periods_s, strict=True)
+        RemainingOffset(clock.camera, value_s - agreed_s, clock.sigma_s, period_s)
+        for clock, value_s, period_s in zip(clocks, late_s, periods_s, strict=True)
     )
 
 

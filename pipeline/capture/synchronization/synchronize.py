@@ -42,6 +42,7 @@ def synchronize(
     starts_s: Mapping[str, float],
     on_share: OnShare = ignore,
     near_s: Mapping[str, float] = NOTHING_KNOWN,
+    pairs: Sequence[tuple[int, int]] | None = None,
 ) -> Synchronization:
     """Measure the cameras' clocks from the motion of people seen by several cameras.
 
@@ -56,11 +57,12 @@ def synchronize(
     - ``starts_s``: declared time at which each camera's own time is 0, by camera.
     - ``near_s``: corrections of declared times that are known roughly, by camera, such as from sound: of two such
       cameras only lags within half a second of these are compared.
+    - ``pairs``: pairs of cameras to compare, by their numbers, the smaller one first; all of them by default.
     - Returns clocks, with reasons not to rely on them if there are any: nothing is raised.
     """
     motions = find_motions(cameras, times, detections, joints)
     on_share(0.2)
-    pairs = list(itertools.combinations(range(len(cameras)), 2))
+    pairs = list(itertools.combinations(range(len(cameras)), 2)) if pairs is None else pairs
     known = {number: near_s[camera.name] for number, camera in enumerate(cameras) if camera.name in near_s}
     curves = [compare_pair(cameras, pair, motions, _measure_lags(motions, pair, known)) for pair in pairs]
     on_share(0.6)
@@ -73,9 +75,8 @@ def synchronize(
     on_share(0.8)
     splits = [shift_curve(curves, offsets, group) for group in find_splits(curves, len(cameras))]
     matches = match_people(cameras, motions, offsets, [(curve.first, curve.second) for curve in curves])
-    span_s = _span_s(motions)
-    fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, has_drift=span_s[1] - span_s[0] >= _MIN_DRIFT_S)
-    clocks = tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
+    fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, shows_drift(motions))
+    clocks = camera_clocks(cameras, times, fine)
     late_s = _late_s(times, clocks)
     clocks = starting_as_declared(times, clocks, starts_s)
     refusals, warnings = find_doubts(cameras, times, motions, splits, clocks, offsets)
@@ -144,10 +145,17 @@ def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
     return [curves[number] for number in sorted(kept)]
 
 
-def _span_s(motions: Sequence[BodyMotion]) -> tuple[float, float]:
-    if not motions:
-        return 0.0, 0.0
-    return min(motion.first for motion in motions) * STEP_S, max(motion.stop for motion in motions) * STEP_S
+def shows_drift(motions: Sequence[BodyMotion]) -> bool:
+    """Whether motions last long enough for rates of clocks to matter and to be measured."""
+    first = min((motion.first for motion in motions), default=0)
+    return (max((motion.stop for motion in motions), default=0) - first) * STEP_S >= _MIN_DRIFT_S
+
+
+def camera_clocks(
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], fine: FineClocks
+) -> tuple[CameraClock, ...]:
+    """Clocks of cameras, with their uncertainty at the ends of the cameras' frames."""
+    return tuple(_clock(number, camera, fine, times[camera.name]) for number, camera in enumerate(cameras))
 
 
 def _clock(number: int, camera: Camera, fine: FineClocks, times: FrameTimes) -> CameraClock:

@@ -96,6 +96,9 @@ CAMERA_SEES_NOBODY = PEOPLE.code("camera_sees_nobody", "finding", "warning")
 CLOCKS_DISAGREE = PEOPLE.code("clocks_disagree", "finding", "warning")
 """The declared times of a camera are wrong by more than half a frame. | Synchronise by the people with `sync: auto`, or
 correct the offset."""
+CLOCKS_UNCHECKED = PEOPLE.code("clocks_unchecked", "finding")
+"""The declared times of the cameras were not compared, since too many people are in view. | Synchronise by the people
+with `sync: auto`, or check a part of the take with fewer people."""
 CLOCK_MEASURED = PEOPLE.code("clock_measured", "finding")
 """`multicap check --sync auto` measured the offset of a camera. | Reconstruct with `sync: auto`, or declare the
 offset."""

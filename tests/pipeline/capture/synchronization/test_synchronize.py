@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.capture.synchronization.remaining import remaining_offsets
+from pipeline.capture.synchronization.motions import find_motions
+from pipeline.capture.synchronization.remaining import MAX_PAIRS, remaining_offsets, strongest_pairs
 from pipeline.capture.synchronization.report import error_pictures
 from pipeline.capture.synchronization.synchronize import corrected_times
 from pipeline.validation.simulation.motion.director import Cast
@@ -95,6 +96,27 @@ def test_remaining_offsets_name_camera_that_is_late() -> None:
     assert found[2].frames == pytest.approx(2.0, abs=0.25)
     still = cut_take(alone(Gesture.IDLE), 1, (0, 0, 2))
     assert remaining_offsets(still.cameras, still.times, still.detections, still.joints) == ()
+
+
+def test_pairs_of_many_cameras_are_few_and_link_all() -> None:
+    take = cut_take(shortened("store", 4.0), 1, (0,) * 12)
+    motions = find_motions(take.cameras, take.times, take.detections, take.joints)
+    pairs = strongest_pairs(motions, 12)
+    assert 11 <= len(pairs) <= 12 * MAX_PAIRS
+    reached = {0}
+    for _ in pairs:
+        reached |= {camera for pair in pairs if reached & set(pair) for camera in pair}
+    assert reached == set(range(12))
+    # Cameras that see nobody are linked too.
+    assert strongest_pairs([], 3) == [(0, 1), (0, 2), (1, 2)]
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_remaining_offsets_of_many_cameras_equal_declared_ones(late: int) -> None:
+    take = cut_take(shortened("store", 6.0), 1, (0, 0, 0, 0, 0, late, 0, 0))
+    found = remaining_offsets(take.cameras, take.times, take.detections, take.joints)
+    assert [one.is_wrong for one in found] == [late > 0 and number == 5 for number in range(8)]
+    assert found[5].frames == pytest.approx(late, abs=0.25)
 
 
 def test_pictures_show_valley_at_offset() -> None:
