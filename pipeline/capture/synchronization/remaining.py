@@ -23,7 +23,7 @@ _PARTNERS = 3
 MAX_PAIRS = _PARTNERS + 1
 """Largest number of pairs a camera that are compared."""
 # Instants of all matches, and steps, that tell whether declared times are right.
-_INSTANTS, _STEPS = 2000, 4
+_INSTANTS, _STEPS = 8000, 3
 # Share of the joints in motion that agree at the declared times: 0.6 to 0.8 if they are right, 0.45 if a camera is late
 # by a frame and a half.
 _AGREES = 0.5

@@ -47,7 +47,7 @@ def hanging_cameras(turns_deg: Mapping[str, float]) -> Iterator[Finding]:
 _NUM_PARTS, _PART_S = 3, 20.0
 # Comparisons of two bodies in a second that take some seconds together, ten times as many if cameras are late; and the
 # least time that tells anything.
-_MAX_COMPARISONS, _SHORTEST_S = 12_500.0, 4.0
+_MAX_COMPARISONS, _SHORTEST_S = 20_000.0, 4.0
 
 
 DetectionsNear = Callable[[Sequence[range]], Sequence[DetectionsByCamera]]
