@@ -11,7 +11,9 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.laboratory.laboratory_files import with_laboratory
 from pipeline.capture.points import SessionMaker
-from pipeline.capture.preflight_npz import decode_keypoints, encode_keypoints
+from pipeline.capture.preflight_npz import decode_keypoints, decode_session, encode_keypoints, encode_session
+from pipeline.capture.session import CaptureSession
+from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.errors import InputError
 from pipeline.motion.laboratory.plates import plate_corners_m
@@ -93,24 +95,24 @@ def test_channel_without_two_levels_is_no_trigger(samples: np.ndarray, tmp_path:
 
 def test_timecode_beside_a_video(tmp_path: Path) -> None:
     """The file begins 2 frames after midnight, the video 25 frames before it."""
-    rate = Fraction(25)
-    time_s = timecode_s("23:59:59:00", rate)
+    time_s = timecode_s("23:59:59:00", Fraction(25))
     assert time_s is not None
-    none = np.zeros(0, np.int64)
-    video = VideoInfo(Path("a.mp4"), "h264", (4, 4), 0, none, none, np.zeros(0), 25.0, timecode=Timecode(time_s, 25.0))
-
-    class Filmed:
-        """Session of a video with timecode."""
-
-        camera_videos, starts_s, findings = {"a": video}, {"a": 0.5}, ()
-
-    given = read(tmp_path, PLATES, {"TRIAL": {"TIMECODE": ["00:00:00:02"]}}, clock="contacts")
-    from pipeline.capture.laboratory import laboratory_files  # noqa: PLC0415
-
-    start = laboratory_files._by_timecode(Filmed(), given)  # type: ignore[arg-type]
-    assert start is not None
-    assert start.clock == "timecode"
-    assert start.time_s == pytest.approx(0.5 + 27 / 25.0)
+    pts = np.arange(25)
+    of_video = Timecode(time_s, 25.0)
+    video = VideoInfo(Path("cam0.mp4"), "h264", (4, 4), 0, pts, pts[:1], pts / 25.0, 25.0, timecode=of_video)
+    (camera,) = ring_of(1)
+    filmed = CaptureSession((camera,), (video,), {camera.name: FrameTimes(0.5 + pts / 25.0)}, ())
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(c3d_bytes(PLATES, {"TRIAL": {"TIMECODE": ["00:00:00:02"]}}))
+    for clock in ("timecode", "auto"):
+        given = with_laboratory(filmed, path, clock)
+        stored = decode_session(encode_session(given), tmp_path).laboratory
+        for laboratory in (given.laboratory, stored):
+            assert laboratory is not None
+            assert laboratory.start is not None
+            assert laboratory.start.clock == "timecode"
+            assert laboratory.start.time_s == pytest.approx(0.5 + 27 / 25.0)
+            assert laboratory.start.sigma_s == pytest.approx(0.04 / np.sqrt(12.0))
 
 
 def test_timecode_that_is_missing_is_named(tmp_path: Path) -> None:
