@@ -19,7 +19,8 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     path = context.scratch / "people.npz"
     if context.facts.has_points:
         points = require_kind(context.session(), PointSession).restricted(context.config.frames)
-        write_people(path, People(points.people, [unseen(track) for track in points.people]))
+        people = People(points.people, [unseen(track) for track in points.people])
+        write_people(path, people, joints=points.joints)
         context.on_share(task)(1.0)
         return stage.Output(path.read_bytes())
     session = wanted_frames(context, context.outline())
