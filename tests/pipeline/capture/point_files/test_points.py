@@ -25,6 +25,7 @@ from pipeline.capture.point_files.point_names import find_joints, hip_centers_m
 from pipeline.capture.point_files.read_points import answer, nearest_rotations, point_readers
 from pipeline.capture.points import read_names
 from pipeline.capture.preflight_npz import decode_points, encode_points
+from pipeline.core.options.edits import Describe, PersonAt
 from pipeline.core.runtime.npz import decode_arrays
 from pipeline.motion.angles.compute import joint_angles, segments_from
 from pipeline.motion.angles.definitions import ANGLE_NAMES, RIGHT_FRONT_UP, SEGMENT_LABELS
@@ -343,3 +344,15 @@ def test_matrices_that_are_no_rotations_are_unknown() -> None:
     )
     known = np.isfinite(nearest_rotations(matrices, 6)).all((1, 2))
     assert known.tolist() == [True, False, False, False, False, False]
+
+
+def test_mass_of_person_is_in_files_of_that_person(take: Path, tmp_path: Path) -> None:
+    session = Session.from_files([take / "person-1.csv", take / "person-2.csv"])
+    hips_m = np.mean([located_m(session)[f"{side}_hip"][0, 0] for side in ("left", "right")], axis=0)
+    place = PersonAt(frame=0, place_m=(float(hips_m[0]), float(hips_m[1]), float(hips_m[2])))
+    edits = (Describe(person=place, sex="male", mass_kg=90.0),)
+    written = reconstruct_to_files(session, tmp_path, ReconstructionConfig(exports=("csv",), edits=edits))
+    heads = [(tmp_path / f"person-{k}.balance.csv").read_text().splitlines()[0] for k in (1, 2)]
+    assert ["kg_m_s" in head for head in heads] == [True, False]
+    masses = [person["balance"]["mass_kg"] for person in written.metrics["people"]]
+    assert masses == [90.0, None]
