@@ -286,16 +286,24 @@ def _session(
     """Put a session together; raises ``InputError`` with the problems that were found."""
     if problems or joints is None or timebase is None:
         raise InputError(problems)
-    findings += [
-        Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw no people.", camera, hint="Check the detector's output.")
-        for camera, by_frame in people.items()
-        if not sum(map(len, by_frame.values()))
-    ]
     num_joints, (names, own_by_camera) = len(joints.names), own
     if names:
         shown = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
         message = f"{len(names)} points of the files are no joints; they are followed as points of your own: {shown}."
         findings.append(Finding(KEYPOINTS_FORM, message, severity="info", evidence={"points": list(names)}))
+    has_animals = any(map(len, (rows for points in own_by_camera.values() for rows in points.of_animals)))
+    if has_animals:
+        message = (
+            "Shoulders or hips have no point: rows are followed as animals, by cross-view tracking. They get points in "
+            "3D with deviations, and no skeleton fit, joint angles, identity, or clustering."
+        )
+        hint = "If they are people, name the points like left_shoulder and right_hip."
+        findings.append(Finding(KEYPOINTS_FORM, message, hint=hint))
+    findings += [
+        Finding(CAMERA_SAW_NOBODY, f"Camera {camera} saw no people.", camera, hint="Check the detector's output.")
+        for camera, by_frame in people.items()
+        if not sum(map(len, by_frame.values())) and not has_animals
+    ]
     return KeypointSession(
         cameras=tuple(camera for camera in cameras if camera.name in people),
         times=times,
@@ -307,7 +315,7 @@ def _session(
             names,
             *(
                 {camera: _as_detections(camera, part[k], len(names)) for camera, part in own_by_camera.items()}
-                for k in range(2)
+                for k in range(3)
             ),
         ),
         joints=joints,

@@ -29,6 +29,8 @@ from pipeline.video.info import VideoInfo
 
 DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
 """Arrays of ``Detections`` in archives."""
+# Heads of the names of arrays of own points.
+_OWN = ("own_", "scene_", "animal_")
 
 
 def _cameras(cameras: Sequence[Camera]) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
@@ -194,8 +196,8 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         arrays[f"time_s_{k}"] = session.times[camera.name].time_s
         arrays |= {f"{name}_{k}": getattr(found, name) for name in DETECTION_ARRAYS}
         if session.own.names:
-            for kind, own in (("own", session.own.of_bodies), ("scene", session.own.of_scene)):
-                arrays |= {f"{kind}_{name}_{k}": getattr(own[camera.name], name) for name in DETECTION_ARRAYS}
+            for kind, own in zip(_OWN, session.own.kinds, strict=True):
+                arrays |= {f"{kind}{name}_{k}": getattr(own[camera.name], name) for name in DETECTION_ARRAYS}
     return encode_arrays(arrays)
 
 
@@ -249,7 +251,7 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         timebase=Timebase(**head["timebase"]),
         detections=detections(),
-        own=OwnDetections(own, detections("own_"), detections("scene_")) if own else OwnDetections(),
+        own=OwnDetections(own, *map(detections, _OWN)) if own else OwnDetections(),
         joints=_joint_set(head["joints"]),
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),

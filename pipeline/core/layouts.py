@@ -28,6 +28,11 @@ class KeypointLayout:
     own: tuple[tuple[int, str], ...] = ()  # Places and names of points that are no joints of ours
 
     @property
+    def has_people(self) -> bool:
+        """Whether any point is a joint of ours; else the points are an animal's."""
+        return any(point is not None for point in self.points)
+
+    @property
     def indices(self) -> list[int]:
         """Point of each joint of ``joints``, as an index for the layout's arrays."""
         return [self.points.index(name) for name in self.joints.names]

@@ -1,7 +1,7 @@
 """Points of the user's own in keypoint files: their names, and their way beside the joints of people.
 
 Until scores and positions have their units, own points of a frame are columns behind the joints of its people, and
-points of no person are a last row.
+points of no person are a last row, behind rows of animals, which have no joints.
 """
 
 import re
@@ -27,6 +27,7 @@ class OwnPoints(NamedTuple):
     names: tuple[str, ...]
     of_people: Float[np.ndarray, "people points 3"]  # Points of the people with a detected joint
     of_scene: Float[np.ndarray, "rows points 3"]  # Points of rows without a detected joint
+    of_animals: Float[np.ndarray, "rows points 3"]  # Points of rows whose points are all own points
 
 
 def point_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -65,13 +66,17 @@ def with_own(
         return dict(frames), names
     extended: dict[int, People] = {}
     for number, people in frames.items():
-        joined = np.zeros((len(people) + 1, people.shape[1] + len(names), 3))
-        joined[:-1, : people.shape[1]] = people
-        places = joined[:, people.shape[1] :]
+        num_animals = sum(len(points.of_animals) for points in own.get(number, ()))
+        joined = np.zeros((len(people) + num_animals + 1, people.shape[1] + len(names), 3))
+        joined[: len(people), : people.shape[1]] = people
+        places, row_of_animal = joined[:, people.shape[1] :], len(people)
         for points in own.get(number, ()):
             columns = [names.index(name) for name in points.names]
             if len(points.of_people):
-                places[:-1, columns] = points.of_people
+                places[: len(people), columns] = points.of_people
+            rows = slice(row_of_animal, row_of_animal + len(points.of_animals))
+            places[rows, columns] = points.of_animals
+            row_of_animal = rows.stop
             for row in points.of_scene:
                 is_better = is_detected(row) & (row[:, 2] > places[-1, columns, 2])
                 places[-1, columns] = np.where(is_better[:, None], row, places[-1, columns])
@@ -84,6 +89,7 @@ class OwnFrames(NamedTuple):
 
     of_people: Sequence[People]
     of_scene: Sequence[People]
+    of_animals: Sequence[People]
 
 
 def split_own(
@@ -94,11 +100,19 @@ def split_own(
     people: dict[int, People] = {}
     of_people: list[People] = []
     of_scene: list[People] = []
+    of_animals: list[People] = []
     for number, joined in frames.items():
-        people[number] = joined[:-1, :-num_own] if num_own else joined
-        points = np.zeros((len(people[number]) + 1, len(all_names), 3))
-        if num_own:
-            points[:, columns] = joined[:, -num_own:]
-        of_people.append(points[:-1])
+        if not num_own:
+            people[number] = joined
+            points = np.zeros((len(joined), len(all_names), 3))
+            for part, rows in ((of_people, points), (of_scene, points[:0]), (of_animals, points[:0])):
+                part.append(rows)
+            continue
+        points = np.zeros((len(joined), len(all_names), 3))
+        points[:, columns] = joined[:, -num_own:]
+        is_person = is_detected(joined[:-1, :-num_own]).any(-1)
+        people[number] = joined[:-1, :-num_own][is_person]
+        of_people.append(points[:-1][is_person])
+        of_animals.append(points[:-1][~is_person])
         of_scene.append(points[-1:] if is_detected(points[-1]).any() else points[:0])
-    return people, OwnFrames(of_people, of_scene)
+    return people, OwnFrames(of_people, of_scene, of_animals)

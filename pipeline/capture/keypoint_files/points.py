@@ -8,7 +8,14 @@ from functools import lru_cache
 import numpy as np
 
 from pipeline.capture.keypoint_files.own_points import OwnPoints, point_names
-from pipeline.capture.keypoint_files.people import KeypointsError, People, is_detected, with_detected_joints
+from pipeline.capture.keypoint_files.people import (
+    MAX_PEOPLE,
+    CrowdError,
+    KeypointsError,
+    People,
+    is_detected,
+    with_detected_joints,
+)
 from pipeline.core.joints import BODY_FEET, COCO_17, SIDES, without_hands
 from pipeline.core.layouts import FILE_LAYOUTS, LAYOUTS, KeypointLayout
 from pipeline.core.parsing import KEYPOINT_PX
@@ -77,7 +84,7 @@ def match_joint(name: str) -> str | None:
 def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with these names: joints of ``COCO_17``, with heels and big toes if one of them is named.
 
-    Other points are the user's own.
+    Other points are the user's own. Without any shoulder, or any hip, all points are the user's own, of animals.
 
     Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip is
     missing.
@@ -85,6 +92,11 @@ def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     if len(names) > _MAX_POINTS:
         raise KeypointsError(f"There are names of {len(names)} points; at most {_MAX_POINTS} are allowed.", field)
     points = tuple(match_joint(name) for name in names)
+    if names and len({joint.partition("_")[2] for joint in {*REQUIRED} & {*points}}) < len(REQUIRED) // len(SIDES):
+        name, count = Counter(names).most_common(1)[0]
+        if count > 1:
+            raise KeypointsError(f"Several points have the name {name[:_MAX_NAME]!r}.", field)
+        return KeypointLayout(f"named-{len(points)}", (None,) * len(points), COCO_17, _own(names, range(len(names))))
     used = [point for point in points if point is not None]
     for joint, count in Counter(used).items():
         if count > 1:
@@ -95,8 +107,11 @@ def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
         raise KeypointsError(message, field)
     joints = COCO_17 if set(used) <= set(COCO_17.names) else BODY_FEET
     others = [place for place, point in enumerate(points) if point is None]
-    own = tuple(zip(others, point_names([names[place] for place in others]), strict=True))
-    return KeypointLayout(f"named-{len(points)}", points, joints, own)
+    return KeypointLayout(f"named-{len(points)}", points, joints, _own(names, others))
+
+
+def _own(names: Sequence[str], places: Sequence[int]) -> tuple[tuple[int, str], ...]:
+    return tuple(zip(places, point_names([names[place] for place in places]), strict=True))
 
 
 CANDIDATES: Mapping[int, tuple[KeypointLayout, ...]] = {
@@ -158,18 +173,22 @@ class KeypointReading:
         if layout.own:
             places, names = zip(*layout.own, strict=True)
             own, is_person = points[:, places], is_detected(people).any(-1)
-            self.add_own(names, own[is_person], own[~is_person])
+            others, nothing = own[~is_person], own[:0]
+            others = others[is_detected(others).any(-1)]
+            self.add_own(names, own[is_person], *((others, nothing) if layout.has_people else (nothing, others)))
         return with_detected_joints(people)
 
-    def add_own(self, names: Sequence[str], of_people: People, of_scene: People) -> None:
+    def add_own(self, names: Sequence[str], of_people: People, of_scene: People, of_animals: People) -> None:
         """Note points of the user's own in the frame that is read.
 
-        Raises ``KeypointsError`` if a point is not within the limits.
+        Raises ``KeypointsError`` if a point is not within the limits, ``CrowdError`` if there are too many animals.
         """
-        for own in (of_people, of_scene):
+        if len(of_animals) > MAX_PEOPLE:
+            raise CrowdError(len(of_animals))
+        for own in (of_people, of_scene, of_animals):
             if not KEYPOINT_PX.holds(own[is_detected(own), :2]):
                 raise KeypointsError(f"A coordinate of a point is not within {KEYPOINT_PX}.")
-        self._own.append(OwnPoints(tuple(names), of_people, of_scene))
+        self._own.append(OwnPoints(tuple(names), of_people, of_scene, of_animals))
 
     def take_own(self) -> Sequence[OwnPoints]:
         """Points noted since the last call, each once."""

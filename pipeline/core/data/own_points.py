@@ -19,14 +19,20 @@ class OwnDetections:
     names: tuple[str, ...] = ()  # Names of the points, in the order of the arrays
     of_bodies: Mapping[str, Detections] = field(default_factory=dict)  # By camera; the rows of the session's bodies
     of_scene: Mapping[str, Detections] = field(default_factory=dict)  # By camera; a row a frame, points without a body
+    # By camera; rows of bodies that are no people's, whose points are all own points: animals
+    of_animals: Mapping[str, Detections] = field(default_factory=dict)
 
     def within(self, frames: Mapping[str, range]) -> "OwnDetections":
         """Select ranges of the cameras' frame numbers."""
-        of_bodies, of_scene = (
-            {camera: detections.within(frames[camera]) for camera, detections in some.items()}
-            for some in (self.of_bodies, self.of_scene)
+        parts = (
+            {camera: detections.within(frames[camera]) for camera, detections in some.items()} for some in self.kinds
         )
-        return replace(self, of_bodies=of_bodies, of_scene=of_scene)
+        return OwnDetections(self.names, *parts)
+
+    @property
+    def kinds(self) -> tuple[Mapping[str, Detections], ...]:
+        """Points by what they are listed with."""
+        return self.of_bodies, self.of_scene, self.of_animals
 
 
 class SceneObject(NamedTuple):

@@ -100,10 +100,12 @@ def _with_own_points(context: stage.Context, take: Reconstruction, frames: range
         derive_parameters(session.cameras, session.timebase.frame_rate_hz),
     )
     objects = {thing.name for thing in own.objects}
+    animals = [thing.name for thing in own.objects if thing.name not in session.own.names]
     parts = {
+        "are animals": animals,
         "belong to people": own.names,
         "are objects": [name for name in session.own.names if name in objects],
-        "were not located": [name for name in session.own.names if name not in {*own.names, *objects}],
+        "were not located": [name for name in session.own.names if name not in {*own.names, *objects} and not animals],
     }
     shown = "; ".join(f"{listed_names(names)} {what}" for what, names in parts.items() if names)
     finding = Finding(KEYPOINTS_FORM, f"Points of your own: {shown}.", severity="info")

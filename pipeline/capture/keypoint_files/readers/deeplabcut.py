@@ -115,7 +115,7 @@ def read_frame(content: tuple[Columns, str], reading: KeypointReading) -> People
             raise KeypointsError(message, columns.names[k]) from None
     if columns.scene:
         scene = columns.points(values, columns.scene_number)
-        reading.add_own(columns.scene, scene[None][:0], scene[None])
+        reading.add_own(columns.scene, scene[None][:0], scene[None], scene[None][:0])
     return reading.people(columns.points(values, columns.number), columns.layout)
 
 

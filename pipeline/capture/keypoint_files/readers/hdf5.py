@@ -78,7 +78,7 @@ def read_frame(content: tuple[PeopleByFrame, int], reading: KeypointReading) -> 
     tracks, number = content
     if tracks.scene_names:
         scene = tracks.scene[number][None]
-        reading.add_own(tracks.scene_names, scene[:0], scene)
+        reading.add_own(tracks.scene_names, scene[:0], scene, scene[:0])
     return reading.people(tracks.people[number], tracks.layout)
 
 
