@@ -17,7 +17,7 @@ from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional_by, entity_tag, require_tag
 from pipeline.core.errors import InputError
-from pipeline.core.options.edited_take import EditedPerson, EditOutcome, apply_edits, place_edits, require_places
+from pipeline.core.options.edited_take import EditedPerson, apply_edits, place_edits, require_places
 from pipeline.core.options.edits import MAX_EDITS, PeopleEdit, PersonSpan, Sex
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
@@ -110,17 +110,11 @@ class EditProblemOut(ResponseModel):
 
 
 class OutcomeOut(ResponseModel):
-    """EditOutcome of an edit in a run."""
+    """Outcome of an edit in a run."""
 
     person: int | None = Field(description="Number of `person` after all edits; null if there is none any more.")
     other: int | None = Field(description="Number of `other` after all edits; null if there is none any more.")
     problem: EditProblemOut | None = Field(description="Reason why it is not applied; null if it is.")
-
-    @classmethod
-    def from_outcome(cls, outcome: EditOutcome) -> Self:
-        """Build the response from an outcome."""
-        problem = None if outcome.problem is None else EditProblemOut.from_record(outcome.problem)
-        return cls(person=outcome.person, other=outcome.other, problem=problem)
 
 
 class RunEditsOut(ResponseModel):
@@ -133,9 +127,7 @@ class RunEditsOut(ResponseModel):
     people: tuple[EditedPersonOut, ...] = Field(description="People after all edits.")
     start_frame: int = Field(description=f"First frame that a cut keeps. {_NUMBERING}", examples=[0])
     stop_frame: int = Field(description=f"Frame after the last one that a cut keeps. {_NUMBERING}", examples=[300])
-    outcomes: tuple[OutcomeOut, ...] = Field(
-        description="EditOutcome of each edit; none if the run leaves the edits out."
-    )
+    outcomes: tuple[OutcomeOut, ...] = Field(description="Outcome of each edit; none if the run leaves the edits out.")
 
     @classmethod
     def from_run(cls, job: JobRecord, found: tuple[PersonSpan, ...], edits: tuple[PeopleEdit, ...]) -> Self:
@@ -155,7 +147,7 @@ class RunEditsOut(ResponseModel):
             people=tuple(EditedPersonOut.from_person(person, first) for person in take.people),
             start_frame=first + kept.start,
             stop_frame=first + kept.stop,
-            outcomes=tuple(map(OutcomeOut.from_outcome, take.outcomes)),
+            outcomes=tuple(map(OutcomeOut.from_record, take.outcomes)),
         )
 
 

@@ -76,7 +76,7 @@ class EditedPerson:
 
 @dataclass(frozen=True, slots=True)
 class EditOutcome:
-    """EditOutcome of an edit in a run.
+    """Outcome of an edit in a run.
 
     ``person`` and ``other`` are the numbers, after all edits, of the people whom it names; ``None``: no such person, or
     a new person who is gone. ``problem`` says why the edit is not applied; ``None``: it is.

@@ -90,6 +90,8 @@ def test_people_are_edited_and_edits_undone(capture: EditedCapture) -> None:
     assert run["people"][0] == {
         "id": 1,
         "name": "Anna",
+        "sex": None,
+        "mass_kg": None,
         "pieces": [
             {"person": 1, "start_frame": 0, "stop_frame": 20},
             {"person": 2, "start_frame": 20, "stop_frame": 50},
