@@ -31,6 +31,7 @@ from typing import Any, NoReturn, Self
 from pipeline.core.runtime import child_processes, parent_watch
 
 PROGRAMS = (
+    "pipeline.calibration.on_request",
     "pipeline.capture.keypoint_files.read_hdf5",
     "pipeline.capture.preflight",
     "pipeline.export.character.check_character",

@@ -158,6 +158,7 @@ def _start(settings: Settings) -> Services:
             settings.max_record_bytes,
             settings.preflight_memory_bytes,
             settings.character_command,
+            settings.calibration_command,
         ),
         turns=share_of_requests(),
         checks=threads_of_checks(settings.max_parallel_preflights, settings.preflight_wait_s),

@@ -205,6 +205,11 @@ class Settings(SharedSettings):
         default=tuple(module_command("pipeline.capture.preflight")),
         description="Program that checks a session's files, run in a child process.",
     )
+    calibration_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.calibration.on_request")),
+        description="Program that makes, writes and plans calibrations, run in a child process with the limits of a "
+        "session's check.",
+    )
     character_command: tuple[str, ...] = Field(
         default=tuple(module_command("pipeline.export.character.check_character")),
         description="Program that checks a character's file, run in a child process with the limits of a session's "

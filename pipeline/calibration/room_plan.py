@@ -8,6 +8,7 @@ size of the person in the picture. The covariance of a joint is the inverse of t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -119,6 +120,24 @@ def _probability(
     low = np.clip((_PERSON_M - points_m[..., 2]) / rise_m, 0.0, 1.0)
     hidden = np.clip(2 * _RADIUS_M * low * distance_m / (room_m[0] * room_m[1]), 0.0, 1.0)
     return np.asarray(inside * (1.0 - hidden) ** (num_people - 1))
+
+
+def plan_document(plan: RoomPlan) -> dict[str, Any]:
+    """Plan as JSON: covered share of the floor, and views and errors in the middles of nine parts of the floor."""
+    rows, columns = (np.array([1, 3, 5]) * len(places) // 6 for places in (plan.y_m, plan.x_m))
+    return {
+        "covered": round(plan.covered, 3),
+        "places": [
+            {
+                "x_m": round(float(plan.x_m[column]), 2),
+                "y_m": round(float(plan.y_m[row]), 2),
+                "views": round(float(plan.views[row, column]), 1),
+                "error_mm": None if np.isnan(error_mm := plan.error_mm[row, column]) else round(float(error_mm), 1),
+            }
+            for row in rows
+            for column in columns
+        ],
+    }
 
 
 def plan_svg(plan: RoomPlan, cameras: Sequence[Camera], room_m: tuple[float, float]) -> str:

@@ -19,11 +19,6 @@ def encode(cameras: Sequence[Camera]) -> bytes:
     return (json.dumps(_document(cameras), indent=1, allow_nan=False) + "\n").encode()
 
 
-def encodings(cameras: Sequence[Camera]) -> dict[str, str]:
-    """Encode cameras in every format; texts by name of the format."""
-    return {name: encoder(cameras).decode() for name, (_, encoder) in FORMATS.items()}
-
-
 def _document(cameras: Sequence[Camera]) -> dict[str, Any]:
     """Cameras as a JSON object of Multicap's own format; ``size_px`` is null for an unknown size."""
     return {
@@ -82,14 +77,6 @@ def encode_opencv(cameras: Sequence[Camera]) -> bytes:
         lines += _mapping(key, camera)
     return "\n".join([*lines, ""]).encode()
 
-
-FORMATS: Mapping[str, tuple[str, Callable[[Sequence[Camera]], bytes]]] = {
-    "multicap": (".json", encode),
-    "anipose": (".toml", encode_toml),
-    "caliscope": (".toml", encode_caliscope),
-    "opencv": (".yml", encode_opencv),
-}
-"""Ending and encoder of each format."""
 
 ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
     ".json": encode,

@@ -9,9 +9,8 @@
 checks the cameras against each other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies
 are stored in the folder as ``thumbnail_name`` says.
 
-With a calibration alone it checks that, and prints what it contains; with ``--scene`` it makes the calibration, with
-the lenses of ``--intrinsics`` if they are given. ``--videos`` without ``--calibration``, or with ``--intrinsics`` in
-its place, belong to a calibration that is to be made.
+With a calibration alone it checks that, and prints what it contains. ``--videos`` without ``--calibration``, or with
+``--intrinsics`` in its place, belong to a calibration that is to be made.
 """
 
 import argparse
@@ -31,10 +30,8 @@ from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
 from pipeline.calibration.contents import UNITS_M, Up
-from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
-from pipeline.calibration.registry import read_contents, read_intrinsics
-from pipeline.calibration.report import report_document
-from pipeline.calibration.write import encodings
+from pipeline.calibration.registry import read_contents
+from pipeline.calibration.write import encode
 from pipeline.capture import preflight_record
 from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
@@ -46,7 +43,6 @@ from pipeline.capture.preflight_npz import encode_keypoints, encode_points, enco
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
-from pipeline.core.options.job_choices import KnownPoint
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE
@@ -242,8 +238,6 @@ def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
 
 def _check(arguments: argparse.Namespace) -> dict[str, Any]:
     """Check the session, or the calibration, and build the answer."""
-    if arguments.scene:
-        return _calibrate_scene(arguments)
     if arguments.points:
         preflight, record = _check_points(arguments)
     elif not arguments.videos and not arguments.keypoints:
@@ -271,23 +265,8 @@ def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
         "units": contents.unit or arguments.units or "m",
         "axes": printable(contents.axes),
         "warnings": documents([*notes, *doubts]),
-        "files": encodings(contents.cameras),
+        "text": encode(contents.cameras).decode(),
     }
-
-
-def _calibrate_scene(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Make the calibration of a scene, which takes less time than the check of a file."""
-    scene = json.loads(arguments.scene.read_bytes())
-    points = [
-        KnownPoint(name, tuple(xyz_m), tuple(tuple(seen) for seen in seen_px))
-        for name, xyz_m, seen_px in scene["known_points"]
-    ]
-    sizes_px = {camera: (width, height) for camera, (width, height) in scene["sizes_px"].items()}
-    lenses = None if arguments.intrinsics is None else read_intrinsics(arguments.intrinsics).cameras
-    made = calibrate_scene(scene_cameras(points, sizes_px, lenses), points, lenses is not None, arguments.up)
-    report = report_document(made)
-    files, axes = encodings(made.cameras), f"{arguments.up.upper()} up"
-    return {"format": "known points", "units": "m", "axes": axes, "warnings": [], "files": files, "report": report}
 
 
 def _write_record(path: Path, record: bytes, content: str) -> None:
@@ -311,7 +290,6 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--names", default="{}", help="JSON object: joints by names of 3D points.")
     parser.add_argument("--calibration", type=Path)
     parser.add_argument("--intrinsics", type=Path, help="Calibration in place of --calibration; its poses don't count.")
-    parser.add_argument("--scene", type=Path, help="JSON of known points and sizes of pictures, to calibrate from.")
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
@@ -342,7 +320,7 @@ def main(words: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words)
     if not arguments.points:
         arguments.up = arguments.up or "z"
-    if not (arguments.calibration or arguments.videos or arguments.points or arguments.scene):
+    if not (arguments.calibration or arguments.videos or arguments.points):
         parser.error("name a calibration")
     message = "The check of the files needs more memory than the service allows."
     too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several, or lower its resolution.")

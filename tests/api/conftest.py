@@ -70,7 +70,7 @@ if problems:
     sys.exit(2)
 if kind is None:
     print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "warnings": [],
-                      "files": {"multicap": '{"cameras": []}'}}))
+                      "text": '{"cameras": []}'}))
     sys.exit(0)
 pathlib.Path(arguments[arguments.index("--record") + 1]).write_bytes(b"record")
 recordings = [said for one in arguments if one.startswith("--recordings=") for said in json.loads(one[13:])]
@@ -266,6 +266,7 @@ def make_settings(
             "data_dir": folder / "data",
             "broker_url": NO_BROKER,
             "preflight_command": preflight_command,
+            "calibration_command": warm_programs.command("pipeline.calibration.on_request"),
             "character_command": warm_programs.command("pipeline.export.character.check_character"),
             "max_file_bytes": 100_000,
             "max_keypoints_bytes": 50_000,

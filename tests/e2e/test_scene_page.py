@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, ViewportSize, expect
 
+from pipeline.calibration.write import encode
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
@@ -160,9 +161,10 @@ def test_marks_are_set_by_keys_alone_and_kept(page: Page, files: list[Path]) -> 
     still.press("Control+z")
     still.press("Control+z")
     expect(points.nth(0)).to_contain_text("640.0, 360.0 px")
-    saved = page.get_by_role("link", name="Save the marks").get_attribute("href")
-    assert saved is not None
-    assert saved.endswith("name%2Cx_m%2Cy_m%2Cz_m%2Ccamera%2Cx_px%2Cy_px%0Aa%2C0%2C0%2C0%2Ccam_01%2C640%2C360%0A")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save the marks").click()
+    assert saved.value.suggested_filename == "points.csv"
+    assert saved.value.path().read_text() == "name,x_m,y_m,z_m,camera,x_px,y_px\na,0,0,0,cam_01,640,360\n"
     # The marks stay while another view is open; a saved table has them, too.
     page.get_by_role("link", name="Calibrations", exact=True).click()
     page.go_back()
@@ -178,3 +180,29 @@ def test_file_that_browser_cannot_show_is_named(page: Page, tmp_path: Path) -> N
     (tmp_path / "cam_02.mp4").write_bytes(b"no video")
     page.get_by_label("Videos or pictures").set_input_files(tmp_path / "cam_02.mp4")
     expect(page.get_by_role("alert")).to_contain_text("can't show cam_02.mp4")
+
+
+def test_calibration_is_downloaded_in_formats_and_rig_is_planned(served: Served) -> None:
+    content = encode(CAMERAS)
+    served.client.post("/v1/calibrations", files=[("calibration", ("planned.json", content))]).raise_for_status()
+    with opened(f"{served.client.base_url}#/calibrations") as page:
+        page.get_by_label("Format of planned.json").select_option("Qualisys QCA")
+        with page.expect_download(timeout=WAIT_MS) as download:
+            page.get_by_role("button", name="Download planned.json").click()
+        assert download.value.suggested_filename == "planned.json.qca.txt"
+        assert "<calibration" in download.value.path().read_text()
+        plan = page.get_by_role("form", name="Plan a rig")
+        plan.get_by_label("People").fill("3")
+        plan.get_by_role("button", name="Plan").click()
+        expect(plan.get_by_role("status")).to_contain_text("of the floor is covered", timeout=WAIT_MS)
+        expect(plan.get_by_role("status")).to_contain_text("views of a joint, expected error")
+        picture = plan.get_by_role("img")
+        assert picture.evaluate("(image) => image.decode().then(() => image.naturalWidth)") > 0
+        look(page, "plan")
+        assert axe_findings(page) == []
+        plan.get_by_label("Cameras", exact=True).first.select_option(
+            label=plan.get_by_role("option").nth(1).inner_text()
+        )
+        expect(plan.get_by_label("Field of view")).to_be_disabled()
+        page.set_viewport_size(PHONE)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

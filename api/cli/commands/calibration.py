@@ -38,7 +38,7 @@ from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
 from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.room_plan import plan_room, plan_svg, planned_cameras
+from pipeline.calibration.room_plan import plan_document, plan_room, plan_svg, planned_cameras
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
@@ -283,22 +283,13 @@ def plan(
         if out is not None:
             with writing(out.name):
                 out.write_text(plan_svg(found, rig, floor_m), encoding="utf-8")
-    # The middles of nine parts of the floor.
-    rows, columns = (np.array([1, 3, 5]) * len(places) // 6 for places in (found.y_m, found.x_m))
-    places = [
-        {
-            "x_m": round(float(found.x_m[column]), 2),
-            "y_m": round(float(found.y_m[row]), 2),
-            "views": round(float(found.views[row, column]), 1),
-            "error_mm": None if np.isnan(error_mm := found.error_mm[row, column]) else round(float(error_mm), 1),
-        }
-        for row in rows
-        for column in columns
-    ]
+    document = plan_document(found)
     if as_json:
-        emit({"covered": round(found.covered, 3), "places": places, "cameras": camera_documents(rig)})
+        emit(document | {"cameras": camera_documents(rig)})
         return
-    print_table(("x, m", "y, m", "views", "error, mm"), (list(map(str, place.values())) for place in places))
+    print_table(
+        ("x, m", "y, m", "views", "error, mm"), (list(map(str, place.values())) for place in document["places"])
+    )
     console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
 
 

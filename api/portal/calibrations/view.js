@@ -1,14 +1,15 @@
 // View Calibrations: the stored ones to look at, download, rename and delete; a form to add one.
 
-import { call, persistently } from "../shared/api.js";
+import { call, persistently, readFile } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
 import { confirm, helpLink, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
-import { announce } from "../shared/page.js";
-import { distinct, readCalibrations } from "../shared/resources.js";
+import { announce, save } from "../shared/page.js";
+import { distinct, readCalibrations, usable } from "../shared/resources.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { COMMON } from "../shared/strings/common.js";
 import { AddForm } from "./add.js";
+import { RigPlan } from "./plan.js";
 
 const POLL_MS = 2000;
 const STATE_TONES = { queued: "wait", running: "run", canceling: "wait", canceled: "mute", failed: "bad", ready: "good" };
@@ -21,6 +22,7 @@ export function open(place, route, caller) {
   let timer = 0;
   let renamed = null; // id of the calibration whose name is being changed
   const problems = new Map();
+  const plan = new RigPlan(() => draw());
   const add = caller.scopes.includes("write") ? new AddForm({ changed: () => load(), draw: () => draw() }) : null;
 
   async function load() {
@@ -101,6 +103,18 @@ export function open(place, route, caller) {
       </table></div></details>`;
   }
 
+  // A format that can't hold a lens is refused, beside the calibration.
+  function downloadForm({ id, name, urls }) {
+    const submit = (event) => {
+      event.preventDefault();
+      const { value } = event.target.elements.format;
+      return act(id, async () => save(await readFile(`${urls.file}?format=${value}`)));
+    };
+    return html`<form class="actions" @submit=${submit}><select name="format" class="formats" aria-label=${CALIBRATIONS.formatOf(name)}>
+        ${Object.entries(CALIBRATIONS.formats).map(([format, label]) => html`<option value=${format}>${label}</option>`)}</select>
+      <button class="button small" aria-label=${CALIBRATIONS.downloadOf(name)}>${CALIBRATIONS.download}</button></form>`;
+  }
+
   function card(group) {
     const { newest: calibration, all } = group;
     const origin = calibration.method === "file" ? CALIBRATIONS.fromFile(calibration.source.file) : CALIBRATIONS.fromMethod[calibration.method];
@@ -114,7 +128,7 @@ export function open(place, route, caller) {
       ${warningList(calibration.warnings, COMMON.warningsOf(calibration.name))}
       ${calibration.cameras.length ? cameraTable(calibration) : nothing}
       <div class="actions">
-        ${calibration.urls.file ? Object.entries(CALIBRATIONS.formats).map(([format, label]) => html`<a class="button small" download href="${calibration.urls.file}?format=${format}" aria-label=${CALIBRATIONS.formatOf(calibration.name, label)}>${label}</a>`) : nothing}
+        ${calibration.urls.file ? downloadForm(calibration) : nothing}
         ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label=${COMMON.renameOf(calibration.name)} @click=${() => beginRename(calibration.id)}>${COMMON.rename}</button>
           <button type="button" class="button small danger-quiet" aria-label=${CALIBRATIONS.deleteOf(calibration.name)} @click=${() => remove(group)}>${COMMON.delete}</button>` : nothing}
       </div></li>`;
@@ -130,7 +144,7 @@ export function open(place, route, caller) {
           ${calibrations?.length === 0 ? html`<p class="panel empty">${CALIBRATIONS.none}</p>` : nothing}
           <ul class="list">${repeat(distinct(calibrations ?? []), ({ newest }) => newest.id, card)}</ul>
         </div>
-        ${add ? html`<div>${add.form()}</div>` : nothing}
+        <div class="list">${add?.form() ?? nothing}${plan.panel(usable(calibrations ?? []))}</div>
       </div>`, place);
   }
 

@@ -74,6 +74,7 @@ export class Picture {
   #look(still, pixel) {
     const context = this.#glass.getContext("2d");
     const [left, top] = pixel.map((value) => value + 0.5 - GLASS_RADIUS);
+    this.#glass.classList.toggle("left", left > still.size[0] / 2); // it does not hide the place
     context.imageSmoothingEnabled = false;
     context.fillRect(0, 0, GLASS_PX, GLASS_PX);
     context.drawImage(still.canvas, left, top, 2 * GLASS_RADIUS, 2 * GLASS_RADIUS, 0, 0, GLASS_PX, GLASS_PX);
@@ -132,7 +133,7 @@ export class Picture {
     const { camera, size, canvas } = still;
     const held = this.marks.of(camera).get(this.marks.held);
     if (held && !this.#isPressed) this.#look(still, held);
-    return html`<div class="stage"><div class="still" tabindex="0" role="application" aria-label=${SCENE.picture(camera)} aria-describedby="scene-keys"
+    return html`<div class="plate"><div class="still" tabindex="0" role="application" aria-label=${SCENE.picture(camera)} aria-describedby="scene-keys"
         @pointerdown=${(event) => this.#press(event, still)} @pointermove=${(event) => this.#drag(event, still)}
         @pointerup=${() => { this.#isPressed = false; this.changed(); }} @pointercancel=${() => { this.#isPressed = false; }}
         @keydown=${(event) => this.#key(event, still)}>${canvas}

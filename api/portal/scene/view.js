@@ -1,9 +1,9 @@
 // View Scene: known points are marked in a picture of each camera, and calibrate the cameras.
 
-import { addressed, call, jsonPart } from "../shared/api.js";
+import { call, jsonPart, readFile } from "../shared/api.js";
 import { stem } from "../shared/format.js";
 import { helpLink, html, nothing, problemBox, render, typed, warningList } from "../shared/lit.js";
-import { announce } from "../shared/page.js";
+import { announce, save } from "../shared/page.js";
 import { dated, readCalibrations } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
 import { SCENE } from "../shared/strings/scene.js";
@@ -58,7 +58,7 @@ export function open(place) {
     const sizes = Object.fromEntries(kept.stills.map(({ camera, size }) => [camera, size]));
     parts.append("spec", jsonPart({ method: "scene", known_points: marks.known(cameras()), sizes_px: sizes, ...(title && { name: title }) }));
     const chosen = lenses.find(({ id }) => id === lens);
-    if (chosen) parts.append("intrinsics", await (await fetch(addressed(chosen.urls.file))).blob(), "lenses.json");
+    if (chosen) parts.append("intrinsics", await readFile(chosen.urls.file), "lenses.json");
     return parts;
   }
 
@@ -113,7 +113,7 @@ export function open(place) {
         <input type="range" min="0" max=${still.duration_s} step="0.1" .value=${typed(still.time_s)} @change=${seek}></label>` : nothing}
       <div class="actions"><button type="button" class="button small" ?disabled=${!marks.canUndo} @click=${undo}>${SCENE.undo}</button>
         <button type="button" class="button small" ?disabled=${marks.held === null} @click=${() => { marks.remove(still.camera); draw(); }}>${SCENE.remove(marks.held ?? "")}</button>
-        <a class="button small" download="points.csv" href="data:text/csv;charset=utf-8,${encodeURIComponent(marks.table(cameras()))}">${SCENE.save}</a></div>
+        <button type="button" class="button small" @click=${() => save(new File([marks.table(cameras())], "points.csv"))}>${SCENE.save}</button></div>
       <p class="quiet" id="scene-keys">${SCENE.keys}</p>
       ${pointList(still)}</section>`;
   }

@@ -31,7 +31,7 @@ export function addressed(path) {
   return link === null ? path : `${path}${path.includes("?") ? "&" : "?"}link=${encodeURIComponent(link)}`;
 }
 
-async function send(path, { method = "GET", body, form, headers: more } = {}) {
+async function send(path, { method = "GET", body, form, headers: more, isFile = false } = {}) {
   const headers = { Accept: "application/json", ...more, ...(body !== undefined && { "Content-Type": "application/json" }) };
   let response;
   try {
@@ -39,6 +39,7 @@ async function send(path, { method = "GET", body, form, headers: more } = {}) {
   } catch {
     throw new RequestProblem(null);
   }
+  if (response.ok && isFile) return { answer: await response.blob(), response };
   const answer = response.status === 204 ? null : await response.json().catch(() => null);
   if (response.ok) return { answer, response };
   if (response.status === 401) signedOut.dispatchEvent(new Event("signedout"));
@@ -48,6 +49,12 @@ async function send(path, { method = "GET", body, form, headers: more } = {}) {
 // Answer's JSON; null of an empty answer. `signedOut` hears of requests that need a key.
 export async function call(path, options) {
   return (await send(path, options)).answer;
+}
+
+// A file of the service, with the name that it states.
+export async function readFile(path) {
+  const { answer, response } = await send(path, { isFile: true });
+  return new File([answer], decodeURIComponent(response.headers.get("Content-Disposition").split("''")[1]), { type: answer.type });
 }
 
 // Record with its entity tag, for a change by `If-Match`.

@@ -11,6 +11,13 @@ export function announce(text) {
   place.textContent = last;
 }
 
+// Save a file on the device.
+export function save(file) {
+  const link = Object.assign(document.createElement("a"), { download: file.name, href: URL.createObjectURL(file) });
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 // Title of the page: the share of a job that is done, if one is at work, and the view.
 
 let [title, share] = ["", null];

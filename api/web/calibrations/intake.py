@@ -1,12 +1,10 @@
 """Intake of calibrations: their form, what each method needs, the check of the files, and the job that makes one."""
 
 import contextlib
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
 from api.web.dependencies import POLL_AFTER_S, Services
@@ -223,22 +221,22 @@ async def _ready(
     part: str,
 ) -> CheckedCalibration:
     """Read a calibration file, or make the calibration of a scene, in a child process."""
-    arguments, source = [f"--up={spec.up}"], dict[str, Any]()
-    if spec.units is not None:
-        arguments.append(f"--units={spec.units}")
-    if spec.method == "file":
-        (file,) = form.files[CALIBRATION]
-        name, source = file.name, {"file": file.name}
-        arguments += ["--calibration", str(file.path)]
-    else:
-        points = [point.point() for point in spec.known_points]
-        name, source = f"scene, {len(points)} points", {_POINTS: list(map(asdict, points)), _SIZES: spec.sizes_px}
-        path = sent.folder / "scene.json"
-        scene = {_POINTS: list(map(astuple, points)), _SIZES: spec.sizes_px}
-        await run_in_threadpool(path.write_text, json.dumps(scene), "utf-8")
-        arguments += ["--scene", str(path), *(f"--intrinsics={file.path}" for file in form.files[INTRINSICS])]
+    folder, source = sent.folder, dict[str, Any]()
     try:
-        contents = await services.checks.run(owner, services.preflight.read_calibration, arguments, sent.folder)
+        if spec.method == "file":
+            (file,) = form.files[CALIBRATION]
+            name, source = file.name, {"file": file.name}
+            arguments = ["--calibration", str(file.path), f"--up={spec.up}"]
+            if spec.units is not None:
+                arguments.append(f"--units={spec.units}")
+            contents = await services.checks.run(owner, services.preflight.read_calibration, arguments, folder)
+        else:
+            points = [point.point() for point in spec.known_points]
+            name, source = f"scene, {len(points)} points", {_POINTS: list(map(asdict, points)), _SIZES: spec.sizes_px}
+            lenses = next((str(file.path) for file in form.files[INTRINSICS]), None)
+            scene = {_POINTS: list(map(astuple, points)), _SIZES: spec.sizes_px, INTRINSICS: lenses, "up": spec.up}
+            made = await services.checks.run(owner, services.preflight.calibration_task, "scene", scene, folder)
+            contents = CalibrationContents.model_validate(made)
     except InvalidFilesError as invalid:
         pointers = {field: _pointer(part, name) for field, name in ((_POINTS, _POINTS), ("size", _SIZES))}
         raise unprocessable(
@@ -249,7 +247,7 @@ async def _ready(
                 for item in invalid.errors
             ]
         ) from None
-    source |= contents.model_dump(mode="json", exclude={"files", "report"})
+    source |= contents.model_dump(mode="json", exclude={"text", "report"})
     return CheckedCalibration(spec, spec.name or name, ReadyCalibration(source, contents), upload_ids=upload_ids)
 
 

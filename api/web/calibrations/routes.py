@@ -1,9 +1,12 @@
-"""Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete."""
+"""Calibrations: send a file, make one from a board or from people, list, read, download, rename, delete; plan a rig."""
 
-from typing import Annotated
+import base64
+from typing import Annotated, Any
 from urllib.parse import quote
+from uuid import UUID
 
-from fastapi import APIRouter, Query, Response, status
+from fastapi import APIRouter, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
 from api.web.calibrations import intake
@@ -13,24 +16,27 @@ from api.web.calibrations.schemas import (
     CalibrationOut,
     CalibrationPage,
     Format,
+    RigPlan,
 )
 from api.web.contract.description import RETRY_AFTER, Resource, file_content, location, problems
 from api.web.dependencies import CalibrationId, Cursor, Limit, Services, ServicesDep
-from api.web.errors import ApiError
+from api.web.errors import ApiError, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.jobs.schemas import JobOut
-from api.web.sessions.receiving import Creation, Texts, add_creation
-from pipeline.core.problems.request_codes import NOT_FINISHED, NOT_FOUND
+from api.web.sessions.preflight import InvalidFilesError
+from api.web.sessions.receiving import Creation, Texts, add_creation, spool_folder
+from pipeline.core.problems.request_codes import NOT_FINISHED
 from worker.store.files.unneeded import remove_files
+from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
 # A route that takes JSON; the form has its own limits.
 small = APIRouter(prefix="/v1/calibrations", tags=["calibrations"], route_class=SmallBodyRoute)
 
 # JSON comes last: generators of clients read what is declared first.
-_FILE = file_content(("application/toml", "application/yaml", "application/json"))
+_FILE = file_content(("application/toml", "application/yaml", "application/xml", "application/zip", "application/json"))
 
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCalibration) -> Answer:
@@ -52,7 +58,7 @@ def _add_ready(
     with idempotent.records.transaction() as work:
         work.uploads.use(checked.upload_ids)
         calibration = work.calibrations.add(
-            checked.name, ready.source, contents.files, checked.spec.method, contents.report
+            checked.name, ready.source, contents.text, checked.spec.method, contents.report
         )
         headers = {"Location": f"/v1/calibrations/{calibration.id}"}
         answer = idempotent.store(
@@ -120,6 +126,36 @@ def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = N
     )
 
 
+@router.get("/plan", operation_id="planRig", summary="Plan a rig", responses=problems(404, 409, 422))
+async def plan_rig(
+    request: Request,
+    services: ServicesDep,
+    records: RecordsDep,
+    length_m: Annotated[float, Query(ge=1, le=100, description="Side of the floor along X.")],
+    width_m: Annotated[float, Query(ge=1, le=100, description="Side of the floor along Y.")],
+    cameras: Annotated[int, Query(ge=2, le=128, description="Number of cameras, evenly along the walls.")] = 4,
+    height_m: Annotated[float, Query(ge=0.1, le=50, description="Height of the cameras.")] = 2.5,
+    field_deg: Annotated[float, Query(ge=10, le=150, description="Horizontal field of view of the cameras.")] = 70.0,
+    people: Annotated[int, Query(ge=1, le=100, description="Number of people in the room.")] = 1,
+    calibration_id: Annotated[
+        UUID | None, Query(description="Calibration of cameras that stand already; the room's middle is its origin.")
+    ] = None,
+) -> RigPlan:
+    """Plan a rig: which part of a room it covers, how many cameras see a joint, and the expected error by place."""
+    text = None
+    if calibration_id is not None:
+        _, text = await run_in_threadpool(_stored, records, str(calibration_id))
+    arguments = {
+        "room_m": (length_m, width_m),
+        "cameras": cameras,
+        "height_m": height_m,
+        "field_deg": field_deg,
+        "size_px": (1920, 1080),
+        "people": people,
+    }
+    return RigPlan.model_validate(await _on_request(request, services, "plan", arguments, text))
+
+
 @router.get(
     "/{calibration_id}",
     operation_id="getCalibration",
@@ -146,21 +182,47 @@ def get_calibration(calibration_id: CalibrationId, records: RecordsDep, if_none_
         **problems(404, 409, 422),
     },
 )
-def get_calibration_file(
+async def get_calibration_file(
+    request: Request,
     calibration_id: CalibrationId,
+    services: ServicesDep,
     records: RecordsDep,
     file_format: Annotated[Format, Query(alias="format", description="Format of the file.")] = "multicap",
 ) -> Response:
-    """Download a calibration, in metres: Multicap's JSON, anipose's or Caliscope's TOML, or OpenCV's YAML."""
-    calibration = records.calibrations.get(calibration_id)
-    if calibration.files is None:
-        raise ApiError(NOT_FINISHED, "The calibration is not made yet.", hint="Wait for its job.")
-    if file_format not in calibration.files:
-        raise ApiError(NOT_FOUND, f"The format {file_format} can't hold this calibration.")
+    """Download a calibration for Multicap or another program, in the unit and the axes of the program."""
+    name, text = await run_in_threadpool(_stored, records, calibration_id)
+    content = text.encode()
+    if file_format != "multicap":
+        answer = await _on_request(request, services, "file", {"to": file_format}, text)
+        content = base64.b64decode(answer["content"])
     ending, media_type = MEDIA_TYPES[file_format]
-    name = quote(f"{calibration.name}.{ending}", safe="")
-    headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f"attachment; filename*=utf-8''{name}"}
-    return Response(calibration.files[file_format], headers=headers, media_type=media_type)
+    quoted = quote(f"{name}.{ending}", safe="")
+    headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f"attachment; filename*=utf-8''{quoted}"}
+    return Response(content, headers=headers, media_type=media_type)
+
+
+def _stored(records: TenantRecords, calibration_id: str) -> tuple[str, str]:
+    """Name and text of a calibration."""
+    calibration = records.calibrations.get(calibration_id)
+    if calibration.text is None:
+        raise ApiError(NOT_FINISHED, "The calibration is not made yet.", hint="Wait for its job.")
+    return calibration.name, calibration.text
+
+
+async def _on_request(
+    request: Request, services: Services, task: str, arguments: dict[str, Any], text: str | None
+) -> dict[str, Any]:
+    """Do a task in a child process, which gets the text of a calibration as a file."""
+    async with spool_folder(services.settings.spool_dir) as folder:
+        path = folder / "calibration.json"
+        if text is not None:
+            await run_in_threadpool(path.write_text, text, "utf-8")
+        arguments = {**arguments, "calibration": None if text is None else str(path)}
+        owner = request.state.caller.owner
+        try:
+            return await services.checks.run(owner, services.preflight.calibration_task, task, arguments, folder)
+        except InvalidFilesError as invalid:
+            raise unprocessable(list(invalid.errors)) from None
 
 
 @small.patch(

@@ -17,13 +17,32 @@ from worker.store.model.session_records import Calibration
 from worker.store.model.states import JobState
 
 Method = Literal["file", "board", "people", "scene"]
-Format = Literal["multicap", "anipose", "caliscope", "opencv"]
+Format = Literal[
+    "multicap",
+    "anipose",
+    "caliscope",
+    "opencv",
+    "freemocap",
+    "qca",
+    "opencap",
+    "easymocap",
+    "colmap",
+    "kalibr",
+    "mamma",
+]
 LensModel = Literal["standard", "fisheye"]
 MEDIA_TYPES: dict[Format, tuple[str, str]] = {
     "multicap": ("json", "application/json"),
     "anipose": ("toml", "application/toml"),
     "caliscope": ("toml", "application/toml"),
     "opencv": ("yml", "application/yaml"),
+    "freemocap": ("toml", "application/toml"),
+    "qca": ("qca.txt", "application/xml"),
+    "opencap": ("zip", "application/zip"),
+    "easymocap": ("zip", "application/zip"),
+    "colmap": ("zip", "application/zip"),
+    "kalibr": ("yaml", "application/yaml"),
+    "mamma": ("yaml", "application/yaml"),
 }
 """Ending and media type of each format."""
 
@@ -230,8 +249,8 @@ class CalibrationOut(ResponseModel):
     def from_calibration(cls, calibration: Calibration) -> Self:
         """Build the response from a calibration."""
         address = f"/v1/calibrations/{calibration.id}"
-        is_ready, has_job = calibration.files is not None, calibration.job_state is not None
-        text = None if calibration.files is None else calibration.files["multicap"]
+        is_ready, has_job = calibration.text is not None, calibration.job_state is not None
+        text = calibration.text
         warnings = (calibration.report or calibration.source).get("warnings", ())
         return cls.from_record(
             calibration,
@@ -248,6 +267,27 @@ class CalibrationOut(ResponseModel):
                 session=f"/v1/sessions/{calibration.session_id}" if calibration.session_id and has_job else None,
             ),
         )
+
+
+class PlannedPlace(ResponseModel):
+    """Place of a person in a planned room, whose middle is the origin."""
+
+    x_m: float = Field(description="Place along X.", examples=[-2.6])
+    y_m: float = Field(description="Place along Y.", examples=[1.9])
+    views: float = Field(description="Expected number of views of a joint.", examples=[4.2])
+    error_mm: float | None = Field(
+        description="Expected error of a joint; null where it has fewer than two views.", examples=[12.5]
+    )
+
+
+class RigPlan(ResponseModel):
+    """Plan of a rig."""
+
+    covered: float = Field(description="Share of the floor at which all joints are located.", examples=[0.86])
+    places: tuple[PlannedPlace, ...] = Field(description="Middles of nine parts of the floor.")
+    picture: str = Field(
+        description="SVG document: the room from above, with expected errors as colours.", examples=["<svg></svg>"]
+    )
 
 
 class CalibrationPage(ResponseModel):

@@ -56,22 +56,22 @@ async def _sent_calibration(
     except InvalidFilesError as invalid:
         errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
         raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
-    return contents.files["multicap"]
+    return contents.text
 
 
 def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
     pointer = "/calibration_id"
     try:
-        files = records.calibrations.get(calibration_id).files
+        text = records.calibrations.get(calibration_id).text
     except NotFound:
         message = "There is no such calibration."
         item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
         raise SocketProblem(LIVE_FIELDS, message, errors=[item]) from None
-    if files is None:
+    if text is None:
         message = "The calibration is not made yet."
         item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
         raise SocketProblem(LIVE_FIELDS, message, errors=[item])
-    return files["multicap"]
+    return text
 
 
 def _program(services: Services) -> PreflightProgram:

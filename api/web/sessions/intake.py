@@ -213,7 +213,7 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
         return arrival.with_error(
             ErrorItem(code=request_codes.CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint)
         )
-    if (files := calibration.files) is None:
+    if (text := calibration.text) is None:
         message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
         return arrival.with_error(
             ErrorItem(code=request_codes.CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint)
@@ -224,7 +224,7 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
             ErrorItem(code=request_codes.CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint)
         )
     name = f"calibration-{arrival.calibration_id}.json"
-    path, content = folder / name, files["multicap"].encode()
+    path, content = folder / name, text.encode()
     path.write_bytes(content)
     file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
     return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, form_kinds.CALIBRATION: (file,)}))

@@ -1,8 +1,8 @@
 """Preflight: the check of a client's files in a child process with limits on time, memory and output.
 
-The web API never opens a client's file. The programs ``python -m pipeline.capture.preflight`` and ``python -m
-pipeline.export.character.check_character`` open them and print one JSON object: what they contain, or
-``{"problems": [...]}``.
+The web API never opens a client's file. The programs ``python -m pipeline.capture.preflight``,
+``pipeline.export.character.check_character`` and ``pipeline.calibration.on_request`` open them and print one JSON
+object: what they contain, or ``{"problems": [...]}``.
 """
 
 import errno
@@ -135,8 +135,8 @@ class CalibrationContents(BaseModel):
         See ``pipeline.calibration.contents.CameraFile``.
     warnings
         Findings about the file.
-    files
-        The calibration in metres: text by format.
+    text
+        The calibration in metres, in Multicap's format.
     report
         Report of a calibration that was made, see ``pipeline.calibration.report``; ``None`` of a file.
     """
@@ -147,7 +147,7 @@ class CalibrationContents(BaseModel):
     units: str
     axes: str
     warnings: tuple[Finding, ...]
-    files: dict[str, str]
+    text: str
     report: dict[str, Any] | None = None
 
 
@@ -212,8 +212,8 @@ class PreflightProgram:
         Largest size of a written file.
     max_memory_bytes
         Largest memory of the process.
-    character_command
-        Program of characters, with its first arguments.
+    character_command, calibration_command
+        Programs of characters and of calibrations, with their first arguments.
     run
         Function that runs a program, see ``run_program``.
     """
@@ -224,6 +224,7 @@ class PreflightProgram:
     max_record_bytes: int
     max_memory_bytes: int
     character_command: tuple[str, ...] = ()
+    calibration_command: tuple[str, ...] = ()
     run: RunProgram = run_program
 
     def check(
@@ -288,6 +289,28 @@ class PreflightProgram:
             return CalibrationContents.model_validate_json(self._answer([*self.command, *arguments], folder, 0.0))
         except ValidationError:
             raise _failed() from None
+
+    def calibration_task(self, task: str, arguments: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+        """Do a task of ``pipeline.calibration.on_request``, with the arguments of its function.
+
+        Parameters
+        ----------
+        folder
+            Folder for temporary files, which the caller removes.
+
+        Returns
+        -------
+            What the program printed.
+
+        Raises
+        ------
+        InvalidFilesError, ApiError, OSError
+            As ``check``.
+        """
+        path = folder / "request.json"
+        path.write_text(json.dumps({"task": task, **arguments}), "utf-8")
+        answer: dict[str, Any] = json.loads(self._answer([*self.calibration_command, str(path)], folder, 0.0))
+        return answer
 
     def read_character(self, file: Path, corrections: Mapping[str, str | None], folder: Path) -> CharacterContents:
         """Read a character.

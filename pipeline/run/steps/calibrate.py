@@ -45,7 +45,7 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.board.views import BoardViews
     from pipeline.calibration.people.calibrate_people import calibrate_people
     from pipeline.calibration.report import report_document
-    from pipeline.calibration.write import encodings
+    from pipeline.calibration.write import encode
     from pipeline.run.engine.codec import output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.session_check.check_session import hanging_cameras
@@ -73,9 +73,9 @@ def calibrate(task: Task, context: Context) -> Output:
         views = list(output_records(context, FIND_BOARD, BoardViews))
         board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
         calibration = calibrate_board(views, board, given, rate_hz, on_share=on_share, known_points=making.known_points)
-    report, texts = report_document(calibration), encodings(calibration.cameras)
+    report, text = report_document(calibration), encode(calibration.cameras).decode()
     contents = {
-        "calibration.json": texts["multicap"],
+        "calibration.json": text,
         "report.json": json.dumps(report, indent=1) + "\n",
         **calibration.pictures,
     }
@@ -86,8 +86,8 @@ def calibrate(task: Task, context: Context) -> Output:
         kind = path.stem if path.suffix == ".json" else path.suffix.removeprefix(".")
         files.append(ResultFile(name, kind, None, _MEDIA_TYPES[path.suffix], path))
     warnings = tuple(from_problem(problem, "warning") for problem in listed(calibration.warnings))
-    made = {"files": texts, "report": report}
-    return Output(texts["multicap"].encode(), tuple(files), (*warnings, *hanging), calibration=made)
+    made = {"text": text, "report": report}
+    return Output(text.encode(), tuple(files), (*warnings, *hanging), calibration=made)
 
 
 BOARD_STAGE = Stage(

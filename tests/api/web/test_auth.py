@@ -136,7 +136,7 @@ def guarded(make_settings: Callable[..., Settings]) -> Iterator[Guarded]:
         records = live.services.store.tenant("theirs", actor=Actor(key.id))
         ids = {
             "character_id": character_of(live, records),
-            "calibration_id": records.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id,
+            "calibration_id": records.calibrations.add("Studio", {}, '{"cameras": []}').id,
             "session_id": session_id,
             "job_id": job_id,
             "name": "person-1.bvh",

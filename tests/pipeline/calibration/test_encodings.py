@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.calibration.program_files import PROGRAM_FORMATS
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.write import FORMATS
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError
 from tests.pipeline.calibration.readers import test_colmap, test_qca
@@ -16,7 +16,12 @@ from tests.pipeline.calibration.readers.rigs import RIG, assert_rig
 from tests.pipeline.calibration.readers.test_archive import biocv, write_zip
 
 XML = '<?xml version="1.0" encoding="UTF-8"?>'
-ENCODERS = pytest.mark.parametrize(("ending", "encoder"), FORMATS.values(), ids=FORMATS)
+TEXTS = ("multicap", "anipose", "caliscope", "opencv")
+ENCODERS = pytest.mark.parametrize(
+    ("ending", "encoder"),
+    [(PROGRAM_FORMATS[name].endings[0], PROGRAM_FORMATS[name].encode) for name in TEXTS],
+    ids=TEXTS,
+)
 Encoder = Callable[[Sequence[Camera]], bytes]
 
 

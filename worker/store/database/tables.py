@@ -171,9 +171,9 @@ calibrations = Table(
     Column("method", String(16), nullable=False),
     Column("created_at", UtcTimestamp, nullable=False),
     Column("source", JSON, nullable=False),  # file and what its format says, or choices of the calibration
-    Column("files", JSON(none_as_null=True)),  # text of the calibration by format; null until it is made
+    Column("text", String),  # in Multicap's format; null until it is made
     Column("report", JSON(none_as_null=True)),
-    Column("num_bytes", BigInteger, nullable=False),  # of files and report
+    Column("num_bytes", BigInteger, nullable=False),  # of text and report
     Column("session_id", String(36), index=True),  # from which it is made; it may be deleted
     Index(None, "tenant", "id"),
 )

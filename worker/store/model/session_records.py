@@ -144,7 +144,7 @@ class Calibration:
     created_at: datetime
     # Of a file its name, format, units, axes and notes; else the choices with which it is made
     source: Mapping[str, Any]
-    files: Mapping[str, str] | None  # Text by format; ``None`` until it is made
+    text: str | None  # The calibration in Multicap's format; ``None`` until it is made
     report: Mapping[str, Any] | None  # See ``pipeline.calibration.report.report_document``; ``None`` of a file
     session_id: str | None = None  # Session from which it is made; it may be deleted since
     # State and problem of the job that makes it; ``None`` of a file, or once the job is deleted
@@ -156,5 +156,5 @@ class Calibration:
 class MadeCalibration:
     """Calibration that a job has made; fields like ``Calibration``."""
 
-    files: Mapping[str, str]
+    text: str
     report: Mapping[str, Any]

@@ -29,7 +29,7 @@ class Calibrations(Repository):
         self,
         name: str,
         source: Mapping[str, Any],
-        files: Mapping[str, str],
+        text: str,
         method: str = "file",
         report: Mapping[str, Any] | None = None,
     ) -> Calibration:
@@ -37,7 +37,7 @@ class Calibrations(Repository):
 
         The arguments are like in ``session_records.Calibration``. Raises ``QuotaExceeded``.
         """
-        return self._insert(str(uuid7()), name, method, source, files, report=report)
+        return self._insert(str(uuid7()), name, method, source, text, report=report)
 
     def begin(self, job: JobRecord, name: str) -> Calibration:
         """Add the calibration that a job will make, in the transaction that adds the job."""
@@ -99,12 +99,12 @@ class Calibrations(Repository):
         name: str,
         method: str,
         source: Mapping[str, Any],
-        files: Mapping[str, str] | None,
+        text: str | None,
         session_id: str | None = None,
         report: Mapping[str, Any] | None = None,
     ) -> Calibration:
         access = self._access
-        num_bytes = _num_bytes(files) + _num_bytes(report)
+        num_bytes = _num_bytes(text, report)
         with access.writing() as connection:
             access.require_room(connection, stored_bytes=num_bytes)
             connection.execute(
@@ -115,7 +115,7 @@ class Calibrations(Repository):
                     method=method,
                     created_at=now(),
                     source=dict(source),
-                    files=None if files is None else dict(files),
+                    text=text,
                     report=None if report is None else dict(report),
                     num_bytes=num_bytes,
                     session_id=session_id,
@@ -134,18 +134,18 @@ class Calibrations(Repository):
 
 def complete(connection: Connection, job_id: str, made: MadeCalibration) -> None:
     """Store the calibration that a job has made, in the transaction that ends the job."""
-    values = {"files": dict(made.files), "report": dict(made.report)}
+    values = {"text": made.text, "report": dict(made.report)}
     chosen = update(calibrations).where(calibrations.c.id == job_id)
-    connection.execute(chosen.values(**values, num_bytes=_num_bytes(made.files) + _num_bytes(made.report)))
+    connection.execute(chosen.values(**values, num_bytes=_num_bytes(made.text, made.report)))
 
 
 def forget_unmade(connection: Connection, job_id: str) -> None:
     """Delete the calibration that a job was to make, and has not, in the transaction that deletes the job."""
-    connection.execute(delete(calibrations).where(calibrations.c.id == job_id, calibrations.c.files.is_(None)))
+    connection.execute(delete(calibrations).where(calibrations.c.id == job_id, calibrations.c.text.is_(None)))
 
 
-def _num_bytes(document: Mapping[str, Any] | None) -> int:
-    return 0 if document is None else len(json.dumps(document))
+def _num_bytes(text: str | None, report: Mapping[str, Any] | None) -> int:
+    return len((text or "").encode()) + (0 if report is None else len(json.dumps(report)))
 
 
 def _select() -> Select[Any]:

@@ -9,7 +9,9 @@ from uuid import uuid4
 
 import pytest
 
+from api.web.calibrations.schemas import MEDIA_TYPES
 from api.web.settings import Settings
+from pipeline.calibration.program_files import PROGRAM_FORMATS
 from tests.api.conftest import Live, form, problem_of, running
 from tests.warm_programs import WarmPrograms
 
@@ -85,6 +87,49 @@ def test_it_is_downloaded_in_other_formats(strict: Live) -> None:
     problem_of(strict.client.get(urls["file"], params={"format": "pickle"}), 422, "invalid_request")
 
 
+def test_every_format_is_read_back(strict: Live) -> None:
+    """What is downloaded for another program, sent again, has the same cameras."""
+    assert {name: known.endings[0].removeprefix(".") for name, known in PROGRAM_FORMATS.items()} | {
+        "opencv": "yml"
+    } == {name: ending for name, (ending, _) in MEDIA_TYPES.items()}
+    calibration = send(strict).json()
+    for file_format, (ending, media_type) in MEDIA_TYPES.items():
+        answer = strict.client.get(calibration["urls"]["file"], params={"format": file_format})
+        assert answer.headers["content-type"].startswith(media_type)
+        again = send(strict, answer.content, f"rig.{ending}")
+        assert again.status_code == 201, (file_format, again.text)
+        for found, expected in zip(again.json()["cameras"], calibration["cameras"], strict=True):
+            assert found["position_m"] == pytest.approx(expected["position_m"], abs=1e-5), file_format
+            assert found["matrix"][1] == pytest.approx(expected["matrix"][1]), file_format
+
+
+def test_format_that_cannot_hold_lens_or_size_is_refused(strict: Live) -> None:
+    cameras = [CAMERA | {"lens": "fisheye"}, CAMERA | {"name": "cam_1", "size_px": None}]
+    path = send(strict, json.dumps({"schema_version": 1, "cameras": cameras[:1]}).encode()).json()["urls"]["file"]
+    problem = problem_of(strict.client.get(path, params={"format": "qca"}), 422, "invalid_request")
+    assert [(error["code"], error["camera"]) for error in problem["errors"]] == [("unsupported_lens", "cam_0")]
+    path = send(strict, json.dumps({"schema_version": 1, "cameras": cameras}).encode()).json()["urls"]["file"]
+    problem = problem_of(strict.client.get(path, params={"format": "colmap"}), 422, "invalid_request")
+    assert [(error["code"], error["camera"]) for error in problem["errors"]] == [("invalid_size", "cam_1")]
+    assert strict.client.get(path).status_code == 200
+
+
+def test_rig_is_planned(strict: Live) -> None:
+    room = {"length_m": 8, "width_m": 6, "cameras": 6, "people": 3}
+    plan = strict.client.get("/v1/calibrations/plan", params=room).json()
+    assert 0.5 < plan["covered"] < 1.0
+    assert len(plan["places"]) == 9
+    assert plan["places"][4]["views"] > 5
+    assert plan["picture"].startswith("<svg")
+    calibration_id = send(strict).json()["id"]
+    stand = strict.client.get("/v1/calibrations/plan", params=room | {"calibration_id": calibration_id}).json()
+    # Both cameras have one place.
+    assert (stand["covered"], {place["error_mm"] for place in stand["places"]}) == (0.0, {None})
+    problem_of(strict.client.get("/v1/calibrations/plan", params={"length_m": 0, "cameras": 1}), 422, "invalid_request")
+    unknown = room | {"calibration_id": str(uuid4())}
+    problem_of(strict.client.get("/v1/calibrations/plan", params=unknown), 404, "not_found")
+
+
 def test_fisheye_stays_one(strict: Live) -> None:
     fisheye = CAMERA | {"lens": "fisheye"}
     calibration = send(strict, json.dumps({"schema_version": 1, "cameras": [fisheye]}).encode()).json()
@@ -153,7 +198,7 @@ def test_each_method_says_what_it_needs(strict: Live, spec: dict[str, Any], poin
 
 
 def test_session_names_calibration(live: Live) -> None:
-    calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
+    calibration_id = live.services.store.calibrations.add("Studio", {}, "{}").id
     parts = [*form()[:2], ("calibration_id", (None, calibration_id.encode()))]
     session = live.client.post("/v1/sessions", files=parts)
     assert session.status_code == 201, session.text
@@ -165,7 +210,7 @@ def test_session_names_calibration(live: Live) -> None:
 
 
 def test_session_has_one_calibration(live: Live) -> None:
-    calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
+    calibration_id = live.services.store.calibrations.add("Studio", {}, "{}").id
     both = [*form(), ("calibration_id", (None, calibration_id.encode()))]
     problem = problem_of(live.client.post("/v1/sessions", files=both), 422, "invalid_request")
     assert [one["pointer"] for one in problem["errors"]] == ["/calibration_id"]
@@ -178,7 +223,7 @@ def test_session_has_one_calibration(live: Live) -> None:
 
 
 def test_deleted_calibration_is_gone_and_its_sessions_stay(live: Live) -> None:
-    calibration_id = live.services.store.calibrations.add("Studio", {}, {"multicap": "{}"}).id
+    calibration_id = live.services.store.calibrations.add("Studio", {}, "{}").id
     parts = [*form()[:2], ("calibration_id", (None, calibration_id.encode()))]
     session = live.client.post("/v1/sessions", files=parts).json()
     address = f"/v1/calibrations/{calibration_id}"
@@ -189,7 +234,7 @@ def test_deleted_calibration_is_gone_and_its_sessions_stay(live: Live) -> None:
 
 
 def test_calibrations_come_in_pages(live: Live) -> None:
-    ids = [live.services.store.calibrations.add(f"{k}", {}, {"multicap": '{"cameras": []}'}).id for k in range(3)]
+    ids = [live.services.store.calibrations.add(f"{k}", {}, '{"cameras": []}').id for k in range(3)]
     first = live.client.get("/v1/calibrations", params={"limit": 2}).json()
     second = live.client.get("/v1/calibrations", params={"cursor": first["next_cursor"]}).json()
     assert [one["id"] for one in (*first["calibrations"], *second["calibrations"])][:3] == ids[::-1]

@@ -28,7 +28,7 @@ def calibration(arguments):
         print(json.dumps({"problems": [problem]}))
         return 2
     print(json.dumps({"format": "multicap", "units": "m", "axes": "Z up", "warnings": [],
-                      "files": {"multicap": json.dumps({"cameras": cameras})}}))
+                      "text": json.dumps({"cameras": cameras})}))
     return 0
 
 def answer(kind, content):

@@ -36,7 +36,7 @@ def test_action_is_recorded_with_actor(jobs: StoreBench) -> None:
 
 def test_calibration_rename_is_recorded(jobs: StoreBench) -> None:
     mine = jobs.store.tenant("mine", Quotas(), ACTOR)
-    made = mine.calibrations.add("Studio", {}, {"multicap": '{"cameras": []}'}).id
+    made = mine.calibrations.add("Studio", {}, '{"cameras": []}').id
     for name in ("Studio B", "Studio B"):  # the second time it is no change
         assert mine.calibrations.rename(made, name).name == "Studio B"
     acts = [event.act for event in jobs.store.audit.events("mine") if event.subject == made]
