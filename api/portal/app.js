@@ -23,6 +23,7 @@ const VIEWS = {
   record: () => import("./record/view.js"),
   live: () => import("./live/view.js"),
   calibrations: () => import("./calibrations/view.js"),
+  plan: () => import("./plan/view.js"),
   scene: () => import("./scene/view.js"),
   jobs: () => import("./jobs/view.js"),
 };

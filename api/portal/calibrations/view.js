@@ -4,12 +4,11 @@ import { call, persistently, readFile } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
 import { confirm, helpLink, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
-import { announce, save } from "../shared/page.js";
-import { distinct, readCalibrations, usable } from "../shared/resources.js";
+import { address, announce, save } from "../shared/page.js";
+import { distinct, readCalibrations } from "../shared/resources.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { COMMON } from "../shared/strings/common.js";
 import { AddForm } from "./add.js";
-import { RigPlan } from "./plan.js";
 
 const POLL_MS = 2000;
 const STATE_TONES = { queued: "wait", running: "run", canceling: "wait", canceled: "mute", failed: "bad", ready: "good" };
@@ -22,7 +21,6 @@ export function open(place, route, caller) {
   let timer = 0;
   let renamed = null; // id of the calibration whose name is being changed
   const problems = new Map();
-  const plan = new RigPlan(() => draw());
   const add = caller.scopes.includes("write") ? new AddForm({ changed: () => load(), draw: () => draw() }) : null;
 
   async function load() {
@@ -110,7 +108,7 @@ export function open(place, route, caller) {
       const { value } = event.target.elements.format;
       return act(id, async () => save(await readFile(`${urls.file}?format=${value}`)));
     };
-    return html`<form class="actions" @submit=${submit}><select name="format" class="formats" aria-label=${CALIBRATIONS.formatOf(name)}>
+    return html`<form class="download" @submit=${submit}><select name="format" aria-label=${CALIBRATIONS.formatOf(name)}>
         ${Object.entries(CALIBRATIONS.formats).map(([format, label]) => html`<option value=${format}>${label}</option>`)}</select>
       <button class="button small" aria-label=${CALIBRATIONS.downloadOf(name)}>${CALIBRATIONS.download}</button></form>`;
   }
@@ -144,7 +142,7 @@ export function open(place, route, caller) {
           ${calibrations?.length === 0 ? html`<p class="panel empty">${CALIBRATIONS.none}</p>` : nothing}
           <ul class="list">${repeat(distinct(calibrations ?? []), ({ newest }) => newest.id, card)}</ul>
         </div>
-        <div class="list">${add?.form() ?? nothing}${plan.panel(usable(calibrations ?? []))}</div>
+        <div class="list">${add?.form() ?? nothing}<p><a href=${address("plan")}>${CALIBRATIONS.plan}</a></p></div>
       </div>`, place);
   }
 

@@ -29,7 +29,7 @@ export function readTable(text) {
   return { points: [...points.values()], marks, wrong };
 }
 
-export class Marks {
+export class PointMarks {
   points = [];
   next = null; // name of the point that a click marks
   held = null; // name of the point whose mark the arrow keys move

@@ -55,7 +55,7 @@ const clamp = (pixel, size) => pixel.map((value, axis) => Math.min(Math.max(valu
 
 // Picture with its marks. `marks` are changed, and `changed()` hears of it; `fits` has the projections of the last calibration
 // by name of the point.
-export class Picture {
+export class MarkedPicture {
   #glass = Object.assign(document.createElement("canvas"), { width: GLASS_PX, height: GLASS_PX, className: "glass" });
   #isPressed = false;
 
@@ -135,7 +135,7 @@ export class Picture {
     if (held && !this.#isPressed) this.#look(still, held);
     return html`<div class="plate"><div class="still" tabindex="0" role="application" aria-label=${SCENE.picture(camera)} aria-describedby="scene-keys"
         @pointerdown=${(event) => this.#press(event, still)} @pointermove=${(event) => this.#drag(event, still)}
-        @pointerup=${() => { this.#isPressed = false; this.changed(); }} @pointercancel=${() => { this.#isPressed = false; }}
+        @pointerup=${() => { this.#isPressed = false; }} @pointercancel=${() => { this.#isPressed = false; }}
         @keydown=${(event) => this.#key(event, still)}>${canvas}
       <svg viewBox="0 0 ${size[0]} ${size[1]}" aria-hidden="true">${this.marks.marked(camera).map(({ name }) =>
         this.#mark(name, this.marks.of(camera).get(name), fits?.get(name), Math.max(...size) / 50))}</svg></div>

@@ -7,21 +7,27 @@ import { announce, save } from "../shared/page.js";
 import { dated, readCalibrations } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
 import { SCENE } from "../shared/strings/scene.js";
-import { Marks } from "./marks.js";
-import { Picture, Still } from "./picture.js";
+import { PointMarks } from "./marks.js";
+import { MarkedPicture, Still } from "./picture.js";
 
 // Marks are the work of minutes: they stay while the page is open.
-const kept = { stills: [], current: null, marks: new Marks(), text: "", made: null };
+const kept = { stills: [], current: null, marks: new PointMarks(), text: "", made: null, isMarkedSince: false };
 
 export function open(place) {
   const { marks } = kept;
-  const picture = new Picture(marks, () => draw());
+  const picture = new MarkedPicture(marks, () => changed());
   let isClosed = false;
   let isBusy = false;
   let problem = null;
   let unread = []; // names of files that the browser can't show
   let wrong = marks.read(kept.text);
   let lenses = [];
+
+  // Errors are of the marks that were sent.
+  function changed() {
+    kept.isMarkedSince = true;
+    draw();
+  }
 
   const cameras = () => kept.stills.map(({ camera }) => camera);
   const choose = (still) => {
@@ -49,6 +55,7 @@ export function open(place) {
   function readPoints(text) {
     kept.text = text;
     wrong = marks.read(text);
+    kept.isMarkedSince = true;
     choose(kept.current);
   }
 
@@ -73,7 +80,7 @@ export function open(place) {
       const made = await call("/v1/calibrations", { method: "POST", form: await form({ lens: lens.value, title: title.value.trim() }) });
       // Calibrating again replaces the calibration.
       if (kept.made) await call(kept.made.urls.self, { method: "DELETE" }).catch(() => null);
-      kept.made = made;
+      Object.assign(kept, { made, isMarkedSince: false });
       announce(SCENE.stored(made.name));
     } catch (refused) {
       problem = refused;
@@ -82,7 +89,7 @@ export function open(place) {
     draw();
   }
 
-  const fitsOf = (camera) => new Map(kept.made?.report.cameras.find(({ name }) => name === camera)?.points?.map((point) => [point.name, point]));
+  const fitsOf = (camera) => new Map(kept.isMarkedSince ? [] : kept.made?.report.cameras.find(({ name }) => name === camera)?.points?.map((point) => [point.name, point]));
 
   function pointList(still) {
     const fits = fitsOf(still.camera);
@@ -101,7 +108,7 @@ export function open(place) {
       const camera = marks.undo();
       const shown = kept.stills.find((each) => each.camera === camera);
       if (shown) kept.current = shown;
-      draw();
+      changed();
     };
     const next = marks.points.find(({ name }) => name === marks.next);
     return html`<section class="panel work" aria-label=${SCENE.pictures}>
@@ -112,7 +119,7 @@ export function open(place) {
       ${still.duration_s ? html`<label class="field"><span>${SCENE.time(still.time_s.toFixed(1))}</span>
         <input type="range" min="0" max=${still.duration_s} step="0.1" .value=${typed(still.time_s)} @change=${seek}></label>` : nothing}
       <div class="actions"><button type="button" class="button small" ?disabled=${!marks.canUndo} @click=${undo}>${SCENE.undo}</button>
-        <button type="button" class="button small" ?disabled=${marks.held === null} @click=${() => { marks.remove(still.camera); draw(); }}>${SCENE.remove(marks.held ?? "")}</button>
+        <button type="button" class="button small" ?disabled=${marks.held === null} @click=${() => { marks.remove(still.camera); changed(); }}>${SCENE.remove(marks.held ?? "")}</button>
         <button type="button" class="button small" @click=${() => save(new File([marks.table(cameras())], "points.csv"))}>${SCENE.save}</button></div>
       <p class="quiet" id="scene-keys">${SCENE.keys}</p>
       ${pointList(still)}</section>`;
@@ -123,14 +130,15 @@ export function open(place) {
     const { name, report, warnings } = kept.made;
     return html`<section class="panel add" aria-labelledby="scene-result"><h2 id="scene-result">${SCENE.stored(name)}</h2>
       <p class="quiet">${report.world}</p>
-      <p>${report.cameras.map((camera) => SCENE.worst(camera.name, camera.reprojection_error_px, camera.points.reduce((worst, point) => (point.error_px > worst.error_px ? point : worst)))).join(" ")}</p>
+      <ul>${report.cameras.map((camera) => html`<li>${SCENE.worst(camera.name, camera.reprojection_error_px,
+        camera.points.reduce((worst, point) => (point.error_px > worst.error_px ? point : worst)))}</li>`)}</ul>
       ${warningList(warnings, COMMON.warningsOf(name))}
       <p class="quiet">${SCENE.again} <a href="#/calibrations">${SCENE.all}</a></p></section>`;
   }
 
   function draw() {
     if (isClosed) return;
-    render(html`<div class="with-help"><h1 class="title">${SCENE.title}</h1>${helpLink("calibration", SCENE.title)}</div>
+    render(html`<link rel="stylesheet" href="/portal/scene/scene.css"><div class="with-help"><h1 class="title">${SCENE.title}</h1>${helpLink("calibration", SCENE.title)}</div>
       <div class="split">
         <div class="list">${kept.current ? workplace(kept.current) : html`<p class="panel empty">${SCENE.empty}</p>`}</div>
         <div class="list"><form class="panel add" aria-label=${SCENE.title} @submit=${submit}>

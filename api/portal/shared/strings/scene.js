@@ -8,7 +8,7 @@ export const SCENE = {
   unread: (names) => `This browser can't show ${names}. Choose a PNG or JPEG picture of the same size instead.`,
   table: "Points in metres: name, x, y, z",
   placeholder: "box1, 0, 0, 0.4\nbox2, 0.8, 0, 0.4\ndoor, 0, 2.5, 1.98",
-  read: (number) => `${number} points. Z points up, axes are right-handed. Each camera needs 4 points, or 6 if its lens is estimated; not all on a line.`,
+  read: (number) => `Points read: ${number}. Z points up, axes are right-handed. Each camera needs 4 points, or 6 if its lens is estimated; not all on a line.`,
   wrong: (lines) => `Can't be read: line ${lines}. Write a name and three numbers.`,
   lens: "Lens values",
   estimated: "Estimate from the points",
@@ -31,7 +31,7 @@ export const SCENE = {
   save: "Save the marks",
   keys: "Arrow keys move the mark by a pixel, with Shift by ten. Enter marks the next point, Delete removes the mark, Ctrl Z undoes. Press and drag to see a place in the magnifier.",
   stored: (name) => `Stored: ${name}`,
-  worst: (camera, median, { name, error_px: error }) => `${camera}: ${median.toFixed(1)} px, ${name} ${error.toFixed(1)} px.`,
+  worst: (camera, median, { name, error_px: error }) => `${camera}: ${median.toFixed(1)} px (median), ${name} ${error.toFixed(1)} px.`,
   again: "Calibrate again to replace it.",
   all: "All calibrations",
 };
