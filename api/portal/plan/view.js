@@ -41,8 +41,8 @@ export function open(place) {
   const result = () => html`<section class="panel add" aria-label=${PLAN.result}>
     <p role="status">${PLAN.covered(percent(plan.covered))}</p>
     <img src="data:image/svg+xml,${encodeURIComponent(plan.picture)}" alt=${PLAN.picture}>
-    <table><thead><tr>${PLAN.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
-      <tbody>${plan.places.map(({ x_m: x, y_m: y, views, error_mm: error }) => html`<tr><th scope="row">${x}, ${y}</th><td>${views}</td><td>${error ?? PLAN.lost}</td></tr>`)}</tbody></table>
+    <div class="scroll" role="group" aria-label=${PLAN.places} tabindex="0"><table><thead><tr>${PLAN.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
+      <tbody>${plan.places.map(({ x_m: x, y_m: y, views, error_mm: error }) => html`<tr><th scope="row">${x}, ${y}</th><td>${views}</td><td>${error ?? PLAN.lost}</td></tr>`)}</tbody></table></div>
   </section>`;
 
   function draw() {

@@ -155,17 +155,23 @@ def _poses(
     """Rotations and translations of a camera of focal length 1 that sees points, such as both solutions of a plane."""
     middle_m = xyz_m.mean(0)
     _, extent_m, axes = np.linalg.svd(xyz_m - middle_m)
-    if extent_m[1] < _ON_A_LINE * extent_m[0] or not np.isfinite(ideal).all():
+    if extent_m[1] <= _ON_A_LINE * extent_m[0] or not np.isfinite(ideal).all():
         return
-    ways = [(xyz_m - middle_m, cv2.SOLVEPNP_SQPNP)]
+    # SQPnP refuses points whose coordinates are small.
+    scale_m = extent_m[0]
+    local = (xyz_m - middle_m) / scale_m
+    ways = [(local, cv2.SOLVEPNP_SQPNP)]
     if extent_m[2] < _FLAT * extent_m[0]:
-        ways.append(((xyz_m - middle_m) @ axes[:2].T @ axes[:2], cv2.SOLVEPNP_IPPE))
-    for local_m, way in ways:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(local_m, ideal, np.eye(3), None, flags=way)
+        ways.append((local @ axes[:2].T @ axes[:2], cv2.SOLVEPNP_IPPE))
+    for points, way in ways:
+        try:
+            _, turns, shifts, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=way)
+        except cv2.error:  # marks at one place
+            continue
         for turn, shift_m in zip(turns, shifts, strict=True):
             rotation = Rotation.from_rotvec(turn.ravel()).as_matrix()
             if np.isfinite(rotation).all() and np.isfinite(shift_m).all():
-                yield rotation, shift_m.ravel() - rotation @ middle_m
+                yield rotation, scale_m * shift_m.ravel() - rotation @ middle_m
 
 
 def _best(fits: Sequence[PoseFit | None]) -> PoseFit | None:

@@ -17,6 +17,7 @@ export const PLAN = {
   result: "Result",
   covered: (percent) => `${percent} of the floor is covered: every joint is expected in two views or more.`,
   picture: "Room from above: expected errors of joints as colours, and the cameras",
+  places: "Places on the floor",
   table: ["Place x, y, m", "Views of a joint", "Expected error, mm"],
   lost: "not located",
 };

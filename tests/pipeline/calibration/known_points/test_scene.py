@@ -193,6 +193,17 @@ def test_far_plane_is_doubted() -> None:
     assert {warning.code for warning in found.warnings if warning.camera} >= {"known_points_doubtful"}
 
 
+def test_tiny_scene_has_exact_poses_in_its_unit() -> None:
+    found = calibrate_scene(CAMERAS, known(1e-4 * BOXES_M, marked(BOXES_M)), has_intrinsics=True)
+    for camera, truth in zip(found.cameras, CAMERAS, strict=True):
+        np.testing.assert_allclose(center_in_world(camera), 1e-4 * center_in_world(truth), atol=1e-9)
+
+
+def test_marks_at_one_place_are_refused() -> None:
+    seen = {camera.name: np.full((8, 2), 100.0) for camera in CAMERAS}
+    assert {problem.code for problem in refusals(BOXES_M, seen)} == {"known_points_misfit"}
+
+
 def test_marks_of_no_scene_are_refused() -> None:
     rng = np.random.default_rng(5)
     seen = {camera.name: rng.uniform([0, 0], camera.size_px, (8, 2)) for camera in CAMERAS}
