@@ -157,7 +157,7 @@ def _poses(
     _, extent_m, axes = np.linalg.svd(xyz_m - middle_m)
     if extent_m[1] <= _ON_A_LINE * extent_m[0] or not np.isfinite(ideal).all():
         return
-    # SQPnP refuses points whose coordinates are small.
+    # SQPnP refuses points whose coordinates are very small.
     scale_m = extent_m[0]
     local = (xyz_m - middle_m) / scale_m
     ways = [(local, cv2.SOLVEPNP_SQPNP)]
