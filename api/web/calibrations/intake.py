@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
-
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
 from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
