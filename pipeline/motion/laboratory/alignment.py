@@ -34,6 +34,8 @@ _COARSE_HZ, _BESIDE_M, _MAX_CANDIDATES, _APART_S = 100.0, 0.1, 6, 0.2
 # Range of the fine search about a candidate and its step; time in which a contact's end may be wrong; least length of
 # a piece of support, and its largest, in which drift of a plate counts for nothing.
 _FINE_S, _STEP_S, _UNSURE_S, _SHORTEST_S, _LONGEST_S = 0.12, 0.01, 0.05, 0.25, 1.5
+# Share of the best score that a candidate has at least.
+_COMPARABLE = 0.5
 # A second candidate with less than this multiple of the best one's squares makes the clock ambiguous.
 _AMBIGUOUS = 1.3
 # Contacts and loads belong together whose ends are not farther apart; common error of a person's contacts.
@@ -228,7 +230,9 @@ def _by_weight(
 def _best_lags(score: Float[np.ndarray, " lags"], num_grid: int, begin_s: float) -> list[float]:
     """Lags of the highest peaks of a score."""
     peaks = find_peaks(np.pad(score, 1, constant_values=-np.inf), distance=_APART_S * _COARSE_HZ)[0] - 1
-    best = sorted(peaks[score[peaks] > 0.0], key=lambda peak: -score[peak])[:_MAX_CANDIDATES]
+    best = sorted(peaks[score[peaks] > _COMPARABLE * max(float(score.max()), 0.0)], key=lambda peak: -score[peak])[
+        :_MAX_CANDIDATES
+    ]
     return [float((peak - num_grid + 1) / _COARSE_HZ - begin_s) for peak in best]
 
 

@@ -82,6 +82,7 @@ def test_contacts_alone_tell_start_without_centre_of_mass() -> None:
     assert found.start is not None
     assert found.check is not None
     assert found.check.mass_kg is None
+    assert not found.check.is_ambiguous
     assert found.start.sigma_s > 0.015
     assert found.start.time_s == pytest.approx(LEAD_S, abs=3.0 * found.start.sigma_s)
 
