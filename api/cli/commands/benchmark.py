@@ -13,19 +13,13 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.benchmark.cancel import cancel
 from api.cli.benchmark.clustering import clustering
 from api.cli.benchmark.cost import all_costs
-from api.cli.benchmark.export import export
 from api.cli.benchmark.fit import fit
-from api.cli.benchmark.identity import identity
-from api.cli.benchmark.length import length
 from api.cli.benchmark.live_latency import live
-from api.cli.benchmark.load import load
 from api.cli.benchmark.long_takes import loop_video, peak_rss_mib
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
-from api.cli.benchmark.queue import queue
 from api.cli.benchmark.tracking import tracking
 from api.cli.client import Json
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
@@ -44,17 +38,11 @@ from worker.store.spec import JobSpec
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 app.command("all")(all_costs)
-app.command()(cancel)
 app.command()(clustering)
-app.command()(export)
 app.command()(fit)
-app.command()(identity)
-app.command()(length)
 app.command()(live)
-app.command()(load)
 app.command()(profiles)
 app.command()(providers)
-app.command()(queue)
 app.command()(tracking)
 
 

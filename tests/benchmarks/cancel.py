@@ -1,4 +1,4 @@
-"""`multicap benchmark cancel`: time from a cancel until no process works on the job any more."""
+"""Benchmark `cancel`: time from a cancel until no process works on the job any more."""
 
 import contextlib
 import io

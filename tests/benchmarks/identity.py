@@ -1,4 +1,4 @@
-"""`multicap benchmark identity`: time of the global pass over long takes, from tracks in memory to people in memory."""
+"""Benchmark `identity`: time of the global pass over long takes, from tracks in memory to people in memory."""
 
 import time
 from dataclasses import replace

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from api.cli.benchmark.length import growth, long_session
-from api.cli.main import app
 from pipeline.validation.simulation.scenes import SCENES, record
+from tests.benchmarks.__main__ import app
+from tests.benchmarks.length import growth, long_session
 
 # Loose: two runs on a busy machine differ by a quarter.
 MAX_RATIO = 1.6
@@ -39,7 +39,7 @@ def test_growth_is_ratio_of_costs_per_frame() -> None:
 @pytest.mark.benchmark
 def test_no_stage_grows_faster_than_take() -> None:
     """A stage that looks at the whole take for each step of a person is slow in takes of many minutes alone."""
-    command = ["benchmark", "length", "--minutes", "3", "45", "--people", "1", "--json"]
+    command = ["length", "--minutes", "3", "45", "--people", "1", "--json"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)

@@ -1,4 +1,4 @@
-"""`multicap benchmark queue`: times of polling and claiming with few and with many jobs in the queue."""
+"""Benchmark `queue`: times of polling and claiming with few and with many jobs in the queue."""
 
 import contextlib
 import os
@@ -57,7 +57,7 @@ def api(data_dir: Path) -> Iterator[httpx2.Client]:
         command = tied_to_parent(module_command("api", "--fd", str(fd)))
         with (
             (data_dir / "api.log").open("wb") as log,
-            subprocess.Popen(command, env=environment, pass_fds=[fd], stderr=log) as process,  # noqa: S603 - ours
+            subprocess.Popen(command, env=environment, pass_fds=[fd], stderr=log) as process,
             httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=_START_S, trust_env=False) as client,
         ):
             try:

@@ -1,4 +1,4 @@
-"""`multicap benchmark export`: speed and memory of writing and reading back all result files of a long take."""
+"""Benchmark `export`: speed and memory of writing and reading back all result files of a long take."""
 
 import tempfile
 import time

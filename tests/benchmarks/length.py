@@ -1,4 +1,4 @@
-"""`multicap benchmark length`: cost of a frame and memory of each stage by the length of a take of keypoints."""
+"""Benchmark `length`: cost of a frame and memory of each stage by the length of a take of keypoints."""
 
 import resource
 import tempfile

@@ -1,4 +1,4 @@
-"""`multicap benchmark load`: response times while many clients poll, some upload, and the workers compute."""
+"""Benchmark `load`: response times while many clients poll, some upload, and the workers compute."""
 
 import asyncio
 import contextlib
