@@ -328,7 +328,7 @@ def _model_problems(exports: Collection[Export]) -> Iterator[Problem]:
 
 
 class _TakeFiles:
-    """Files with a whole take, of the formats that have them; without people there are none."""
+    """Files with a whole take, of the formats that have them; without people and objects there are none."""
 
     def __init__(self, take: Reconstruction, folder: Path, preset: Preset, body: Body) -> None:
         self._scene, self._folder, self._preset, self._body = take_scene(take), folder, preset, body
@@ -342,7 +342,7 @@ class _TakeFiles:
     def write(self, export: Export, on_share: OnShare) -> bool:
         """Write the file of a format and read it back; return whether there is one."""
         form, scene, preset, path = find_writer(export).take, self._scene, self._preset, self.path(export)
-        if form is None or not scene.people:
+        if form is None or not (scene.people or scene.objects):
             return False
         if not form.fits(scene):
             message = (

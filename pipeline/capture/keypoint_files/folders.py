@@ -166,7 +166,9 @@ def read_folder(
             found.add(people)
         else:
             frames[number], own[number] = people, of_frame
-            num_joints += people.shape[0] * people.shape[1] + sum(p.of_people.size // 3 for p in of_frame)
+            num_joints += people.shape[0] * people.shape[1] + sum(
+                part.size // 3 for own_points in of_frame for part in own_points[1:]
+            )
         if num_joints > max_joints:
             break
     problems += found.listed("files" if files.capture is None else "frames")

@@ -14,6 +14,7 @@ from pipeline.capture.preflight_npz import decode_keypoints, encode_record
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.results import write_results
+from pipeline.export.writers.glb import GlbReader
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
 
@@ -72,5 +73,8 @@ def test_animals_of_any_size_are_tracked(simulation: Simulation, size: float, tm
     write_results(take, tmp_path, exports=["csv", "c3d", "glb"])
     with (tmp_path / "objects.csv").open() as file:
         assert len(next(csv.reader(file))) == 2 + 3 * 3 * len(NAMES)
+    with (tmp_path / "take.glb").open("rb") as file:
+        names = [node["name"] for node in GlbReader(file).document["nodes"]]
+    assert {"animal_1_spot_0", "animal_3_spot_16"} <= set(names)
     document = json.loads((tmp_path / "skeletons.json").read_text())
     assert [thing["name"] for thing in document["objects"]] == ["animal_1", "animal_2", "animal_3"]
