@@ -1,5 +1,6 @@
 """Page and Swagger UI: their files, types, polling and the form of choices."""
 
+import posixpath
 import re
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -227,6 +228,24 @@ def test_without_its_libraries_page_says_what_is_missing(live: Live) -> None:
         expect(page.get_by_role("main")).to_contain_text("make setup")
 
 
+STATIC_IMPORT = re.compile(r'^(?:import|export)\b[^;(]*?"([^"]+\.js)"', re.MULTILINE)
+STYLES = re.findall(r'stylesheet" href="/portal/([^"]+)"', (PORTAL / "index.html").read_text(encoding="utf-8"))
+
+
+def imported(name: str) -> set[str]:
+    """A module of the page and all modules that it needs before it runs."""
+    reached, wanted = set[str](), {name}
+    while wanted:
+        reached |= wanted
+        paths = [
+            posixpath.join(posixpath.dirname(module), path)
+            for module in wanted
+            for path in STATIC_IMPORT.findall((PORTAL / module).read_text(encoding="utf-8"))
+        ]
+        wanted = {*map(posixpath.normpath, paths)} - reached
+    return reached
+
+
 def test_page_is_small(live: Live) -> None:
     paths = [path for path in PORTAL.rglob("*") if path.suffix in {".js", ".css", ".html", ".svg"}]
     names = [path.relative_to(PORTAL) for path in paths if not {"help", "node_modules"} & {*path.parts}]
@@ -237,17 +256,6 @@ def test_page_is_small(live: Live) -> None:
     }
     assert sizes["vendor/three/three.core.js"] > 100_000
     assert sum(sizes.values()) <= 1_000_000
-    # The views before the viewer, what plays live, a recording, a scene, a plan: they are loaded when they are needed.
-    folders = (PORTAL / "live", PORTAL / "plan", PORTAL / "record", PORTAL / "scene")
-    later = {path.relative_to(PORTAL).as_posix() for folder in folders for path in folder.rglob("*.js")}
-    later -= {"live/view.js", "record/view.js", "record/room.js"}
-    others = ("vendor/three", "vendor/uPlot", "viewer/", "jobs/corrections", "record/phone", "record/board")
-    later |= {
-        "shared/strings/viewer.js",
-        "shared/strings/phone.js",
-        "shared/strings/plan.js",
-        "shared/strings/scene.js",
-    }
-    later |= {"scene/scene.css"}
-    first = [name for name in sizes if not name.startswith(others)]
-    assert sum(sizes[name] for name in first if name not in later) <= 157_000
+    for view in re.findall(r'import\("./([^"]+/view\.js)"\)', (PORTAL / "app.js").read_text(encoding="utf-8")):
+        first = {"index.html", *STYLES, *imported("main.js"), *imported("app.js"), *imported(view)}
+        assert sum(sizes[name] for name in first) <= 147_000, view
