@@ -39,10 +39,14 @@ class Arrivals:
         self._access = access
 
     def reserve(self, session_id: str, upload_ids: Collection[str]) -> None:
-        """Reserve uploads for a session of the same transaction; ``Conflict`` if it can't have one of them."""
+        """Reserve uploads for a session of the same transaction; ``Conflict`` if it can't have one of them.
+
+        Files that clients sent are complete.
+        """
         is_free = uploads.c.id.in_(upload_ids) & uploads.c.session_id.is_(None) & self._access.may_reach(uploads)
         with self._access.writing() as connection:
-            reserved = connection.execute(update(uploads).where(is_free).values(session_id=session_id))
+            values = {"session_id": session_id, "fetched_bytes": uploads.c.num_bytes}
+            reserved = connection.execute(update(uploads).where(is_free).values(**values))
             if reserved.rowcount != len(upload_ids):
                 raise Conflict("An upload was deleted, or used for another capture, in the meantime.")
 

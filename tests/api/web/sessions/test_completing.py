@@ -85,6 +85,8 @@ def test_session_tells_progress_then_its_check(fetcher: Live, source: VideoSourc
     session = begun(fetcher, "/v1/sessions", body_of(fetcher, source, manifest={"name": "Ball", "sync": "auto"}))
     assert (session["state"], session["name"], session["sync"]) == ("fetching", "Ball", "auto")
     assert (session["files"], session["preflight"]["cameras"], session["space"]) == ([], [], None)
+    told = {fetch["filename"]: (fetch["state"], fetch["received_bytes"]) for fetch in session["fetches"]}
+    assert told == {"calibration.toml": ("finished", 7), "cam_0.mp4": ("fetching", 0), "cam_1.mp4": ("fetching", 0)}
     path = session["urls"]["self"]
 
     def received() -> dict[str, int]:
