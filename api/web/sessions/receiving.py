@@ -187,7 +187,9 @@ def adopted(services: Services, records: TenantRecords, sent: Sent, names: form_
             parts.lack(part, error.code, error.detail, str(error.hint), upload.name)
             continue
         if (problem := upload.problem) is not None:
-            parts.lack(part, problem.code, problem.detail, problem.hint or "Send another link, or the file.", upload.name)
+            parts.lack(
+                part, problem.code, problem.detail, problem.hint or "Send another link, or the file.", upload.name
+            )
         elif upload.is_fetching or num_bytes < upload.num_bytes:
             hint = "Wait until it is fetched." if upload.is_fetching else "Send the rest of it first."
             parts.lack(part, request_codes.UPLOAD_UNFINISHED, unfinished(upload, num_bytes), hint, upload.name)

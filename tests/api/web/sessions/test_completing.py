@@ -290,6 +290,7 @@ def test_two_processes_complete_a_session_once(
 def test_full_disk_fails_the_session(make_settings: Callable[..., Settings], source: VideoSource) -> None:
     with running(make_settings(fetch_private=True)) as live:
         source.hold.clear()
+        source.break_after = [10_000, 10_000]
         session = begun(live, "/v1/sessions", body_of(live, source))
         wait_for(lambda: len(source.requests) == 2, 60)
         disk = live.services.disk
