@@ -253,6 +253,10 @@ class Settings(SharedSettings):
         default=tuple(module_command("pipeline.run.live.cameras.program")),
         description="Program of a live capture whose cameras the service opens.",
     )
+    live_recording_command: tuple[str, ...] = Field(
+        default=tuple(module_command("pipeline.run.live.cameras.recording")),
+        description="Program that records cameras for a moment, for their calibration.",
+    )
     live_private: bool | None = Field(
         default=None,
         description="Whether live captures may open cameras of this machine and streams of private networks, and send "

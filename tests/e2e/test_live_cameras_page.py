@@ -91,7 +91,7 @@ def choose_calibration(page: Page, folder: Path) -> None:
     path = folder / "rig.json"
     path.write_bytes(encode(filmed_room().cameras))
     page.locator("input[type=file][accept*=toml]").last.set_input_files(path)
-    expect(page.get_by_role("combobox", name="cam_00")).to_be_visible(timeout=STARTED_MS)
+    expect(page.get_by_role("combobox", name="Address of cam_00")).to_be_visible(timeout=STARTED_MS)
 
 
 def test_streams_by_address_become_people_in_3d(
@@ -103,7 +103,7 @@ def test_streams_by_address_become_people_in_3d(
         expect(page.get_by_role("alert")).to_contain_text("Choose the calibration")
         choose_calibration(page, tmp_path)
         for name, server in streams.items():
-            page.get_by_role("combobox", name=name).fill(f"http://127.0.0.1:{server.port}/video.ts")
+            page.get_by_role("combobox", name=f"Address of {name}").fill(f"http://127.0.0.1:{server.port}/video.ts")
         page.get_by_label("Keep as a capture").check()
         assert axe_findings(page) == []
         page.get_by_role("button", name="Start the capture").press("Enter")
@@ -123,16 +123,16 @@ def test_streams_by_address_become_people_in_3d(
 def test_wrong_cameras_all_problems_at_once(service: Served, tmp_path: Path) -> None:
     with opened(f"{service.client.base_url}#/live") as page:
         choose_calibration(page, tmp_path)
-        page.get_by_role("combobox", name="cam_00").fill("ftp://127.0.0.1/x")
-        page.get_by_role("combobox", name="cam_01").fill("/etc/passwd")
+        page.get_by_role("combobox", name="Address of cam_00").fill("ftp://127.0.0.1/x")
+        page.get_by_role("combobox", name="Address of cam_01").fill("/etc/passwd")
         page.get_by_role("button", name="Start the capture").click()
         alert = page.get_by_role("alert")
         expect(alert).to_contain_text("cam_00: Streams of ftp:// are not supported.")
         expect(alert).to_contain_text("cam_01: The service's machine has no such camera that may be opened.")
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
-        page.get_by_role("combobox", name="cam_00").fill(f"rtsp://127.0.0.1:{port}/")
-        page.get_by_role("combobox", name="cam_01").fill(f"http://127.0.0.1:{port}/")
+        page.get_by_role("combobox", name="Address of cam_00").fill(f"rtsp://127.0.0.1:{port}/")
+        page.get_by_role("combobox", name="Address of cam_01").fill(f"http://127.0.0.1:{port}/")
         page.get_by_role("button", name="Start the capture").click()
         expect(alert).to_contain_text("cam_00: The stream can't be opened: Connection refused.", timeout=STARTED_MS)
         expect(alert).to_contain_text("cam_01: The stream can't be opened: Connection refused.")

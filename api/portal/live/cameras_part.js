@@ -18,6 +18,8 @@ export class ChosenCameras {
   isMeasured = false; // whether offsets of the cameras are measured
   vmc = "";
   problem = null;
+  isNew = false; // whether these cameras are to be calibrated, and get their names here
+  durationS = 20; // of the recording from which they are calibrated
   #names = ""; // of the calibration whose cameras are listed
 
   constructor(changed) {
@@ -36,16 +38,29 @@ export class ChosenCameras {
 
   /** List the cameras of a calibration; sources that were typed stay with their names. */
   list(names) {
+    this.isNew = false;
     if (names.join("\n") === this.#names) return;
     this.#names = names.join("\n");
     const typedSources = new Map(this.rows.map(({ name, source }) => [name, source]));
     this.rows = names.map((name) => ({ name, source: typedSources.get(name) ?? "" }));
   }
 
-  get used() { return this.rows.map(({ name, source }) => ({ camera: name, source: source.trim() })).filter(({ source }) => source !== ""); }
+  /** Let the cameras be named, for a calibration that is to be made. */
+  rename() {
+    this.isNew = true;
+    this.#names = "";
+    while (this.rows.length < 2) this.add();
+  }
+
+  add() { this.rows.push({ name: `cam_${this.rows.length + 1}`, source: "" }); }
+
+  get used() { return this.rows.map(({ name, source }) => ({ camera: name.trim(), source: source.trim() })).filter(({ source }) => source !== ""); }
 
   /** What is missing, as sentences. */
-  get faults() { return this.used.length < 2 ? [LIVE.faults.cameras] : []; }
+  get faults() {
+    const names = new Set(this.used.map(({ camera }) => camera));
+    return [...(this.used.length < 2 ? [LIVE.faults.cameras] : []), ...(names.size < this.used.length || names.has("") ? [LIVE.faults.names] : [])];
+  }
 
   /** Fields of the message `start_cameras`. */
   get start() {
@@ -57,17 +72,33 @@ export class ChosenCameras {
     return html`<section class="panel" aria-labelledby="sources-title"><div class="with-help"><h2 id="sources-title">${COMMON.cameras}</h2>${helpLink("live", COMMON.cameras)}</div>
       <p class="quiet" id="sources-hint">${this.rows.length ? TEXT.hint : TEXT.noCalibration} ${this.devices === null ? nothing : allowsPrivate ? TEXT.devices(devices.length) : TEXT.publicOnly}</p>
       ${problemBox(this.problem)}
-      ${this.rows.map((row) => html`<label class="field live-source"><span>${row.name}</span>
-        <input type="text" inputmode="url" maxlength="2000" autocomplete="off" autocapitalize="off" spellcheck="false" list="live-devices" placeholder=${SCHEME} aria-describedby="sources-hint"
-          .value=${typed(row.source)} ?disabled=${isLocked} @input=${(event) => { row.source = event.target.value; }}></label>`)}
+      ${this.rows.map((row, place) => this.#row(row, place, isLocked))}
       <datalist id="live-devices">${devices.map(({ device, name }) => html`<option value=${device}>${name}</option>`)}</datalist>
-      <div class="pair">
+      ${this.isNew ? this.#recordingFields(isLocked) : this.#captureFields(isLocked, allowsPrivate)}
+    </section>`;
+  }
+
+  #row(row, place, isLocked) {
+    const source = html`<input type="text" inputmode="url" maxlength="2000" autocomplete="off" autocapitalize="off" spellcheck="false" list="live-devices" placeholder=${SCHEME}
+      aria-label=${TEXT.address(row.name)} aria-describedby="sources-hint" .value=${typed(row.source)} ?disabled=${isLocked} @input=${(event) => { row.source = event.target.value; }}>`;
+    if (!this.isNew) return html`<div class="field live-source"><span>${row.name}</span>${source}</div>`;
+    return html`<div class="live-source named"><input type="text" maxlength="100" autocomplete="off" spellcheck="false" aria-label=${TEXT.name(place + 1)}
+      .value=${typed(row.name)} ?disabled=${isLocked} @input=${(event) => { row.name = event.target.value; this.changed(); }}>${source}</div>`;
+  }
+
+  #recordingFields(isLocked) {
+    return html`<p class="quiet">${TEXT.recordHint}</p><div class="actions">
+      <button type="button" class="button small" ?disabled=${isLocked} @click=${() => { this.add(); this.changed(); }}>${TEXT.add}</button>
+      <label class="with">${TEXT.duration} <input class="number" type="number" min="1" max="60" step="any" .value=${typed(this.durationS)} ?disabled=${isLocked} @input=${(event) => { this.durationS = event.target.valueAsNumber; }}></label></div>`;
+  }
+
+  #captureFields(isLocked, allowsPrivate) {
+    return html`<div class="pair">
         <label class="field"><span>${TEXT.profile}</span><select ?disabled=${isLocked} @change=${(event) => { this.profile = event.target.value; }}>
           ${this.profiles.map(({ name, label }) => html`<option value=${name} .selected=${live(name === this.profile)}>${label}</option>`)}</select></label>
         ${allowsPrivate ? html`<label class="field"><span>${TEXT.vmc}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
           .value=${typed(this.vmc)} ?disabled=${isLocked} @input=${(event) => { this.vmc = event.target.value; }}><span class="quiet">${TEXT.vmcHint}</span></label>` : nothing}
       </div>
-      <label class="with"><input type="checkbox" .checked=${live(this.isMeasured)} ?disabled=${isLocked} @change=${(event) => { this.isMeasured = event.target.checked; }}> ${TEXT.measure(SYNC_S)}</label>
-    </section>`;
+      <label class="with"><input type="checkbox" .checked=${live(this.isMeasured)} ?disabled=${isLocked} @change=${(event) => { this.isMeasured = event.target.checked; }}> ${TEXT.measure(SYNC_S)}</label>`;
   }
 }

@@ -19,7 +19,7 @@ class LiveRefusal extends Error {
  * Live capture of a page.
  *
  * Events, as `CustomEvent` with `detail`: `instant` (as `unpackInstant` gives it), `status` and `notice` of cameras that the
- * service opens, `ended` (the message of the service), and `refused` (a `LiveRefusal`). One of the last two comes last.
+ * service opens, `ended`, or `recorded` after `record_cameras` (messages of the service), and `refused` (a `LiveRefusal`). One of the last three comes last.
  */
 export class LiveClient extends EventTarget {
   #socket;
@@ -41,7 +41,7 @@ export class LiveClient extends EventTarget {
       this.addEventListener("refused", ({ detail }) => reject(detail), { once: true });
     });
     this.#ready.catch(() => null); // the event `refused` tells of it as well
-    this.#socket.addEventListener("open", () => this.#socket.send(JSON.stringify({ type: "start", ...start, format: "packed" })));
+    this.#socket.addEventListener("open", () => this.#socket.send(JSON.stringify({ type: "start", ...start, ...(start.type === "record_cameras" ? {} : { format: "packed" }) })));
     this.#socket.addEventListener("message", ({ data }) => this.#read(data));
     this.#socket.addEventListener("close", ({ code, reason }) => this.#closed(code, reason));
   }
@@ -81,7 +81,7 @@ export class LiveClient extends EventTarget {
     }
     const { type, ...content } = JSON.parse(data);
     if (type === "problem") this.#last("refused", new LiveRefusal(content));
-    else if (type === "ended") this.#last("ended", content);
+    else if (type === "ended" || type === "recorded") this.#last(type, content);
     else this.#tell(type, content);
   }
 

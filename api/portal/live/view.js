@@ -2,6 +2,7 @@
 
 import { calibrationPart, ChosenCalibration } from "../send/calibration.js";
 import { droppedFiles } from "../send/files.js";
+import { boardSpec, emptyBoard, readStatures } from "../calibrations/values.js";
 import { call, persistently } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { dateAndTime, length } from "../shared/format.js";
@@ -16,6 +17,9 @@ import { cameraStates, figureList, statusFigures } from "./status.js";
 
 const DRAW_MS = 250;
 const NOTICES = 8;
+const LOOK_MS = 1500;
+// Texts while somebody waits, by phase.
+const WAITING = { opening: (isMade) => (isMade ? "recording" : "waiting"), calibrating: () => "made" };
 const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
 
 export function open(place) {
@@ -25,7 +29,7 @@ export function open(place) {
 }
 
 class LiveView {
-  rig = new ChosenCalibration(() => { this.cameras.list(this.rig.record?.cameras.map(({ name }) => name) ?? []); this.draw(); });
+  rig = new ChosenCalibration(() => { if (!this.calibrateFrom) this.cameras.list(this.rig.record?.cameras.map(({ name }) => name) ?? []); this.draw(); });
   cameras = new ChosenCameras(() => this.draw());
   source = "cameras"; // or keypoints
   stored = null; // calibrations, once they are loaded
@@ -41,6 +45,7 @@ class LiveView {
   status = null; // latest message `status`, of cameras
   notices = []; // latest sentences about cameras
   isOver = false; // whether files are held over the page
+  #draft = { calibrateFrom: null, stature: "", board: emptyBoard() }; // calibration to be made of the cameras
   #isClosed = false;
   #client = null;
   #playback = null;
@@ -71,8 +76,10 @@ class LiveView {
     this.#scene?.close();
   }
 
-  get isBusy() { return ["opening", "playing", "ending"].includes(this.phase); }
+  get isBusy() { return ["opening", "playing", "ending", "calibrating"].includes(this.phase); }
   get capture() { return { calibration: this.rig.record }; } // for the part that chooses the calibration
+  get draft() { return this.hasCameras ? this.#draft : null; } // likewise
+  get calibrateFrom() { return this.hasCameras ? this.#draft.calibrateFrom : null; }
   get hasCameras() { return this.source === "cameras"; }
   get needsFrameRate() { return !this.hasCameras && this.files !== null && this.files.views.length > 0 && this.files.timestamps === null; }
 
@@ -92,11 +99,18 @@ class LiveView {
     this.draw();
   }
 
+  assignDraft(facts) {
+    Object.assign(this.#draft, facts);
+    if (this.#draft.calibrateFrom) this.cameras.rename();
+    this.draw();
+  }
+
   async play() {
     this.problem = this.ended = null;
     const missing = [
       ...(this.hasCameras ? this.cameras.faults : this.files ? [] : [LIVE.faults.keypoints]),
-      ...(this.rig.record ? [] : [LIVE.faults.calibration]),
+      ...(this.rig.record || this.calibrateFrom ? [] : [LIVE.faults.calibration]),
+      ...(this.calibrateFrom === "people" && !readStatures(this.#draft.stature) ? [LIVE.faults.stature] : []),
       ...(this.needsFrameRate && !(this.frameRateHz >= 1 && this.frameRateHz <= 1000) ? [LIVE.faults.rate] : []),
     ];
     if (missing.length) {
@@ -107,6 +121,10 @@ class LiveView {
     this.#go("opening");
     try {
       // The player is large: it is loaded when it is needed.
+      if (this.calibrateFrom) {
+        await this.#record((await import("./client.js")).LiveClient);
+        return;
+      }
       const [{ LiveClient }, { LiveScene }] = await Promise.all([import("./client.js"), import("./scene.js")]);
       const open = (start, rateHz = null) => this.#open(new LiveClient({ calibration_id: this.rig.id, keep: this.isKept, name: this.#named(), ...start }), LiveScene, rateHz);
       if (this.hasCameras) await open(this.cameras.start);
@@ -121,6 +139,42 @@ class LiveView {
     }
   }
 
+  // Record the cameras, and choose the calibration of them once it is made.
+  #record(LiveClient) {
+    const { board, stature } = this.#draft;
+    const by = this.calibrateFrom === "board" ? { board: boardSpec(board) } : { stature_m: readStatures(stature) };
+    const { used: cameras, durationS } = this.cameras;
+    this.#watch(new LiveClient({ type: "record_cameras", cameras, duration_s: durationS, ...by }));
+    this.#client.addEventListener("recorded", ({ detail }) => this.#choose(detail.calibration_id));
+  }
+
+  // Choose a calibration as soon as it is made.
+  async #choose(id) {
+    this.#go("calibrating");
+    try {
+      let made;
+      do {
+        await new Promise((resolve) => { setTimeout(resolve, LOOK_MS); });
+        made = await persistently(() => call(`/v1/calibrations/${id}`), { isOver: () => this.#isClosed, away: () => null });
+      } while (!this.#isClosed && ["queued", "running"].includes(made.state));
+      if (this.#isClosed) return;
+      if (made.state !== "ready") throw Object.assign(new Error(LIVE.cameras.unmade), { hint: [made.error?.detail, made.error?.hint].filter(Boolean).join(" ") });
+      this.#draft.calibrateFrom = null;
+      await this.rig.choose(id, made.name);
+      this.#over(null);
+    } catch (problem) {
+      this.#over(problem);
+    }
+  }
+
+  #watch(client) {
+    Object.assign(this, { status: null, notices: [] });
+    this.#client = client;
+    this.#playback = null;
+    client.addEventListener("refused", ({ detail }) => this.#over(detail));
+    client.addEventListener("notice", ({ detail }) => { this.notices = [...this.notices, detail.message].slice(-NOTICES); this.draw(); });
+  }
+
   #named() {
     this.#keptName = this.name.trim() || LIVE.defaultName(dateAndTime(new Date()));
     return this.#keptName;
@@ -128,13 +182,9 @@ class LiveView {
 
   // Wait until a capture has begun; returns its message `ready`, or null if it is not wanted any more.
   async #open(client, LiveScene, rateHz) {
-    Object.assign(this, { status: null, notices: [] });
-    this.#client = client;
-    this.#playback = null;
-    client.addEventListener("refused", ({ detail }) => this.#over(detail));
+    this.#watch(client);
     client.addEventListener("ended", ({ detail }) => { this.ended = detail; this.#over(null); });
     client.addEventListener("status", ({ detail }) => { this.status = detail; this.draw(); });
-    client.addEventListener("notice", ({ detail }) => { this.notices = [...this.notices, detail.message].slice(-NOTICES); this.draw(); });
     const ready = await client.ready;
     if (this.#isClosed) return null;
     this.counts = { people: 0, skeletons: 0, instants: 0, dropped: { input: 0, output: 0 }, notSent: 0 };
@@ -222,13 +272,13 @@ class LiveView {
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
         ${this.counts ? this.#figures() : nothing}
       </section>
-      ${this.phase === "opening" && this.hasCameras ? html`<p class="notice" role="status">${LIVE.cameras.waiting}</p>` : nothing}
+      ${this.hasCameras && WAITING[this.phase] ? html`<p class="notice" role="status">${LIVE.cameras[WAITING[this.phase](this.calibrateFrom)]}</p>` : nothing}
       ${this.notices.length ? html`<div role="log" aria-label=${LIVE.notices}><ul class="warnings">${this.notices.map((text) => html`<li>${text}</li>`)}</ul></div>` : nothing}
       ${this.status ? cameraStates(this.status) : nothing}
       ${this.#result()}
       ${problemBox(this.problem)}
       <div class="actions">
-        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? LIVE.opening : LIVE[this.source === "cameras" ? (this.counts ? "startAgain" : "start") : this.counts ? "playAgain" : "play"]}</button>
+        <button class="button primary" ?disabled=${this.isBusy}>${this.phase === "opening" ? LIVE.opening : this.#action()}</button>
         <button type="button" class="button" ?disabled=${!["opening", "playing"].includes(this.phase)} @click=${() => this.end()}>${this.phase === "ending" ? LIVE.ending : LIVE.end}</button>
         <label class="with"><input type="checkbox" .checked=${this.isKept} ?disabled=${this.isBusy} @change=${(event) => { this.isKept = event.target.checked; this.draw(); }}> ${LIVE.keep}</label>
         ${this.isKept ? html`<label class="take"><span>${COMMON.name}</span><input name="name" maxlength="200" autocomplete="off" .value=${typed(this.name)} ?disabled=${this.isBusy} @input=${(event) => { this.name = event.target.value; }}></label>` : nothing}
@@ -237,11 +287,17 @@ class LiveView {
         ${Object.entries(LIVE.sources).map(([source, label]) => html`<label class="with"><input type="radio" name="source" value=${source} .checked=${source === this.source} @change=${() => { this.source = source; this.draw(); }}> ${label}</label>`)}</div></fieldset>
       ${this.hasCameras ? nothing : this.#filesPart()}
       <section class="panel" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
-        ${calibrationPart({ sending: this, stored: this.stored, away: this.away, isLocked: this.isBusy, choose: (id, name) => this.rig.choose(id, name), readFile: (...chosen) => this.rig.readFile(...chosen) })}
+        ${calibrationPart({ sending: this, stored: this.stored, away: this.away, isLocked: this.isBusy, choose: (id, name) => this.rig.choose(id, name), readFile: (...chosen) => { this.#draft.calibrateFrom = null; return this.rig.readFile(...chosen); } })}
         ${problemBox(this.rig.problem)}
       </section>
       ${this.hasCameras ? this.cameras.part(this.isBusy) : nothing}
     </form>`;
+  }
+
+  #action() {
+    if (this.calibrateFrom) return LIVE.cameras.record;
+    if (this.hasCameras) return this.counts ? LIVE.startAgain : LIVE.start;
+    return this.counts ? LIVE.playAgain : LIVE.play;
   }
 
   #filesPart() {

@@ -7,6 +7,7 @@ import ipaddress
 import json
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
+from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 import structlog
@@ -23,10 +24,11 @@ from api.web.live.keeping import KeptPackets
 from api.web.live.problems import failed, refused
 from api.web.live.process import CaptureProcess
 from api.web.live.relay import Outgoing, all_or_first_error, receive, watch_key
-from api.web.live.schemas import LiveCamerasStart, LiveReady
+from api.web.live.schemas import LiveCamerasStart, LiveReady, LiveRecordStart
+from api.web.sessions.schemas import CameraManifest
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
-from pipeline.core.problems.request_codes import LIVE_FIELDS
+from pipeline.core.problems.request_codes import LIVE_FIELDS, MISSING_FIELD
 from pipeline.run.live.cameras.sources import SCHEMES, CameraSource, find_devices, name_problems, unsupported
 from pipeline.run.live.packets import CaptureAnswer
 from worker.run.webhooks.addresses import url_fault
@@ -45,7 +47,9 @@ def allows_private(settings: Settings, caller: Caller) -> bool:
     return caller.key is None if settings.live_private is None else settings.live_private
 
 
-def read_cameras(start: LiveCamerasStart, known: Sequence[str], is_private: bool) -> list[CameraSource]:
+def read_cameras(
+    start: LiveCamerasStart | LiveRecordStart, known: Sequence[str] | None, is_private: bool
+) -> list[CameraSource]:
     """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
@@ -53,7 +57,7 @@ def read_cameras(start: LiveCamerasStart, known: Sequence[str], is_private: bool
     Parameters
     ----------
     known
-        Names of the calibrated cameras.
+        Names of the calibrated cameras; ``None``: they have none yet.
     is_private
         Whether cameras of this machine and of private networks are allowed.
     """
@@ -62,7 +66,7 @@ def read_cameras(start: LiveCamerasStart, known: Sequence[str], is_private: bool
     devices = find_devices() if is_private else {}
     for place, (name, text) in enumerate((camera.camera, camera.source.strip()) for camera in start.cameras):
         names = [camera.camera for camera in start.cameras[:place]]
-        for code, message, hint in name_problems(name, known, names):
+        for code, message, hint in name_problems(name, [name] if known is None else known, names):
             pointer = pointer_to("cameras", place, "camera")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         try:
@@ -71,9 +75,12 @@ def read_cameras(start: LiveCamerasStart, known: Sequence[str], is_private: bool
             code, message, hint = wrong.args
             pointer = pointer_to("cameras", place, "source")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
-    if start.vmc and not is_private:
+    if isinstance(start, LiveCamerasStart) and start.vmc and not is_private:
         message = "The service sends nothing by VMC."
         errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/vmc"))
+    if isinstance(start, LiveRecordStart) and (start.board is None) == (not start.stature_m):
+        message = "A calibration has either a board or the statures of people."
+        errors.append(ErrorItem(code=MISSING_FIELD, message=message, pointer="/board"))
     if errors:
         raise SocketProblem(LIVE_FIELDS, WRONG_FIELDS, errors=errors)
     return sources
@@ -134,10 +141,55 @@ async def relay_cameras(
         **start.model_dump(include={"sync_s", "vmc", "format", "keep"}),
     }
     with services.live_places.with_cameras():
-        async with _process(services.settings, calibration.parent) as process:
-            await process.send(json.dumps(content).encode())
-            relay = _CameraRelay(websocket, services, process, start, calibration.parent)
-            await relay.run(key_ended)
+        command, keeps = services.settings.live_cameras_command, start.keep
+        return await _relayed(websocket, services, command, content, calibration.parent, key_ended, keeps=keeps)
+
+
+async def record_cameras(
+    websocket: WebSocket,
+    services: Services,
+    caller: Caller,
+    start: LiveRecordStart,
+    folder: Path,
+    key_ended: asyncio.Event,
+) -> dict[CameraManifest, Path]:
+    """Record cameras for a moment; return their videos by their cameras with offsets.
+
+    Raises ``SocketProblem`` if they can't be recorded.
+    """
+    is_private = allows_private(services.settings, caller)
+    sources = await run_in_threadpool(read_cameras, start, None, is_private)
+    filmed = folder / "filmed"
+    filmed.mkdir()
+    content = {
+        "sources": [dataclasses.asdict(source) for source in sources],
+        "duration_s": start.duration_s,
+        "folder": str(filmed),
+    }
+    with services.live_places.with_cameras():
+        command = services.settings.live_recording_command
+        relay = await _relayed(websocket, services, command, content, folder, key_ended)
+    return {
+        CameraManifest(name=source.camera, file=f"camera-{place}.mkv", offset_s=offset_s): filmed / f"{place}.mkv"
+        for place, (source, offset_s) in enumerate(zip(sources, relay.answer["offsets_s"], strict=True))
+    }
+
+
+async def _relayed(
+    websocket: WebSocket,
+    services: Services,
+    command: Sequence[str],
+    start: dict[str, Any],
+    folder: Path,
+    key_ended: asyncio.Event,
+    *,
+    keeps: bool = False,
+) -> "_CameraRelay":
+    """Relay of a program with cameras, which has ended."""
+    async with _process(command, folder) as process:
+        await process.send(json.dumps(start).encode())
+        relay = _CameraRelay(websocket, services, process, folder, keeps)
+        await relay.run(key_ended)
     return relay
 
 
@@ -148,18 +200,25 @@ class _CameraRelay(Outgoing):
     ----------
     folder
         Folder of the connection.
+    keeps
+        Whether keypoints are kept.
     """
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Last answer of the process."""
+        return self._counts
 
     def __init__(
         self,
         websocket: WebSocket,
         services: Services,
         process: CaptureProcess,
-        start: LiveCamerasStart,
         folder: Path,
+        keeps: bool,
     ) -> None:
         super().__init__(websocket, services.settings, websocket.app.state.metrics.live)
-        self._services, self._process, self._start, self._folder = services, process, start, folder
+        self._services, self._process, self._folder, self._keeps = services, process, folder, keeps
         self._limit_s = start_limit_s(services.settings)  # longest time until the next answer
 
     async def run(self, key_ended: asyncio.Event) -> None:
@@ -202,18 +261,18 @@ class _CameraRelay(Outgoing):
         """Message ``ready``; what is kept begins."""
         ready = LiveReady(**json.loads(content), limits={}, request_id=self._websocket.state.request_id)
         self.cameras = ready.cameras
-        if self._start.keep:
+        if self._keeps:
             self.kept = KeptPackets(self._services, self._folder, ready.layout)
         return ready.model_dump_json().encode()
 
 
 @contextlib.asynccontextmanager
-async def _process(settings: Settings, folder: Path) -> AsyncIterator[CaptureProcess]:
+async def _process(command: Sequence[str], folder: Path) -> AsyncIterator[CaptureProcess]:
     """Process of a capture during the block; at its end it is killed, and why it had ended by itself is logged."""
     log_path = folder / "capture.log"
     with log_path.open("wb") as log:
         child = await asyncio.create_subprocess_exec(
-            *settings.live_cameras_command,
+            *command,
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=log,

@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
-from api.web.live.schemas import POINTS, Layout, LiveCamerasStart, LiveEnd, LiveKeypoints, LiveStart
+from api.web.live.schemas import POINTS, Layout, LiveCamerasStart, LiveEnd, LiveKeypoints, LiveRecordStart, LiveStart
 from pipeline.core.problems import request_codes
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
@@ -19,18 +19,20 @@ _MAX_SHOWN = 40
 _MAX_AHEAD_S = 60.0
 
 
-_STARTS: TypeAdapter[LiveStart | LiveCamerasStart] = TypeAdapter(
-    Annotated[LiveStart | LiveCamerasStart, Field(discriminator="type")]
-)
+AnyStart = LiveStart | LiveCamerasStart | LiveRecordStart
+"""First message of a client."""
+_STARTS: TypeAdapter[AnyStart] = TypeAdapter(Annotated[AnyStart, Field(discriminator="type")])
 
 
-def read_start(text: str) -> LiveStart | LiveCamerasStart:
+def read_start(text: str) -> AnyStart:
     """Parse the first message; raises ``SocketProblem`` with all that is wrong."""
     try:
         start = _STARTS.validate_json(text)
     except ValidationError:
-        models = (LiveStart, LiveCamerasStart)
+        models = (LiveStart, LiveCamerasStart, LiveRecordStart)
         raise wrong_message(text, models, request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
+    if isinstance(start, LiveRecordStart):
+        return start
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:
         code, pointer = (

@@ -49,7 +49,7 @@ class Outgoing:
         self._websocket, self._settings, self._metrics = websocket, settings, metrics
         self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
         self._num_received = 0
-        self._counts: dict[str, int] = {}
+        self._counts: dict[str, Any] = {}
         self.kept: KeptPackets | None = None
         self.cameras: Sequence[str] = ()
 

@@ -26,6 +26,7 @@ from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
 from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
+from api.web.live.recording import record_calibration
 from api.web.live.relay import Relay, receive
 from api.web.live.schemas import (
     DroppedOut,
@@ -35,6 +36,7 @@ from api.web.live.schemas import (
     LiveEnded,
     LiveProblemOut,
     LiveReady,
+    LiveRecordStart,
     LiveStart,
 )
 from api.web.metrics import LiveMetrics
@@ -114,6 +116,10 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
     start = await run_in_threadpool(read_start, text)
     async with spool_folder(settings.spool_dir) as folder:
         services.disk.require_room()
+        if isinstance(start, LiveRecordStart):
+            recorded = await record_calibration(websocket, services, caller, records, start, folder, key_ended)
+            await _send(websocket, recorded)
+            return
         if start.keep:
             await run_in_threadpool(records.require_room, 0)
         calibration = await calibration_file(services, caller, records, start, folder)

@@ -9,6 +9,7 @@ from api.web.contract.asyncapi import SocketChannel, describe_sockets
 from api.web.contract.examples import ID
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
+from api.web.recordings.schemas import TakeCalibrationSpec
 from api.web.sessions.schemas import SessionName, Up
 from pipeline.core.options.config import DetectedJoints, Profile
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S
@@ -145,6 +146,20 @@ class LiveCamerasStart(_Start):
         description="Receivers of the VMC protocol, each `[HOST:]PORT`, as the service's machine reaches them: one a "
         "person. It has neither keys nor encryption.",
         examples=[["192.168.0.20:39539"]],
+    )
+
+
+class LiveRecordStart(TakeCalibrationSpec):
+    """First message of a client whose cameras the service records for a moment, so that they become a calibration."""
+
+    type: Literal["record_cameras"]
+    cameras: tuple[LiveCameraIn, ...] = Field(min_length=2, max_length=64, description="Cameras, two or more.")
+    duration_s: float = Field(
+        default=20.0,
+        ge=1.0,
+        le=60.0,
+        allow_inf_nan=False,
+        description="Length of the recording, in which the board is shown or people of these statures walk about.",
     )
 
 
@@ -334,13 +349,26 @@ class LiveEnded(_Sent):
     )
 
 
+class LiveRecorded(_Sent):
+    """Last message of the service after `record_cameras`: the calibration is being made."""
+
+    type: Literal["recorded"] = "recorded"
+    calibration_id: str = Field(description="Calibration, and the job that makes it.", examples=[ID])
+
+
 class LiveProblemOut(SocketProblemOut):
     """Reason why the capture ends; the service then closes the connection with `close_code`."""
 
     close_code: int = Field(description="Code with which the connection is closed.", examples=[1011])
 
 
-RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveCamerasStart, LiveKeypoints, LiveEnd)
+RECEIVED: tuple[type[BaseModel], ...] = (
+    LiveStart,
+    LiveCamerasStart,
+    LiveRecordStart,
+    LiveKeypoints,
+    LiveEnd,
+)
 """Messages of clients."""
 SENT: tuple[type[BaseModel], ...] = (
     LiveReady,
@@ -348,6 +376,7 @@ SENT: tuple[type[BaseModel], ...] = (
     LiveStatusOut,
     LiveNoticeOut,
     LiveEnded,
+    LiveRecorded,
     LiveProblemOut,
 )
 """Messages of the service."""
@@ -356,7 +385,8 @@ SENT: tuple[type[BaseModel], ...] = (
 _DESCRIPTION = """\
 A live capture for as long as the WebSocket is open. The client sends `start`, then keypoints of each camera's frames,
 and `end`. The service answers `ready`, then instants with people, and `ended`; a `problem` ends the capture early.
-With `start_cameras` the service opens the cameras itself, and sends `status` and `notice` too.
+With `start_cameras` the service opens the cameras itself, and sends `status` and `notice` too. With `record_cameras`
+it records them for a moment, makes a calibration of them, and sends `recorded`.
 Keypoints and instants may be packed, as messages of bytes. Pages of allowed origins, whose browsers send no headers,
 offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. `/help/live-protocol` describes both forms,
 limits and close codes.

@@ -4,7 +4,8 @@ A process a camera, with limits on memory and files: strangers' streams may make
 Messages are JSON objects, a line each. To stdin come a ``StreamRequest``; then ``path`` of the shared file, ``start_s``
 at which a file is to be played, and ``slot`` for each wanted picture: the newest one is written to that slot of the
 shared file. To stdout go ``opened``, ``decoded`` for each frame, ``picture`` for each one that was written, and
-``ended`` with a problem, or without one at the end of the stream. The process ends when stdin is closed.
+``ended`` with a problem, or without one at the end of the stream. The process ends when stdin is closed. With
+``record`` the frames go to a file, up to the message ``stop``; ``recorded`` has the time of the first one.
 """
 
 import errno
@@ -27,7 +28,7 @@ import av.logging
 from av.container import InputContainer
 from av.error import FFmpegError
 from av.filter import Graph
-from av.video.frame import VideoFrame
+from av.video.frame import PictureType, VideoFrame
 from av.video.stream import VideoStream
 
 from pipeline.core.errors import UnusableError
@@ -55,6 +56,9 @@ _OPTIONS: dict[SourceKind, dict[str, str]] = {
     "device": {"format_whitelist": "v4l2"},
 }
 _FORMATS: dict[SourceKind, str] = {"rtsp": "rtsp", "device": "v4l2"}
+_RECORDED = {"preset": "ultrafast", "tune": "zerolatency", "crf": "16"}
+_RECORDED_TICK = Fraction(1, 1000)
+_RECORDED_BYTES = 4 * 2**30
 # Formats without times of frames: FFmpeg invents some.
 _WITHOUT_TIMES = frozenset({"mpjpeg", "mjpeg"})
 
@@ -66,6 +70,7 @@ class StreamRequest(NamedTuple):
     address: str
     size_px: tuple[int, int]  # Size of the pictures by the calibration, which devices are asked for
     host: str | None = None  # Host of the address, where it has an IP address in its place
+    record: str | None = None  # New file that gets all frames, up to a message ``stop``; ``None``: none
 
 
 class _Taken(NamedTuple):
@@ -84,6 +89,7 @@ class _Stream:
         self._number = 0
         self._newest: _Taken | None = None
         self._start_s: float | None = None
+        self.is_stopped = False
         self._is_started = threading.Event()
         self._to_rgb: Graph | None = None
         self._size_px = (0, 0)
@@ -117,7 +123,8 @@ class _Stream:
         """Decode to the end of the stream, and say how it ended."""
         try:
             with _opened(self._request) as container:
-                self._show(container, _find_video(container))
+                video = _find_video(container)
+                self._record(container, video) if self._request.record else self._show(container, video)
         except UnusableError as error:
             _say_end(error)
         except MemoryError:
@@ -127,13 +134,38 @@ class _Stream:
         else:
             _say("ended")
 
+    def _record(self, container: InputContainer, stream: VideoStream) -> None:
+        """Write the frames to a file, at the times at which they were taken."""
+        times_s: list[float] = []
+        with av.open(str(self._request.record), "w", format="matroska") as file:
+            target = file.add_stream("libx264", options=_RECORDED)
+            for time_s, frame in self._timed_frames(container, stream):
+                self._require_size(frame)
+                if not times_s:
+                    target.width, target.height = self._size_px
+                    target.pix_fmt = "yuv420p" if all(side % 2 == 0 for side in self._size_px) else "yuv444p"
+                    target.sample_aspect_ratio = stream.sample_aspect_ratio or Fraction(1)
+                    target.codec_context.time_base = _RECORDED_TICK
+                if self.is_stopped:
+                    break
+                times_s.append(time_s)
+                written = frame.reformat(format=target.pix_fmt)
+                written.pts, written.time_base = round((time_s - times_s[0]) / _RECORDED_TICK), _RECORDED_TICK
+                written.pict_type = PictureType.NONE
+                file.mux(target.encode(written))
+            file.mux(target.encode(None))
+        _say("recorded", first_s=times_s[0], frames=len(times_s))
+
+    def _require_size(self, frame: VideoFrame) -> None:
+        if (frame.width, frame.height) != self._size_px:
+            raise UnusableError(
+                session_codes.VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again."
+            )
+
     def _show(self, container: InputContainer, stream: VideoStream) -> None:
         """Make each frame the newest one when it was decoded, and of a file when its time has come."""
         for time_s, frame in self._timed_frames(container, stream):
-            if (frame.width, frame.height) != self._size_px:
-                raise UnusableError(
-                    session_codes.VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again."
-                )
+            self._require_size(frame)
             time.sleep(max(0.0, time_s - time.monotonic()))
             self._newest = _Taken(self._number, time_s, frame)
             _say("decoded", number=self._number, time_s=time_s)
@@ -266,16 +298,19 @@ def _say_end(error: UnusableError) -> None:
 
 def main() -> int:
     """Decode until stdin is closed; return the exit code."""
-    confine(ChildLimits(cpu_s=None))
+    request = StreamRequest(**json.loads(sys.stdin.readline()))
+    limits = ChildLimits(cpu_s=None)
+    confine(limits._replace(file_bytes=_RECORDED_BYTES) if request.record else limits)
     tell_ready()
     av.logging.set_level(av.logging.PANIC)
-    request = StreamRequest(**json.loads(sys.stdin.readline()))
     stream = _Stream(request)
     threading.Thread(target=stream.decode, daemon=True).start()
     for line in sys.stdin:
         message = json.loads(line)
         if "path" in message:
             stream.share(message["path"])
+        elif "stop" in message:
+            stream.is_stopped = True
         elif "start_s" in message:
             stream.start(message["start_s"])
         else:
