@@ -285,7 +285,7 @@ def get_first_people(
     They are located at a few instants, not tracked, and gone when the job has ended.
     """
     job = records.jobs.get(job_id)
-    num_cameras = len(records.sessions.get(job.session_id).preflight.cameras)
+    num_cameras = max(1, len(records.sessions.get(job.session_id).preflight.cameras))  # 3D points have no camera
     outputs = services.store.outputs.list_stage(job_id, DETECT)[first * num_cameras :]
     found, number = list[bytes](), 0
     while number < min(_MAX_RANGES, len(outputs) // num_cameras):

@@ -40,6 +40,7 @@ def test_client_sends_points_and_gets_their_positions(served: Served, tmp_path: 
     paths = write_walk(tmp_path)
     with Client.connect(str(served.client.base_url)) as client:
         job = client.submit_points("Walk", paths, {"exports": ["csv"], "report": True}, {"frame_rate_hz": 25.0})
+        assert client.get(f"/v1/jobs/{job['id']}/motion/first-people") == {"ranges": [], "next": 0}
         job = client.follow(job, timeout_s=400)
         files = {path.name: path for path in client.download(job, tmp_path / "results")}
     assert {"skeletons.json", "person-1.csv", "person-2.csv", "report.html"} <= files.keys()
