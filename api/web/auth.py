@@ -361,6 +361,7 @@ FileViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.FILE))]
 VideoViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.VIDEO))]
 EventsViewDep = Annotated[TenantRecords, Depends(Viewing(LinkScope.EVENTS))]
 AnyCallerDep = Annotated[Caller, Depends(_any_in_turn, scope="function")]
+CallerDep = Annotated[Caller, Depends(_in_turn(_authorize), scope="function")]
 AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 # TenantRecords of the caller's tenant: routes have no other access to sessions and jobs.
 RecordsDep = Annotated[TenantRecords, Depends(_tenant_records(_authorize))]

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.web.auth import AnyCallerDep, Caller, websocket_caller
+from api.web.auth import Caller, CallerDep, websocket_caller
 from api.web.contract.description import Resource
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, as_api_error
@@ -204,7 +204,7 @@ async def _send(websocket: WebSocket, message: BaseModel) -> None:
     operation_id="listLiveDevices",
     summary="List cameras of the service's machine",
 )
-def list_devices(services: ServicesDep, caller: AnyCallerDep) -> LiveDevicesOut:
+def list_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
     """List the cameras of the service's machine, and say whether live captures may open them."""
     is_allowed = allows_private(services.settings, caller)
     found = find_devices() if is_allowed else {}

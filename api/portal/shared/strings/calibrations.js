@@ -54,7 +54,7 @@ export const CALIBRATIONS = {
     session: "Capture",
     sessionHint: "The people of the capture place the cameras again. The lens values stay.",
     scene: "Mark the points",
-    sceneHint: "Points with known coordinates, marked in one picture of each camera, calibrate the cameras without a board or people.",
+    sceneHint: "Mark points with known coordinates in one picture of each camera. No board and no people are needed.",
     submit: "Add",
     sent: (sent, total) => `${sent} of ${total} sent`,
     checking: "Sent. Checking the files …",

@@ -8,7 +8,7 @@ export const SCENE = {
   unread: (names) => `This browser can't show ${names}. Choose a PNG or JPEG picture of the same size instead.`,
   table: "Points in metres: name, x, y, z",
   placeholder: "box1, 0, 0, 0.4\nbox2, 0.8, 0, 0.4\ndoor, 0, 2.5, 1.98",
-  read: (number) => `Points read: ${number}. Z points up, axes are right-handed. Each camera needs 4 points, or 6 if its lens is estimated; not all on a line.`,
+  read: (number) => `Points read: ${number}. Z points up, axes are right-handed. Each camera needs 4 points, or 6 without a lens. They must not lie on a line.`,
   wrong: (lines) => `Can't be read: line ${lines}. Write a name and three numbers.`,
   lens: "Lens values",
   estimated: "Estimate from the points",
