@@ -31,7 +31,7 @@ def write_capture(folder: Path) -> list[Path]:
 
 
 def test_file_beside_keypoints_has_a_clock_in_the_form(served: Served, tmp_path: Path) -> None:
-    with opened(f"{served.client.base_url}#/new") as page:
+    with opened(f"{served.client.base_url}#/new", allowed=("422",)) as page:
         page.set_viewport_size({"width": 390, "height": 844})
         page.get_by_label("Name of the capture").fill("Jump on a plate")
         page.get_by_label("Choose files").set_input_files(write_capture(tmp_path))

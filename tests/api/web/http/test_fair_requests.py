@@ -24,7 +24,7 @@ RECORDS = ("Session", "SessionAndJob", "Calibration", "Character")
 WAITING = {
     *(f"create{record}{body}" for record in RECORDS for body in BODIES),
     "streamJobEvents", "changeCharacter", "createTakeSession",
-    "createTakeCalibration", "createUpload", "continueUpload", "deleteUpload",
+    "createTakeCalibration", "createUpload", "continueUpload", "deleteUpload", "getCalibrationFile", "planRig",
 }  # fmt: skip
 """Routes that wait for their clients or for the check of files: their work has shares of its own."""
 

@@ -128,10 +128,10 @@ def test_while_first_is_answered(live: Live, monkeypatch: pytest.MonkeyPatch) ->
     session_id, entered, go_on = live.session_id(), threading.Event(), threading.Event()
     read = Sessions.get
 
-    def slow(*arguments: Any) -> Any:
+    def slow(*arguments: Any, **options: Any) -> Any:
         entered.set()
         assert go_on.wait(20)
-        return read(*arguments)
+        return read(*arguments, **options)
 
     monkeypatch.setattr(Sessions, "get", slow)
 

@@ -226,8 +226,14 @@ def test_refused_session_has_its_errors(live: Live) -> None:
     assert (error["stage"], error["retryable"], error["hint"]) == ("check_session", False, SessionRefused.advice)
     assert error["detail"] == "cam_1: The camera sees people elsewhere. The world is mirrored."
     assert error["errors"] == [
-        {"code": "camera_disagrees", "camera": "cam_1", "message": problems[0].message, "hint": "Calibrate it again."},
-        {"code": "mirrored_world", "camera": None, "message": problems[1].message, "hint": None},
+        {
+            "code": "camera_disagrees",
+            "message": problems[0].message,
+            "file": None,
+            "camera": "cam_1",
+            "hint": "Calibrate it again.",
+        },
+        {"code": "mirrored_world", "message": problems[1].message, "file": None, "camera": None, "hint": None},
     ]
     forced = live.client.post(job["urls"]["session"] + "/jobs", json=job["spec"] | {"force": True})
     assert forced.raise_for_status().json()["spec"]["force"] is True
