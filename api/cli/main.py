@@ -26,7 +26,7 @@ COMMANDS: Mapping[str, str] = {
     "solve": "Solve skeletons of people in 3D from another system: TRC, C3D, BVH, CSV, NetCDF, NPY, JSON.",
     "live": "Capture people live from cameras, streams or files, until Ctrl-C or the end of the files.",
     "batch": "Reconstruct many takes of one rig, and go on after an interruption.",
-    "calibrate": "Make a calibration from videos or photographs of a board.",
+    "calibrate": "Make a calibration from a board, from people, or from known points.",
     "calibration": "Calibration files of any supported format: show, check, convert; plan of a rig.",
     "sync": "Measure when each camera started, from the people in view.",
     "models": "Detector networks: list, install, add from a file, verify.",
