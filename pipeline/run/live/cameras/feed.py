@@ -172,8 +172,8 @@ class FeedEnded:
     """A stream has ended."""
 
     camera: int
-    problem: Problem | None  # ``None`` at the end of a file
-    is_over: bool  # True if it is not opened again: a file
+    problem: Problem | None  # ``None`` at the end of a file or of a recording
+    is_over: bool  # True if it is not opened again: a file or a recording
 
 
 FeedEvent = FeedOpened | FrameDecoded | PictureReady | FeedEnded
@@ -184,6 +184,7 @@ class CameraFeed:
 
     ``camera``: position of the camera. ``size_px``: size of its pictures by the calibration. ``num_slots``: number of
     pictures that are held at a time. ``events``: queue that gets a ``FeedEvent`` for everything that happens.
+    ``record``: new file that gets all frames up to ``stop``, in place of pictures; such a stream is not opened again.
     """
 
     def __init__(
@@ -193,9 +194,11 @@ class CameraFeed:
         size_px: tuple[int, int],
         num_slots: int,
         events: "queue.SimpleQueue[FeedEvent | None]",
+        record: str | None = None,
     ) -> None:
         self._camera, self._source, self._num_slots, self._events = camera, source, num_slots, events
-        self._request = StreamRequest(source.kind, source.address, size_px, source.host)
+        self._request = StreamRequest(source.kind, source.address, size_px, source.host, record)
+        self._may_end = source.kind == "file"
         self._format: PictureFormat | None = None
         self._process: StreamProcess | None = None
         self._pictures: SharedPictures | None = None
@@ -215,6 +218,12 @@ class CameraFeed:
         if self._process is not None:
             self._process.tell(slot=slot)
 
+    def stop(self) -> None:
+        """End a recording; its stream has begun."""
+        self._may_end = True
+        if self._process is not None:
+            self._process.tell(stop=True)
+
     def close(self) -> None:
         """End the process soon; ``join`` waits for its end."""
         self._is_closed.set()
@@ -224,14 +233,14 @@ class CameraFeed:
         self._thread.join()
 
     def _run(self) -> None:
-        pause_s, is_file = _FIRST_PAUSE_S, self._source.kind == "file"
+        pause_s, is_once = _FIRST_PAUSE_S, self._source.kind == "file" or self._request.record is not None
         while not self._is_closed.is_set():
             started_s = time.monotonic()
             problem = self._watch()
             if self._is_closed.is_set():
                 return
-            self._events.put(FeedEnded(self._camera, problem, is_file))
-            if is_file:
+            self._events.put(FeedEnded(self._camera, problem, is_once))
+            if is_once:
                 return
             if time.monotonic() - started_s > _LONGEST_PAUSE_S:
                 pause_s = _FIRST_PAUSE_S
@@ -271,8 +280,8 @@ class CameraFeed:
                     self._events.put(PictureReady(self._camera, message["slot"], message["time_s"], self._pictures))
                 case "ended" if "code" in message:
                     return self._problem(message["code"], message["message"], message["hint"])
-                case "ended" if self._source.kind == "file":
-                    # Its last pictures may still be asked for.
+                case "ended" if self._may_end:
+                    # The last pictures of a file may still be asked for.
                     self._events.put(FeedEnded(self._camera, None, is_over=True))
                     is_at_end = True
                 case "ended":
@@ -287,8 +296,9 @@ class CameraFeed:
                 VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start the capture again."
             )
         self._format = form
-        self._pictures = SharedPictures(self._num_slots, stored_px[1], square_width)
-        process.tell(path=self._pictures.path)
+        if self._request.record is None:
+            self._pictures = SharedPictures(self._num_slots, stored_px[1], square_width)
+            process.tell(path=self._pictures.path)
         self._events.put(FeedOpened(self._camera, form, message["rate_hz"]))
         return None
 

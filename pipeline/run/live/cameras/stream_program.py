@@ -5,7 +5,7 @@ Messages are JSON objects, a line each. To stdin come a ``StreamRequest``; then 
 at which a file is to be played, and ``slot`` for each wanted picture: the newest one is written to that slot of the
 shared file. To stdout go ``opened``, ``decoded`` for each frame, ``picture`` for each one that was written, and
 ``ended`` with a problem, or without one at the end of the stream. The process ends when stdin is closed. With
-``record`` the frames go to a file, up to the message ``stop``; ``recorded`` has the time of the first one.
+``record`` the frames go to a file, up to the message ``stop``, and ``decoded`` tells of each one in the file.
 """
 
 import errno
@@ -136,25 +136,25 @@ class _Stream:
 
     def _record(self, container: InputContainer, stream: VideoStream) -> None:
         """Write the frames to a file, at the times at which they were taken."""
-        times_s: list[float] = []
+        first_s: float | None = None
         with av.open(str(self._request.record), "w", format="matroska") as file:
             target = file.add_stream("libx264", options=_RECORDED)
             for time_s, frame in self._timed_frames(container, stream):
                 self._require_size(frame)
-                if not times_s:
+                if first_s is None:
+                    first_s = time_s
                     target.width, target.height = self._size_px
                     target.pix_fmt = "yuv420p" if all(side % 2 == 0 for side in self._size_px) else "yuv444p"
                     target.sample_aspect_ratio = stream.sample_aspect_ratio or Fraction(1)
                     target.codec_context.time_base = _RECORDED_TICK
-                if self.is_stopped:
-                    break
-                times_s.append(time_s)
                 written = frame.reformat(format=target.pix_fmt)
-                written.pts, written.time_base = round((time_s - times_s[0]) / _RECORDED_TICK), _RECORDED_TICK
+                written.pts, written.time_base = round((time_s - first_s) / _RECORDED_TICK), _RECORDED_TICK
                 written.pict_type = PictureType.NONE
                 file.mux(target.encode(written))
+                _say("decoded", number=self._number, time_s=time_s)
+                if self.is_stopped:
+                    break
             file.mux(target.encode(None))
-        _say("recorded", first_s=times_s[0], frames=len(times_s))
 
     def _require_size(self, frame: VideoFrame) -> None:
         if (frame.width, frame.height) != self._size_px:
@@ -270,6 +270,9 @@ def _usual_problem(error: Exception) -> UnusableError:
     """Problem of an error of FFmpeg, without the address, which may hold a password."""
     text = (error.strerror or "") if isinstance(error, OSError | FFmpegError) else ""
     name = type(error).__name__
+    if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}:
+        hint = "Record for a shorter time, or free room on the service's disk."
+        return UnusableError(session_codes.VIDEO_UNREADABLE, "The disk has no room for the recording.", hint)
     if isinstance(error, TimeoutError) or name == "ExitError" or "timed out" in text.lower():
         hint = "See that the camera is on and reached from this machine."
         return UnusableError(STREAM_SILENT, "The camera does not answer in time.", hint)

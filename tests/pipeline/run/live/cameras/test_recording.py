@@ -1,6 +1,8 @@
 """Recording of cameras for a moment: a video of each, with the times at which its pictures were taken."""
 
+import errno
 import json
+import os
 import threading
 from io import BytesIO
 from pathlib import Path
@@ -9,7 +11,9 @@ from typing import Any
 import av
 import pytest
 
+from pipeline.run.live.cameras import feed
 from pipeline.run.live.cameras.recording import run
+from pipeline.run.live.cameras.stream_program import _usual_problem
 from pipeline.run.live.packets import CaptureAnswer, framed, read_message
 from tests.pipeline.run.live.cameras.servers import SIZE_PX, encoded_pictures, mjpeg_camera, rtsp_camera, serving
 
@@ -58,6 +62,42 @@ def test_each_camera_becomes_a_video(tmp_path: Path) -> None:
         assert (len(frames) - 1) / duration_s == pytest.approx(rate_hz, rel=0.3)
         num_frames += len(frames)
     assert content["received"] == num_frames
+
+
+def test_recording_that_ends_early_keeps_first_pictures(tmp_path: Path) -> None:
+    with serving(mjpeg_camera(10, 20.0)) as one, serving(mjpeg_camera(10, 20.0)) as other:
+        sources = [
+            {"camera": str(place), "kind": "http", "address": f"http://127.0.0.1:{server.port}/", "host": None}
+            for place, server in enumerate((one, other))
+        ]
+        start = json.dumps({"sources": sources, "duration_s": 60.0, "folder": str(tmp_path)}).encode()
+        answers = BytesIO()
+        assert run(BytesIO(framed(start)), answers) == 0
+    answers.seek(0)
+    content = json.loads((read_message(answers) or b"")[1:])
+    assert content["received"] >= 2
+    for place in range(2):
+        with av.open(str(tmp_path / f"{place}.mkv")) as video:
+            assert next(video.decode(video=0)).width == SIZE_PX[0]
+
+
+def test_camera_without_process_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_request: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(feed, "StreamProcess", refused)
+    code, ((kind, (problem,)),) = recorded(tmp_path, "http://127.0.0.1:1/")
+    assert (code, kind, problem["camera"]) == (2, CaptureAnswer.REFUSED, "cam_0")
+    assert "can't be started" in problem["message"]
+
+
+def test_full_disk_is_named() -> None:
+    for number in (errno.ENOSPC, errno.EFBIG):
+        problem = _usual_problem(OSError(number, os.strerror(number)))
+        assert (problem.message, problem.hint) == (
+            "The disk has no room for the recording.",
+            "Record for a shorter time, or free room on the service's disk.",
+        )
 
 
 @pytest.mark.slow
