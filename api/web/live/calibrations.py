@@ -11,10 +11,10 @@ from typing import IO
 
 from starlette.concurrency import run_in_threadpool
 
-from api.web.auth import Caller
 from api.web.dependencies import Services
 from api.web.errors import ErrorItem
 from api.web.http.websockets import SocketProblem
+from api.web.live.connection import LiveConnection
 from api.web.live.forks import ForkServer, start_limit_s
 from api.web.live.problems import failed
 from api.web.live.schemas import LiveCamerasStart, LiveStart
@@ -25,15 +25,13 @@ from worker.store.errors import NotFound
 from worker.store.tenant_records import TenantRecords
 
 
-async def calibration_file(
-    services: Services, caller: Caller, records: TenantRecords, start: LiveStart | LiveCamerasStart, folder: Path
-) -> Path:
+async def calibration_file(connection: LiveConnection, start: LiveStart | LiveCamerasStart, folder: Path) -> Path:
     """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
     if start.calibration_id is not None:
-        content = await run_in_threadpool(_stored_calibration, records, str(start.calibration_id))
+        content = await run_in_threadpool(_stored_calibration, connection.records, str(start.calibration_id))
     else:
-        content = await _sent_calibration(services, caller, start, folder)
-    num_cameras, max_cameras = len(json.loads(content)["cameras"]), services.settings.max_cameras
+        content = await _sent_calibration(connection, start, folder)
+    num_cameras, max_cameras = len(json.loads(content)["cameras"]), connection.settings.max_cameras
     if num_cameras > max_cameras:
         message = f"The calibration has {num_cameras} cameras; at most {max_cameras} are allowed."
         raise SocketProblem(LIVE_FIELDS, message)
@@ -42,17 +40,15 @@ async def calibration_file(
     return path
 
 
-async def _sent_calibration(
-    services: Services, caller: Caller, start: LiveStart | LiveCamerasStart, folder: Path
-) -> str:
-    path = folder / "sent.json"
+async def _sent_calibration(connection: LiveConnection, start: LiveStart | LiveCamerasStart, folder: Path) -> str:
+    path, services, owner = folder / "sent.json", connection.services, connection.caller.owner
     await run_in_threadpool(path.write_text, json.dumps(start.calibration), "utf-8")
     arguments = ["--calibration", str(path), f"--up={start.up}"]
     if start.units is not None:
         arguments.append(f"--units={start.units}")
     try:
         async with services.live_places.starting():
-            contents = await services.checks.run(caller.owner, _program(services).read_calibration, arguments, folder)
+            contents = await services.checks.run(owner, _program(services).read_calibration, arguments, folder)
     except InvalidFilesError as invalid:
         errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
         raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None

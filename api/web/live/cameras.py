@@ -1,29 +1,27 @@
 """Live captures whose cameras the service opens: rules of their addresses, and their process."""
 
 import asyncio
-import contextlib
 import dataclasses
 import ipaddress
 import json
-from collections.abc import AsyncIterator, Sequence
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
-import structlog
 from starlette.concurrency import run_in_threadpool
-from starlette.websockets import WebSocket
 
 from api.web.auth import Caller
-from api.web.dependencies import Services
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem
-from api.web.live.forks import bare_environment, start_limit_s
+from api.web.live.connection import LiveConnection
+from api.web.live.forks import start_limit_s
 from api.web.live.intake import read_end
 from api.web.live.keeping import KeptPackets
 from api.web.live.problems import failed, refused
-from api.web.live.process import CaptureProcess
-from api.web.live.relay import Outgoing, all_or_first_error, receive, watch_key
+from api.web.live.process import CaptureProcess, camera_process
+from api.web.live.relay import Outgoing, all_or_first_error
 from api.web.live.schemas import LiveCamerasStart, LiveReady, LiveRecordStart
 from api.web.sessions.schemas import CameraManifest
 from api.web.settings import Settings
@@ -34,12 +32,9 @@ from pipeline.run.live.packets import CaptureAnswer
 from worker.run.webhooks.addresses import url_fault
 from worker.run.webhooks.sender import RefusedAddressError, resolve
 
-_log = structlog.get_logger(__name__)
-
-_RESOLVE_S = 5.0
+_RESOLVE_S = 10.0  # of all names of a start
 _PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
 _PRIVATE_HINT = "The operator allows private addresses and cameras of the machine by MULTICAP_LIVE_PRIVATE."
-_LOGGED_BYTES = 4000
 
 
 def allows_private(settings: Settings, caller: Caller) -> bool:
@@ -64,13 +59,14 @@ def read_cameras(
     errors: list[ErrorItem] = []
     sources: list[CameraSource] = []
     devices = find_devices() if is_private else {}
+    resolve_end_s = time.monotonic() + _RESOLVE_S
     for place, (name, text) in enumerate((camera.camera, camera.source.strip()) for camera in start.cameras):
         names = [camera.camera for camera in start.cameras[:place]]
         for code, message, hint in name_problems(name, [name] if known is None else known, names):
             pointer = pointer_to("cameras", place, "camera")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         try:
-            sources.append(_source(name, text, devices, is_private))
+            sources.append(_source(name, text, devices, None if is_private else resolve_end_s))
         except _WrongSourceError as wrong:
             code, message, hint = wrong.args
             pointer = pointer_to("cameras", place, "source")
@@ -90,23 +86,26 @@ class _WrongSourceError(Exception):
     """A source can't be opened: code, message and hint."""
 
 
-def _source(name: str, text: str, devices: dict[str, str], is_private: bool) -> CameraSource:
+def _source(name: str, text: str, devices: dict[str, str], resolve_end_s: float | None) -> CameraSource:
+    """Source of a text; ``resolve_end_s`` is the end of the time for names, ``None``: all addresses are allowed."""
     scheme, sign, _ = text.partition("://")
     if not sign:
         if text in devices:
             return CameraSource(name, "device", text)
         listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
-        hint = f"Write an address such as rtsp://192.168.0.10/stream. {listed if is_private else _PRIVATE_HINT}"
+        hint = (
+            f"Write an address such as rtsp://192.168.0.10/stream. {listed if resolve_end_s is None else _PRIVATE_HINT}"
+        )
         raise _WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
     if (kind := SCHEMES.get(scheme.lower())) is None:
         raise _WrongSourceError(*unsupported(scheme[:40]))
     if fault := url_fault(text):
         raise _WrongSourceError(CAMERA_SOURCE, fault, "Correct the address.")
-    if is_private:
+    if resolve_end_s is None:
         return CameraSource(name, kind, text)
-    url = urlsplit(text)
+    url, left_s = urlsplit(text), max(0.0, resolve_end_s - time.monotonic())
     try:
-        address = resolve(url.hostname or "", url.port or _PORTS[scheme.lower()], False, _RESOLVE_S)
+        address = resolve(url.hostname or "", url.port or _PORTS[scheme.lower()], False, left_s)
     except RefusedAddressError:
         raise _WrongSourceError(CAMERA_SOURCE, "The address is not public.", _PRIVATE_HINT) from None
     except (OSError, UnicodeError):  # of the name servers, or the time
@@ -122,53 +121,33 @@ def _at(url: SplitResult, address: str) -> SplitResult:
     return url._replace(netloc=f"{user}{sign}{host}{port}")
 
 
-async def relay_cameras(
-    websocket: WebSocket,
-    services: Services,
-    caller: Caller,
-    start: LiveCamerasStart,
-    calibration: Path,
-    key_ended: asyncio.Event,
-) -> Outgoing:
+async def relay_cameras(connection: LiveConnection, start: LiveCamerasStart, calibration: Path) -> Outgoing:
     """Compute a live capture from cameras until the client's ``end``; raises ``SocketProblem`` if it can't begin."""
     known = [camera["name"] for camera in json.loads(await run_in_threadpool(calibration.read_text))["cameras"]]
-    is_private = allows_private(services.settings, caller)
-    sources = await run_in_threadpool(read_cameras, start, known, is_private)
     content = {
         "calibration": str(calibration),
-        "sources": [dataclasses.asdict(source) for source in sources],
         "choices": {"profile": start.profile, "joints": start.joints},
         **start.model_dump(include={"sync_s", "vmc", "format", "keep"}),
     }
-    with services.live_places.with_cameras():
-        command, keeps = services.settings.live_cameras_command, start.keep
-        return await _relayed(websocket, services, command, content, calibration.parent, key_ended, keeps=keeps)
+    _, relay = await _relayed(
+        connection, start, known, connection.settings.live_cameras_command, content, calibration.parent
+    )
+    return relay
 
 
 async def record_cameras(
-    websocket: WebSocket,
-    services: Services,
-    caller: Caller,
-    start: LiveRecordStart,
-    folder: Path,
-    key_ended: asyncio.Event,
+    connection: LiveConnection, start: LiveRecordStart, folder: Path
 ) -> dict[CameraManifest, Path]:
     """Record cameras for a moment; return their videos by their cameras with offsets.
 
     Raises ``SocketProblem`` if they can't be recorded.
     """
-    is_private = allows_private(services.settings, caller)
-    sources = await run_in_threadpool(read_cameras, start, None, is_private)
     filmed = folder / "filmed"
     filmed.mkdir()
-    content = {
-        "sources": [dataclasses.asdict(source) for source in sources],
-        "duration_s": start.duration_s,
-        "folder": str(filmed),
-    }
-    with services.live_places.with_cameras():
-        command = services.settings.live_recording_command
-        relay = await _relayed(websocket, services, command, content, folder, key_ended)
+    content = {"duration_s": start.duration_s, "folder": str(filmed)}
+    sources, relay = await _relayed(
+        connection, start, None, connection.settings.live_recording_command, content, folder
+    )
     return {
         CameraManifest(name=source.camera, file=f"camera-{place}.mkv", offset_s=offset_s): filmed / f"{place}.mkv"
         for place, (source, offset_s) in enumerate(zip(sources, relay.answer["offsets_s"], strict=True))
@@ -176,61 +155,55 @@ async def record_cameras(
 
 
 async def _relayed(
-    websocket: WebSocket,
-    services: Services,
+    connection: LiveConnection,
+    start: LiveCamerasStart | LiveRecordStart,
+    known: Sequence[str] | None,
     command: Sequence[str],
-    start: dict[str, Any],
+    content: dict[str, Any],
     folder: Path,
-    key_ended: asyncio.Event,
-    *,
-    keeps: bool = False,
-) -> "_CameraRelay":
-    """Relay of a program with cameras, which has ended."""
-    async with _process(command, folder) as process:
-        await process.send(json.dumps(start).encode())
-        relay = _CameraRelay(websocket, services, process, folder, keeps)
-        await relay.run(key_ended)
-    return relay
+) -> "tuple[list[CameraSource], _CameraRelay]":
+    """Check the cameras, and relay a program that opens them to its end."""
+    is_private = allows_private(connection.settings, connection.caller)
+    sources = await run_in_threadpool(read_cameras, start, known, is_private)
+    content["sources"] = [dataclasses.asdict(source) for source in sources]
+    with connection.services.live_places.with_cameras():
+        async with camera_process(command, folder) as process:
+            await process.send(json.dumps(content).encode())
+            relay = _CameraRelay(connection, process, start, folder)
+            await relay.run()
+    return sources, relay
 
 
 class _CameraRelay(Outgoing):
-    """Relay of a capture whose cameras the service opens.
+    """Relay of a capture whose cameras the service opens; ``folder`` is the folder of the connection."""
 
-    Parameters
-    ----------
-    folder
-        Folder of the connection.
-    keeps
-        Whether keypoints are kept.
-    """
+    def __init__(
+        self,
+        connection: LiveConnection,
+        process: CaptureProcess,
+        start: LiveCamerasStart | LiveRecordStart,
+        folder: Path,
+    ) -> None:
+        super().__init__(connection, process)
+        self._start, self._folder = start, folder
+        # Longest time until the next answer
+        self._limit_s = start_limit_s(self._settings) + (start.duration_s if isinstance(start, LiveRecordStart) else 0)
 
     @property
     def answer(self) -> dict[str, Any]:
         """Last answer of the process."""
         return self._counts
 
-    def __init__(
-        self,
-        websocket: WebSocket,
-        services: Services,
-        process: CaptureProcess,
-        folder: Path,
-        keeps: bool,
-    ) -> None:
-        super().__init__(websocket, services.settings, websocket.app.state.metrics.live)
-        self._services, self._process, self._folder, self._keeps = services, process, folder, keeps
-        self._limit_s = start_limit_s(services.settings)  # longest time until the next answer
-
-    async def run(self, key_ended: asyncio.Event) -> None:
+    async def run(self) -> None:
         """Relay until the end; raises ``SocketProblem`` or ``WebSocketDisconnect`` if the capture ends early."""
-        await all_or_first_error((self._collect(), self._send()), (self._receive(), watch_key(key_ended)))
+        await all_or_first_error((self._collect(), self._send()), (self._receive(), self._connection.watch_key()))
 
     async def _receive(self) -> None:
-        """Take the client's ``end``."""
-        read_end(await receive(self._websocket, self._settings, may_idle=True))
+        """Take the client's ``end``, behind which only its leaving matters."""
+        read_end(await self._connection.receive(may_idle=True))
         self._limit_s = start_limit_s(self._settings)  # pictures whose people are being detected are waited for
         self._process.writer.write_eof()
-        await receive(self._websocket, self._settings, may_idle=True)
+        await self._connection.receive(may_idle=True)
 
     async def _collect(self) -> None:
         """Collect the answers of the process until its last one; cameras that are on tell something each second."""
@@ -259,35 +232,8 @@ class _CameraRelay(Outgoing):
 
     def _ready(self, content: bytes) -> bytes:
         """Message ``ready``; what is kept begins."""
-        ready = LiveReady(**json.loads(content), limits={}, request_id=self._websocket.state.request_id)
+        ready = LiveReady(**json.loads(content), limits={}, request_id=self._connection.request_id)
         self.cameras = ready.cameras
-        if self._keeps:
-            self.kept = KeptPackets(self._services, self._folder, ready.layout)
+        if isinstance(self._start, LiveCamerasStart) and self._start.keep:
+            self.kept = KeptPackets(self._connection.services, self._folder, ready.layout)
         return ready.model_dump_json().encode()
-
-
-@contextlib.asynccontextmanager
-async def _process(command: Sequence[str], folder: Path) -> AsyncIterator[CaptureProcess]:
-    """Process of a capture during the block; at its end it is killed, and why it had ended by itself is logged."""
-    log_path = folder / "capture.log"
-    with log_path.open("wb") as log:
-        child = await asyncio.create_subprocess_exec(
-            *command,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=log,
-            env=bare_environment() | {"TMPDIR": str(folder)},
-            start_new_session=True,
-        )
-    assert child.stdin is not None  # noqa: S101 - both are pipes
-    assert child.stdout is not None  # noqa: S101
-    try:
-        yield CaptureProcess(child.pid, child.stdout, child.stdin)
-    finally:
-        if child.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                child.kill()
-        elif child.returncode not in {0, 2}:
-            text = log_path.read_bytes()[-_LOGGED_BYTES:].decode(errors="replace")
-            _log.error("live_process_ended", exit_code=child.returncode, log=text)
-        await child.wait()

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import structlog
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import HTTPConnection
 
 from api.web.dependencies import Services
 from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
+from api.web.live.connection import LiveConnection
 from api.web.live.problems import failed
 from api.web.live.schemas import POINTS, Layout
 from api.web.sessions.intake import check
@@ -97,13 +97,7 @@ class KeptPackets:
 
 
 async def keep_session(
-    connection: HTTPConnection,
-    services: Services,
-    records: TenantRecords,
-    kept: KeptPackets,
-    name: str,
-    calibration: Path,
-    cameras: Sequence[str],
+    connection: LiveConnection, kept: KeptPackets, name: str, calibration: Path, cameras: Sequence[str]
 ) -> str:
     """Make a session of keypoints from what was kept, checked and stored as others are; return its id.
 
@@ -113,8 +107,8 @@ async def keep_session(
         With all that is wrong, such as a single frame.
     """
     await kept.flush()
-    folder = calibration.parent
-    owner = connection.state.caller.owner
+    folder, services = calibration.parent, connection.services
+    records, owner = connection.records, connection.caller.owner
     archives = await services.checks.run(owner, _write_files, services, kept.path, folder, cameras, kept.layout)
     manifest = {
         "name": name,
@@ -129,9 +123,7 @@ async def keep_session(
     num_bytes = sum(file.num_bytes for of_part in files.values() for file in of_part)
     await run_in_threadpool(records.require_room, num_bytes)
     form = Form(files, {MANIFEST: json.dumps(manifest).encode()}, ())
-    checked = await check(
-        connection.state.caller.owner, services, records, Sent(folder, SESSION_FORM, form, None, NO_PLACES)
-    )
+    checked = await check(owner, services, records, Sent(folder, SESSION_FORM, form, None, NO_PLACES))
     return await run_in_threadpool(_store, services, records, checked)
 
 

@@ -2,16 +2,18 @@
 
 import asyncio
 import contextlib
+import os
 import signal
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import structlog
 
 from api.web.http.websockets import SocketProblem
-from api.web.live.forks import ForkServer
+from api.web.live.forks import ForkServer, bare_environment
 from api.web.live.problems import failed
 from pipeline.core.runtime.forks import NUMBER, ForkRequest
 from pipeline.core.runtime.resources import lower_priority
@@ -101,6 +103,34 @@ async def _end(numbers: asyncio.StreamReader, ending: asyncio.StreamWriter, log_
         ending.write_eof()
         async with asyncio.timeout(_ENDED_S):
             exit_code = await _number(numbers)
+    _log_end(exit_code, log_path)
+
+
+@contextlib.asynccontextmanager
+async def camera_process(command: Sequence[str], folder: Path) -> AsyncIterator[CaptureProcess]:
+    """Run a program that opens cameras, like ``capture_process``; its children end with it."""
+    log_path = folder / "capture.log"
+    with log_path.open("wb") as log:
+        child = await asyncio.create_subprocess_exec(
+            *command,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=log,
+            env=bare_environment() | {"TMPDIR": str(folder)},
+            start_new_session=True,
+        )
+    try:
+        yield CaptureProcess(
+            child.pid, cast(asyncio.StreamReader, child.stdout), cast(asyncio.StreamWriter, child.stdin)
+        )
+    finally:
+        if child.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+        _log_end(await child.wait(), log_path)
+
+
+def _log_end(exit_code: int | None, log_path: Path) -> None:
     if exit_code not in {0, 2, -signal.SIGKILL}:
         text = log_path.read_bytes()[-_LOGGED_BYTES:].decode(errors="replace")
         _log.error("live_process_ended", exit_code=exit_code, log=text)

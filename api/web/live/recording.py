@@ -1,35 +1,25 @@
 """Calibrations of live cameras: they are recorded for a moment, and the videos are calibrated as others are."""
 
-import asyncio
 import json
 from dataclasses import replace
 from pathlib import Path
 
 from starlette.concurrency import run_in_threadpool
-from starlette.websockets import WebSocket
 
-from api.web.auth import Caller
 from api.web.calibrations.intake import CALIBRATION_FORM, CheckedCalibration, begun_calibration, check_calibration
 from api.web.dependencies import Services
 from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import SPEC, VIDEOS
 from api.web.live.cameras import record_cameras
+from api.web.live.connection import LiveConnection
 from api.web.live.schemas import LiveRecorded, LiveRecordStart
 from api.web.sessions.receiving import Sent
 from api.web.sessions.schemas import CameraManifest
 from worker.store.tenant_records import TenantRecords
 
 
-async def record_calibration(
-    websocket: WebSocket,
-    services: Services,
-    caller: Caller,
-    records: TenantRecords,
-    start: LiveRecordStart,
-    folder: Path,
-    key_ended: asyncio.Event,
-) -> LiveRecorded:
+async def record_calibration(connection: LiveConnection, start: LiveRecordStart, folder: Path) -> LiveRecorded:
     """Record cameras, and begin their calibration; files go through ``folder``.
 
     Raises
@@ -37,13 +27,14 @@ async def record_calibration(
     SocketProblem, ApiError
         With all that is wrong.
     """
+    services, records, owner = connection.services, connection.records, connection.caller.owner
     await run_in_threadpool(records.require_room, 0)
-    videos = await record_cameras(websocket, services, caller, start, folder, key_ended)
+    videos = await record_cameras(connection, start, folder)
     choices = start.spec(tuple(camera.model_dump(mode="json") for camera in videos), "live")
     spec = json.dumps({name: value for name, value in choices.items() if value not in (None, [])})
-    form = await services.checks.run(caller.owner, _form, services, folder, videos)
+    form = await services.checks.run(owner, _form, services, folder, videos)
     sent = Sent(folder, CALIBRATION_FORM, replace(form, documents={SPEC: spec.encode()}), None, NO_PLACES)
-    checked = await check_calibration(caller.owner, services, records, sent)
+    checked = await check_calibration(owner, services, records, sent)
     return await run_in_threadpool(_begin, services, records, checked)
 
 

@@ -10,19 +10,17 @@ from typing import Any
 
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
-from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from api.web.http.rates import Pace
 from api.web.http.websockets import SocketProblem
 from api.web.live.backlog import Backlog, Waiting
-from api.web.live.intake import Intake, require_size, wrong_keypoints
+from api.web.live.connection import LiveConnection
+from api.web.live.intake import Intake, wrong_keypoints
 from api.web.live.keeping import KeptPackets
 from api.web.live.problems import failed
 from api.web.live.process import CaptureProcess
 from api.web.live.schemas import DroppedOut, LiveCountsOut, LiveEnd, LiveInstantOut, LiveKeypoints
-from api.web.metrics import LiveMetrics
-from api.web.settings import Settings
-from pipeline.core.problems.request_codes import LIVE_IDLE, LIVE_KEY_ENDED, LIVE_TOO_FAST
+from pipeline.core.problems.request_codes import LIVE_IDLE, LIVE_TOO_FAST
 from pipeline.run.live.packets import CaptureAnswer, Dropped, with_dropped
 
 # Backlogs of a connection: some seconds of a few cameras, and of instants.
@@ -37,21 +35,20 @@ _TYPED = b'{"type"'
 
 
 class Outgoing:
-    """Messages of a capture to its client, with their backlog.
+    """Messages of a capture's process to its client, with their backlog; ``kept`` holds packets, if they are kept."""
 
-    Parameters
-    ----------
-    metrics
-        Where messages are counted.
-    """
-
-    def __init__(self, websocket: WebSocket, settings: Settings, metrics: LiveMetrics) -> None:
-        self._websocket, self._settings, self._metrics = websocket, settings, metrics
-        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "instant"))
+    def __init__(
+        self,
+        connection: LiveConnection,
+        process: CaptureProcess,
+        kept: KeptPackets | None = None,
+        cameras: Sequence[str] = (),
+    ) -> None:
+        self._connection, self._process, self.kept, self.cameras = connection, process, kept, cameras
+        self._settings, self._metrics = connection.settings, connection.metrics
+        self._instants = Backlog(_MAX_INSTANTS, _MAX_BACKLOG_BYTES, partial(self._metrics.dropped, "instant"))
         self._num_received = 0
         self._counts: dict[str, Any] = {}
-        self.kept: KeptPackets | None = None
-        self.cameras: Sequence[str] = ()
 
     @property
     def dropped(self) -> Dropped:
@@ -82,7 +79,7 @@ class Outgoing:
                 message["bytes"] = with_dropped(content, self.dropped)
             try:
                 async with asyncio.timeout(self._settings.live_idle_s):
-                    await self._websocket.send(message)
+                    await self._connection.websocket.send(message)
             except TimeoutError:
                 detail = f"The client took nothing for {self._settings.live_idle_s:g} s."
                 raise SocketProblem(LIVE_IDLE, detail) from None
@@ -99,25 +96,22 @@ class Relay(Outgoing):
 
     Parameters
     ----------
-    kept
-        Where packets are kept; ``None``: they are not.
     rate_hz
         Rate of the frames of all cameras together.
     """
 
     def __init__(
         self,
-        websocket: WebSocket,
+        connection: LiveConnection,
         process: CaptureProcess,
         intake: Intake,
-        settings: Settings,
         kept: KeptPackets | None,
-        metrics: LiveMetrics,
+        cameras: Sequence[str],
         rate_hz: float,
     ) -> None:
-        super().__init__(websocket, settings, metrics)
-        self._process, self._intake, self.kept = process, intake, kept
-        self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(metrics.dropped, "frame"))
+        super().__init__(connection, process, kept, cameras)
+        self._intake = intake
+        self._frames = Backlog(_MAX_FRAMES, _MAX_BACKLOG_BYTES, partial(self._metrics.dropped, "frame"))
         self._pace = Pace(_MAX_SPEED * rate_hz)
         self._room = asyncio.Semaphore(_MAX_AT_PROCESS)
         # Times at which the frames came that the process has and has not answered.
@@ -129,7 +123,7 @@ class Relay(Outgoing):
         """Messages that were dropped so far."""
         return Dropped(self._frames.num_dropped, self._instants.num_dropped)
 
-    async def run(self, key_ended: asyncio.Event) -> None:
+    async def run(self) -> None:
         """Relay until the client's ``end`` was computed and everything was sent.
 
         Raises
@@ -138,14 +132,13 @@ class Relay(Outgoing):
             If the capture ends early.
         """
         ways = (self._receive(), self._feed(), self._collect(), self._send())
-        watches = (self._watch_process(), watch_key(key_ended))
-        await all_or_first_error(ways, watches)
+        await all_or_first_error(ways, (self._watch_process(), self._connection.watch_key()))
 
     async def _receive(self) -> None:
         """Take the client's messages until its ``end``."""
         pace = Pace(self._settings.max_live_messages_per_s)
         while True:
-            message = await receive(self._websocket, self._settings)
+            message = await self._connection.receive()
             since_s = time.monotonic()
             if not pace.has_room():
                 per_s = self._settings.max_live_messages_per_s
@@ -209,19 +202,6 @@ class Relay(Outgoing):
                 raise failed()
 
 
-async def receive(websocket: WebSocket, settings: Settings, *, may_idle: bool = False) -> dict[str, Any]:
-    """Next message of a client, of an allowed size and in time; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
-    try:
-        async with asyncio.timeout(None if may_idle else settings.live_idle_s):
-            message = dict(await websocket.receive())
-    except TimeoutError:
-        raise SocketProblem(LIVE_IDLE, f"The client sent nothing for {settings.live_idle_s:g} s.") from None
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", 1005))
-    require_size(message, settings.max_live_message_bytes)
-    return message
-
-
 async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
     try:
         return LiveKeypoints.model_validate_json(text)
@@ -233,26 +213,18 @@ async def _parsed(text: str) -> LiveKeypoints | LiveEnd:
             raise await run_in_threadpool(wrong_keypoints, text) from None
 
 
-async def watch_key(ended: asyncio.Event) -> None:
-    """Raise ``SocketProblem`` when the key has ended."""
-    await ended.wait()
-    raise SocketProblem(LIVE_KEY_ENDED, "The key of the connection is no longer valid.")
-
-
 async def all_or_first_error(
     ways: tuple[Coroutine[Any, Any, None], ...], watches: tuple[Coroutine[Any, Any, None], ...]
 ) -> None:
     """Run coroutines until all of ``ways`` have ended, or one of all raises an error, which is raised."""
-    running = [asyncio.create_task(way) for way in ways]
-    others = [asyncio.create_task(watch) for watch in watches]
+    needed, others = ([asyncio.create_task(way) for way in group] for group in (ways, watches))
+    running = {*needed, *others}
     try:
-        left = set(running)
-        while left:
-            done, _ = await asyncio.wait([*left, *others], return_when=asyncio.FIRST_COMPLETED)
+        while not all(task.done() for task in needed):
+            done, running = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
-            left -= done
     finally:
-        for task in (*running, *others):
+        for task in running:
             task.cancel()
-        await asyncio.gather(*running, *others, return_exceptions=True)
+        await asyncio.gather(*running, return_exceptions=True)

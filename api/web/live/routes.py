@@ -10,24 +10,24 @@ from typing import Any
 
 import structlog
 from fastapi import APIRouter
-from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from api.web.auth import Caller, CallerDep, websocket_caller
+from api.web.auth import CallerDep, websocket_caller
 from api.web.contract.description import Resource
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message
 from api.web.live.calibrations import calibration_file
 from api.web.live.cameras import allows_private, relay_cameras
+from api.web.live.connection import LiveConnection
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
 from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
 from api.web.live.recording import record_calibration
-from api.web.live.relay import Relay, receive
+from api.web.live.relay import Relay
 from api.web.live.schemas import (
     DroppedOut,
     LiveCamerasStart,
@@ -44,7 +44,6 @@ from api.web.sessions.receiving import spool_folder
 from pipeline.core.problems.request_codes import LIVE_MESSAGE
 from pipeline.run.live.cameras.sources import find_devices
 from pipeline.run.live.packets import CaptureAnswer
-from worker.store.model.rights import Actor
 
 _log = structlog.get_logger(__name__)
 
@@ -75,63 +74,59 @@ async def live(websocket: WebSocket) -> None:
         # Browsers ask for one of the subprotocols that they offered; that with the key is not repeated.
         await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
         with metrics.open.track_inprogress():
-            metrics.ended(await _serve(websocket, services, caller, ended))
+            metrics.ended(await _serve(LiveConnection(websocket, services, caller, ended)))
 
 
-async def _serve(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> str | None:
+async def _serve(connection: LiveConnection) -> str | None:
     """Compute a capture, and answer whatever ends it early by a problem and a close code; return the problem's code."""
-    started_s = time.monotonic()
+    started_s, websocket, caller = time.monotonic(), connection.websocket, connection.caller
     code, close_code = None, 1000
     try:
-        await _capture(websocket, services, caller, key_ended)
+        await _capture(connection)
         await websocket.close()
     except WebSocketDisconnect as gone:
         code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
     except Exception as error:
-        problem = problem_message(error, websocket.state.request_id, LiveProblemOut)
+        problem = problem_message(error, connection.request_id, LiveProblemOut)
         code, close_code = problem.code, problem.close_code
         if not isinstance(error, SocketProblem | ApiError):
             _log.exception("live_capture_failed", code=code)
         with contextlib.suppress(Exception):  # the client may be gone, or take nothing
             async with asyncio.timeout(_CLOSE_S):
-                await _send(websocket, problem)
+                await connection.send(problem)
                 await websocket.close(close_code, code)
     finally:
         key = caller.key
         seconds = round(time.monotonic() - started_s, 4)
         tenant = {"tenant": key.tenant, "key": key.id} if key else {}
         if is_fault(code, close_code):
-            services.live_places.note_bad(caller.owner)
+            connection.services.live_places.note_bad(caller.owner)
         _log.info("live_capture", code=code, close_code=close_code, seconds=seconds, **tenant)
     return code
 
 
-async def _capture(websocket: WebSocket, services: Services, caller: Caller, key_ended: asyncio.Event) -> None:
-    settings = services.settings
-    actor = Actor(caller.key.id if caller.key else None, websocket.state.request_id)
-    records = services.store.tenant(caller.tenant, services.quotas, actor)
-    first = await receive(websocket, settings)
+async def _capture(connection: LiveConnection) -> None:
+    services = connection.services
+    first = await connection.receive()
     if (text := first.get("text")) is None:
         raise SocketProblem(LIVE_MESSAGE, "The first message is start, in JSON.")
     start = await run_in_threadpool(read_start, text)
-    async with spool_folder(settings.spool_dir) as folder:
+    async with spool_folder(services.settings.spool_dir) as folder:
         services.disk.require_room()
         if isinstance(start, LiveRecordStart):
-            recorded = await record_calibration(websocket, services, caller, records, start, folder, key_ended)
-            await _send(websocket, recorded)
+            await connection.send(await record_calibration(connection, start, folder))
             return
         if start.keep:
-            await run_in_threadpool(records.require_room, 0)
-        calibration = await calibration_file(services, caller, records, start, folder)
+            await run_in_threadpool(connection.records.require_room, 0)
+        calibration = await calibration_file(connection, start, folder)
         if isinstance(start, LiveCamerasStart):
-            relay = await relay_cameras(websocket, services, caller, start, calibration, key_ended)
+            relay = await relay_cameras(connection, start, calibration)
         else:
-            relay = await _relay_keypoints(websocket, services, start, calibration, key_ended)
+            relay = await _relay_keypoints(connection, start, calibration)
         session_id = None
         if (kept := relay.kept) is not None:
-            session_id = await keep_session(websocket, services, records, kept, start.name, calibration, relay.cameras)
-        await _send(
-            websocket,
+            session_id = await keep_session(connection, kept, start.name, calibration, relay.cameras)
+        await connection.send(
             LiveEnded(
                 counts=relay.counts,
                 dropped=DroppedOut(**relay.dropped._asdict()),
@@ -141,27 +136,24 @@ async def _capture(websocket: WebSocket, services: Services, caller: Caller, key
         )
 
 
-async def _relay_keypoints(
-    websocket: WebSocket, services: Services, start: LiveStart, calibration: Path, key_ended: asyncio.Event
-) -> Relay:
+async def _relay_keypoints(connection: LiveConnection, start: LiveStart, calibration: Path) -> Relay:
     """Relay keypoints of a client until their end."""
-    settings = services.settings
+    services, settings = connection.services, connection.settings
     async with _ready(services, start, calibration) as (process, ready):
         cameras: Sequence[str] = ready["cameras"]
         kept = KeptPackets(services, calibration.parent, start.layout) if start.keep else None
         intake = Intake(cameras, start.layout, settings.max_live_people)
         rate_hz = start.frame_rate_hz * len(cameras)
-        relay = Relay(websocket, process, intake, settings, kept, websocket.app.state.metrics.live, rate_hz)
-        relay.cameras = cameras
+        relay = Relay(connection, process, intake, kept, cameras, rate_hz)
         limits = {
             "message_bytes": settings.max_live_message_bytes,
             "messages_per_s": settings.max_live_messages_per_s,
             "people": settings.max_live_people,
             "idle_s": settings.live_idle_s,
         }
-        request_id = websocket.state.request_id
-        await _send(websocket, LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
-        await relay.run(key_ended)
+        request_id = connection.request_id
+        await connection.send(LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
+        await relay.run()
     return relay
 
 
@@ -192,10 +184,6 @@ async def _ready(
         if kind is CaptureAnswer.REFUSED:
             raise refused(answer)
         yield process, json.loads(answer)
-
-
-async def _send(websocket: WebSocket, message: BaseModel) -> None:
-    await websocket.send_text(message.model_dump_json())
 
 
 @router.get(

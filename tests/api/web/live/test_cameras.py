@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx2
@@ -126,6 +127,22 @@ def test_mutated_addresses_are_refused_or_public(monkeypatch: pytest.MonkeyPatch
             text[chance.randrange(len(text))] = chance.choice(letters)
         with pytest.raises(SocketProblem):
             read_cameras(start("".join(text), "http://127.0.0.1/"), ["left", "right"], False)
+
+
+def test_names_of_all_cameras_share_one_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, limits_s = 100.0, []
+
+    def no_answer(_host: str, _port: int, _allow_private: bool, timeout_s: float) -> str:
+        nonlocal now_s
+        limits_s.append(timeout_s)
+        now_s += timeout_s
+        raise TimeoutError
+
+    monkeypatch.setattr(cameras, "time", SimpleNamespace(monotonic=lambda: now_s))
+    monkeypatch.setattr(cameras, "resolve", no_answer)
+    found = refusals(start("rtsp://one.example/", "rtsp://other.example/"), False)
+    assert found == [(f"/cameras/{place}/source", "The name can't be resolved.") for place in (0, 1)]
+    assert limits_s == [10.0, 0.0]
 
 
 @pytest.fixture(scope="module")
