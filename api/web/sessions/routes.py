@@ -53,10 +53,7 @@ add_creation(
     "createSession",
     Creation(SESSION_FORM, check, _add_session),
     (
-        Texts(
-            "Send a session",
-            _CREATE,
-        ),
+        Texts("Send a session", _CREATE),
         Texts("Send a session's files", "Send a session as a form with its files; otherwise as `createSession`."),
         Texts(
             "Send a session's uploads",

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Row, delete, select, update
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.problems.finding_codes import SESSION_UNUSABLE, VIDEOS_FETCHING
-from worker.store.database.access import Access
+from worker.store.database.access import Repository
 from worker.store.database.connection import now
 from worker.store.database.rows import read_jobs, read_session, select_jobs
 from worker.store.database.tables import jobs, sessions, uploads
@@ -32,11 +32,8 @@ _FETCHING = JobProblem(
 )
 
 
-class Arrivals:
+class Arrivals(Repository):
     """Arrivals of a tenant, or of all tenants."""
-
-    def __init__(self, access: Access) -> None:
-        self._access = access
 
     def reserve(self, session_id: str, upload_ids: Collection[str]) -> None:
         """Reserve uploads for a session of the same transaction; ``Conflict`` if it can't have one of them.
@@ -93,15 +90,10 @@ class Arrivals:
             if not self._end(connection, session_id):
                 return False
             self._access.require_room(connection, stored_bytes=num_bytes)
-            found = {
-                "files": [asdict(file) for file in files],
-                "preflight": preflight.to_json(),
-                "record_sha256": record_sha256,
-                "num_bytes": num_bytes,
-                "chunk_frames": chunk_frames,
-            }
-            connection.execute(update(sessions).where(sessions.c.id == session_id).values(**found))
-            session = read_session(connection.execute(select(sessions).where(sessions.c.id == session_id)).one())
+            found = {"record_sha256": record_sha256, "num_bytes": num_bytes, "chunk_frames": chunk_frames}
+            found |= {"files": [asdict(file) for file in files], "preflight": preflight.to_json()}
+            stored = update(sessions).where(sessions.c.id == session_id).values(**found).returning(*sessions.c)
+            session = read_session(connection.execute(stored).one())
             for row in _lock_waiting(connection, session_id):
                 (job,) = read_jobs(connection, connection.execute(select_jobs().where(jobs.c.id == row.id)).all())
                 stages = plan(session, job)
@@ -115,15 +107,10 @@ class Arrivals:
     def fail(self, session_id: str, errors: Sequence[Mapping[str, Any]]) -> bool:
         """Record why the files of a session can't be used, and end its jobs; return whether it waited for them.
 
-        Parameters
-        ----------
-        errors
-            Errors as the web API describes them.
+        ``errors`` are errors as the web API describes them.
         """
         listed = tuple(
-            SessionError(
-                error["code"], error["message"], error.get("camera"), error.get("hint"), file=error.get("file")
-            )
+            SessionError(error["code"], error["message"], *map(error.get, ("camera", "hint", "file")))
             for error in errors
         )
         problem = JobProblem(SESSION_UNUSABLE, "The videos of the capture can't be used.", errors=listed)
