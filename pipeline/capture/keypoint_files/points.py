@@ -29,6 +29,27 @@ _PARTS: Mapping[str, str] = {
     **{name.removeprefix("left_"): name.removeprefix("left_") for name in BODY_FEET.names if name.startswith("left_")},
     **dict.fromkeys(("bigtoe", "greattoe", "footindex", "toe"), "big_toe"),
 }
+# Further words of names of human points: points of layouts of people alone, without a shoulder or a hip, are an error.
+_HUMAN = {
+    *(
+        "head",
+        "face",
+        "neck",
+        "chin",
+        "forehead",
+        "mouth",
+        "lip",
+        "jaw",
+        "top",
+        "of",
+        "mid",
+        "center",
+        "middle",
+        "small",
+    ),
+    *("chest", "thorax", "sternum", "torso", "trunk", "spine", "pelvis", "hips", "shoulders", "hand", "palm", "thumb"),
+    *("index", "ring", "pinky", "finger", "fingers", "fingertip", "tip", "mcp", "pip", "dip", "foot", "toes", "midhip"),
+}
 _MAX_NAME, _MAX_POINTS = 100, 1000
 REQUIRED = tuple(f"{side}_{part}" for part in ("shoulder", "hip") for side in SIDES)
 """Joints without which there is no trunk, and so no skeleton."""
@@ -70,7 +91,7 @@ def match_joint(name: str) -> str | None:
     >>> [match_joint(name) for name in ("LShoulder", "rknee", "ankle1", "Left big toe", "Nose", "tail")]
     ['left_shoulder', 'right_knee', 'right_ankle', 'left_big_toe', 'nose', None]
     """
-    words = [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
+    words = _words(name)
     if words == ["nose"]:
         return "nose"
     sides = [_SIDE[word] for word in words if word in _SIDE]
@@ -81,18 +102,30 @@ def match_joint(name: str) -> str | None:
     return f"{sides[0]}_{_PARTS[part]}" if len(sides) == 1 and part in _PARTS else None
 
 
+def _words(name: str) -> list[str]:
+    return [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
+
+
+def _is_human(name: str) -> bool:
+    return (
+        match_joint(name) is not None or {*filter(str.isalpha, _words(name))} <= _HUMAN | _PARTS.keys() | _SIDE.keys()
+    )
+
+
 def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
     """Layout of points with these names: joints of ``COCO_17``, with heels and big toes if one of them is named.
 
-    Other points are the user's own. Without any shoulder, or any hip, all points are the user's own, of animals.
+    Other points are the user's own. Without any shoulder, or any hip, all points are the user's own, of animals, unless
+    the names are a person's.
 
-    Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip is
-    missing.
+    Raises ``KeypointsError`` if there are too many points, if two of them are one joint, or if a shoulder or a hip of a
+    person is missing.
     """
     if len(names) > _MAX_POINTS:
         raise KeypointsError(f"There are names of {len(names)} points; at most {_MAX_POINTS} are allowed.", field)
     points = tuple(match_joint(name) for name in names)
-    if names and len({joint.partition("_")[2] for joint in {*REQUIRED} & {*points}}) < len(REQUIRED) // len(SIDES):
+    has_trunk = len({joint.partition("_")[2] for joint in {*REQUIRED} & {*points}}) == len(REQUIRED) // len(SIDES)
+    if names and not has_trunk and not (any(points) and all(map(_is_human, names))):
         name, count = Counter(names).most_common(1)[0]
         if count > 1:
             raise KeypointsError(f"Several points have the name {name[:_MAX_NAME]!r}.", field)
@@ -104,6 +137,8 @@ def named_layout(names: Sequence[str], field: str) -> KeypointLayout:
             raise KeypointsError(f"Several points are the joint {joint}: {twice}.", field)
     if missing := [joint for joint in REQUIRED if joint not in used]:
         message = f"No point is named after the joints {', '.join(missing)}; shoulders and hips are required."
+        if not has_trunk:
+            message += " Add them; for animals, add a point that people lack, such as tail."
         raise KeypointsError(message, field)
     joints = COCO_17 if set(used) <= set(COCO_17.names) else BODY_FEET
     others = [place for place, point in enumerate(points) if point is None]

@@ -13,8 +13,8 @@ import pytest
 from pipeline.capture.keypoint_files import people
 from pipeline.capture.keypoint_files.folders import Contents, read_folder
 from pipeline.capture.keypoint_files.own_points import split_own
-from pipeline.capture.keypoint_files.people import find_joint_set
-from pipeline.capture.keypoint_files.points import match_joint
+from pipeline.capture.keypoint_files.people import KeypointsError, find_joint_set
+from pipeline.capture.keypoint_files.points import match_joint, named_layout
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import Problem
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, WHOLE_BODY
@@ -393,6 +393,26 @@ def test_results_of_mediapipe_are_shares_of_image(tmp_path: Path, result: Any) -
 )
 def test_names_of_points(name: str, joint: str | None) -> None:
     assert match_joint(name) == joint
+
+
+UPPER = ["nose", "l_eye", "r_eye", *(f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "wrist"))]
+
+
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [
+        (UPPER, "left_hip, right_hip"),
+        ([*UPPER, "Neck", "Top of head", "left_thumb_3", "RHand"], "left_hip, right_hip"),
+        (["LHip", "RHip", "LKnee", "RKnee", "LAnkle", "RAnkle", "LBigToe"], "left_shoulder, right_shoulder"),
+        (["nose", "left_ear", "right_ear"], "left_shoulder, right_shoulder, left_hip, right_hip"),
+    ],
+)
+def test_people_without_trunk_are_no_animals(names: list[str], missing: str) -> None:
+    with pytest.raises(KeypointsError, match=f"joints {missing}; shoulders and hips are required. Add them"):
+        named_layout(names, "names")
+    animal = named_layout([*names, "tail_base"], "names")
+    assert not animal.has_people
+    assert len(animal.own) == len(names) + 1
 
 
 BODY = {"keypoints": points(17)}
