@@ -6,12 +6,12 @@ Format: https://www.c3d.org, "The C3D File Format: A Technical User Guide".
 """
 
 import struct
-from collections.abc import Mapping
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.core.data.laboratory import Groups, LaboratoryEvent, Value
+from pipeline.core.data.laboratory import Groups, LaboratoryEvent, Value, continued
 
 BLOCK_BYTES = 512
 _KEY, _INTEL, _DEC, _MIPS = 0x50, 84, 85, 86
@@ -60,7 +60,7 @@ def read_content(content: bytes) -> C3dContent:
             raise C3dError("The parameters of the file state no processor: the file is damaged.")
         groups = read_parameters(content[start : start + content[start + 2] * BLOCK_BYTES], processor)
         return _with_samples(content, read_header(content, processor), groups, processor)
-    except (IndexError, KeyError, ValueError, struct.error, OverflowError):
+    except (IndexError, KeyError, TypeError, ValueError, struct.error, OverflowError):
         raise C3dError("The parameters of the file are damaged.") from None
 
 
@@ -150,7 +150,7 @@ def _with_samples(content: bytes, header: C3dHeader, groups: Groups, processor: 
     own = np.frombuffer(stored, f"V{width * size}")
     numbers = own.view("u1").reshape(num_frames, -1)[:, 4 * header.num_points * size :].tobytes()
     samples = _numbers(numbers, kind, processor).astype("f4").reshape(num_frames * ratio, -1)
-    events = _events(groups.get("EVENT", {}), (header.first_frame - 1) / rate_hz, 1.0 / rate_hz)
+    events = _events(groups, (header.first_frame - 1) / rate_hz, 1.0 / rate_hz)
     return C3dContent(groups, rate_hz, num_frames, ratio, samples, events)
 
 
@@ -169,16 +169,17 @@ def _num_frames(header: C3dHeader, groups: Groups) -> int:
     return stated
 
 
-def _events(group: Mapping[str, Value], start_s: float, frame_s: float) -> tuple[LaboratoryEvent, ...]:
+def _events(groups: Groups, start_s: float, frame_s: float) -> tuple[LaboratoryEvent, ...]:
     """Events from the first frame on. Times count from frame 1, or from the first frame of the file."""
-    times = np.reshape(group.get("TIMES", np.zeros((0, 2))), (-1, 2)).astype(float)
-    times_s = times @ [_SECONDS_PER_MINUTE, 1.0]
-    if len(times_s) and times_s.min() - start_s > -frame_s:
+    times = [np.reshape(part, (-1, 2)).astype(float) for part in continued(groups, "EVENT", "TIMES")]
+    times_s = np.concatenate([np.zeros((0, 2)), *times]) @ [_SECONDS_PER_MINUTE, 1.0]
+    if np.nanmin(times_s, initial=np.inf) - start_s > -frame_s:
         times_s = times_s - start_s
-    texts = [[*group.get(name, ()), *[""] * len(times_s)] for name in ("LABELS", "CONTEXTS", "SUBJECTS")]
-    rows = zip(*texts, times_s.tolist(), strict=False)
+    texts = (
+        [*chain(*continued(groups, "EVENT", name)), *[""] * len(times_s)] for name in ("LABELS", "CONTEXTS", "SUBJECTS")
+    )
     return tuple(
         LaboratoryEvent(str(label), str(context), str(subject), time_s)
-        for label, context, subject, time_s in rows
+        for label, context, subject, time_s in zip(*texts, times_s.tolist(), strict=False)
         if np.isfinite(time_s)
     )

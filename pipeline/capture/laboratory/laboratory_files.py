@@ -27,7 +27,8 @@ from pipeline.video.properties.container_clocks import timecode_s
 
 WantedClock = Literal["auto", "timecode", "trigger", "contacts"]
 MAX_BYTES = 2**29
-_MAX_SAMPLES = 2**26
+# Parameters of channels and plates, which result files hold beside their own.
+_MAX_SAMPLES, _MAX_PARAMETERS = 2**26, 40_000
 _MAX_PLACE = 1e4
 _TRIGGER = re.compile("trig|sync|ttl|start|camera", re.IGNORECASE)
 # A trigger has two levels: share of the samples near one of both, and what is near, as a share of their distance.
@@ -83,7 +84,7 @@ def with_laboratory(
     channels = f"{laboratory.samples.shape[1]} channels at {laboratory.sample_rate_hz:g} Hz"
     message = f"{path.name} has {channels}, {num_plates} force plates and {len(laboratory.events)} events; {told}"
     if num_plates < num_corners:
-        message += f" {num_corners - num_plates} force plates are of a type that is not read."
+        message += f" {num_corners - num_plates} force plates are not read: of another type, or corners at one place."
     evidence = {"file": path.name, "clock": clock if start is None else start.clock, "num_plates": num_plates}
     finding = Finding(LABORATORY_READ, message, severity="info", evidence=evidence)
     return replace(session, laboratory=replace(laboratory, start=start), findings=(*session.findings, finding))
@@ -109,6 +110,12 @@ def _read(path: Path) -> C3dContent:
     if content.samples.size > _MAX_SAMPLES:
         raise C3dError(f"The file has more than {_MAX_SAMPLES:,} samples: cut it.")
     kept = {name: dict(content.groups.get(name, {})) for name in ("ANALOG", "FORCE_PLATFORM")}
+    values = [value for group in kept.values() for value in group.values()]
+    if (
+        sum(value.nbytes if isinstance(value, np.ndarray) else len("".join(value)) for value in values)
+        > _MAX_PARAMETERS
+    ):
+        raise C3dError(f"The parameters of the channels have more than {_MAX_PARAMETERS:,} bytes: keep fewer channels.")
     timecodes = [
         text for group in content.groups.values() for name, value in group.items()
         if "TIMECODE" in name and isinstance(value, list) for text in value

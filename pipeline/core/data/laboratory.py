@@ -1,4 +1,4 @@
-"""What a laboratory recorded beside the cameras: analog channels, force plates and events, and their clock."""
+"""Records of a laboratory beside the cameras: analog channels, force plates and events, and their clock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class LaboratoryCheck(NamedTuple):
     """Feet of the people beside the plates of a laboratory."""
 
     measured: LaboratoryStart | None  # Start by contacts and vertical force; ``None``: they do not tell it
-    is_ambiguous: bool  # Whether another start fits nearly as well
+    is_ambiguous: bool  # True if another start fits nearly as well
     mass_kg: float | None  # Mass of the person by whose weight it was measured
     apart_m: float | None  # Median distance of the centre of pressure from the nearest foot; ``None`` without load
 
@@ -101,6 +101,8 @@ class Laboratory:
         raw = self.samples[:, column].astype(float)
         offset, scale, gain = (self.numbers("ANALOG", name) for name in ("OFFSET", "SCALE", "GEN_SCALE"))
         own = float(scale[column]) if column < len(scale) else 1.0
+        if offset.dtype == np.uint16 and "UNSIGNED" not in self.texts("ANALOG", "FORMAT"):
+            offset = offset.view(np.int16)
         zero = float(offset[column]) if column < len(offset) else 0.0
         return np.nan_to_num((raw - zero) * own * (float(gain.flat[0]) if gain.size else 1.0), posinf=0.0, neginf=0.0)
 

@@ -133,7 +133,7 @@ def _parameter_entries(group: int, parameters: Mapping[str, Value]) -> Iterator[
 
 def _entry(name: str, number: int, content: bytes) -> tuple[bytes, bytes]:
     """Bytes before and after the offset of an entry, which ends with an empty description."""
-    return struct.pack("<bb", len(name), number) + name.encode("ascii"), content + b"\0"
+    return struct.pack("<bb", len(name), number) + name.encode("latin-1"), content + b"\0"
 
 
 def _packed(value: Value) -> bytes:
@@ -162,8 +162,6 @@ _SUBJECT = "person"
 # and leaves the parameter, so that other readers refuse any other number then.
 _RESIDUAL_MM = 1.0
 _MAX_BYTE, _MAX_CAMERAS, _MASK_SHIFT = 255, 7, 8
-# Events that the blocks of parameters hold beside the rest.
-_MAX_EVENTS = 2000
 _POINT_BYTES, _ROTATION_NUMBERS = 16, 17
 _INVALID_POINT = np.array([0.0, 0.0, 0.0, -1.0], "<f4").tobytes()
 
@@ -189,7 +187,7 @@ def encode(
     frames
         Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
     events
-        Events of the person; of more than 2,000 the first ones are written.
+        Events of the person; of more than 2,000, or fewer of long words, the first ones are written.
     motion
         Motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
     laboratory
@@ -214,7 +212,7 @@ def encode(
         groups = _groups(joints, timebase, origin_m, unit, frames, first_block, rotations)
         own = [
             LaboratoryEvent(*event[:2], _SUBJECT, (event.frame - frames.start) / timebase.frame_rate_hz)
-            for event in events[:_MAX_EVENTS]
+            for event in events
         ]
         return with_groups(groups, own, laboratory, origin_m)
 

@@ -15,6 +15,8 @@ from pipeline.export.timelines import frame_blocks
 from pipeline.motion.laboratory.plates import UNITS_M, plate_corners_m
 
 _SECONDS_PER_MINUTE = 60.0
+# Events that the blocks of parameters hold beside the rest, and their bytes.
+_MAX_EVENTS, _MAX_EVENT_BYTES = 2000, 64_000
 
 
 def per_frame(laboratory: Laboratory) -> tuple[int, int]:
@@ -40,12 +42,13 @@ def with_groups(
     added: dict[str, Mapping[str, Any]] = {}
     if laboratory is not None:
         events = sorted((*events, *laboratory.events), key=lambda event: event.time_s)
-        analog = {name: value for name, value in laboratory.groups["ANALOG"].items() if name != "FORMAT"}
-        added["ANALOG"] = analog | {"RATE": [laboratory.sample_rate_hz]}
+        added["ANALOG"] = {**laboratory.groups["ANALOG"], "RATE": [laboratory.sample_rate_hz]}
         if plates := laboratory.groups["FORCE_PLATFORM"]:
             corners = (plate_corners_m(laboratory) - origin_m) / UNITS_M[laboratory.unit]
             added["FORCE_PLATFORM"] = {**plates, "CORNERS": corners} if len(corners) else plates
     if events:
+        widths = [max(map(len, texts)) for texts in zip(*(event[:3] for event in events), strict=True)]
+        events = events[: min(_MAX_EVENTS, _MAX_EVENT_BYTES // (8 + sum(widths)))]
         times = np.stack(np.divmod([event.time_s for event in events], _SECONDS_PER_MINUTE), axis=1)
         added["EVENT"] = {
             "USED": [len(events)],

@@ -5,11 +5,11 @@ The file is licensed by its makers, and nothing of it is a part of this package.
 (vertices, 55) and ``kintree_table`` (2, 55). Other arrays, some of which are pickles, are not read.
 """
 
-import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -68,21 +68,20 @@ def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
         If the file is no model of SMPL-X.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with ZipFile(path) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
         arrays = {}
         if size <= _MOST_BYTES:
             with open_archive(path) as opened:
                 arrays = {name: np.asarray(opened[name]) for name in _NAMES}
         fault = _fault(arrays)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, MemoryError, EOFError, NotImplementedError, zlib.error):
+    except (OSError, ValueError, LookupError, TypeError, MemoryError, EOFError, RuntimeError, BadZipFile, zlib.error):
         fault = f"it lacks one of the arrays {', '.join(_NAMES)}, or is damaged"
     if fault is not None:
         message = f"The file is no NPZ model of SMPL-X: {fault}."
         hint = "Use SMPLX_NEUTRAL.npz, SMPLX_FEMALE.npz or SMPLX_MALE.npz of its makers."
         raise InputError([Problem(INVALID_VALUE, message, file=path.name, field="body_model", hint=hint)])
     template, shapes, poses, regressor, weights, tree = arrays.values()
-    parents = _parents(tree)
     betas = shapes[..., :NUM_BETAS].astype(float)
     rest_m = regressor @ template
     body_weights = _of_body(weights.astype(float), tree[0].astype(np.int64))
@@ -90,16 +89,12 @@ def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
     return SmplxModel(
         rest_m[:NUM_BODY],
         np.einsum("jv,vkb->jkb", regressor[:NUM_BODY], betas),
-        parents,
+        np.r_[-1, tree[0, 1:NUM_BODY].astype(np.int64)],
         template[rows].astype(float),
         betas[rows],
         poses[rows][..., : 9 * (NUM_BODY - 1)].astype(float),
         body_weights[rows],
     )
-
-
-def _parents(tree: np.ndarray) -> Int[np.ndarray, " joints"]:
-    return np.r_[-1, tree[0, 1:NUM_BODY].astype(np.int64)]
 
 
 def _fault(arrays: Mapping[str, np.ndarray]) -> str | None:
@@ -112,12 +107,8 @@ def _fault(arrays: Mapping[str, np.ndarray]) -> str | None:
         if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             return f"{name} has not finite numbers in the shape {shape}"
     parents = arrays["kintree_table"][0, 1:].astype(np.int64)
-    if (
-        not 0 < num <= _MOST_VERTICES
-        or shapes < NUM_BETAS
-        or (parents < 0).any()
-        or (parents > np.arange(joints - 1)).any()
-    ):
+    is_tree = ((parents >= 0) & (parents <= np.arange(joints - 1))).all()
+    if not (0 < num <= _MOST_VERTICES and shapes >= NUM_BETAS and is_tree):
         return "its numbers of vertices, shapes or joints are others"
     return None
 

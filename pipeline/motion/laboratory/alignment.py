@@ -6,13 +6,13 @@ of mass, but for its height and velocity at the start. The lag and the mass with
 centre of mass is known, or plates carry a person never alone, beginnings and ends of contacts tell the lag.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import minimize_scalar
 from scipy.signal import correlate, find_peaks, savgol_filter
@@ -49,15 +49,15 @@ class _Support(NamedTuple):
 
     time_s: Float[np.ndarray, " rows"]
     height_m: Float[np.ndarray, " rows"]  # Of the centre of mass, NaN where unknown
-    on_plate: Bool[np.ndarray, "rows feet plates"]  # Whether a foot is on the floor on a plate
-    beside: Bool[np.ndarray, " rows"]  # Whether a foot is on the floor on none
+    on_plate: Bool[np.ndarray, "rows feet plates"]  # A foot is on the floor on a plate
+    beside: Bool[np.ndarray, " rows"]  # A foot is on the floor on none
 
 
 def in_world_of(cameras: Sequence[Camera], before: Sequence[Camera], laboratory: Laboratory) -> Laboratory:
     """Laboratory in the world of cameras that were refined, which may have moved together."""
-    moves = [new.cam_from_world.inverse() @ old.cam_from_world for new, old in zip(cameras, before, strict=False)]
     if all(new is old for new, old in zip(cameras, before, strict=False)):
         return laboratory
+    moves = [new.cam_from_world.inverse() @ old.cam_from_world for new, old in zip(cameras, before, strict=False)]
     turn = Rotation.from_matrix([move.rotation for move in moves]).mean().as_matrix()
     world_from_old = Rigid3(turn, np.mean([move.translation_m for move in moves], axis=0))
     return replace(laboratory, world_from_laboratory=world_from_old @ laboratory.world_from_laboratory)
@@ -106,11 +106,9 @@ def measure_start(
     subject: Subject,
 ) -> LaboratoryCheck:
     """Measure when the first frame of a laboratory's file was, on the clock of the output frames."""
-    people = [
-        _support(motion, track, joints, timebase, plates, subject)
-        for motion, track in zip(animation.motions, animation.tracks, strict=True)
-    ]
-    people = [person for person in people if person.on_plate.any()]
+    pairs = zip(animation.motions, animation.tracks, strict=True)
+    everyone = [_support(*pair, joints, timebase, plates, subject) for pair in pairs]
+    people = [person for person in everyone if len(person.time_s) > 1 and person.on_plate.any()]
     if not people:
         return LaboratoryCheck(None, False, None, None)
     force_n = np.stack([plate.force_n[:, 2] for plate in plates])
@@ -173,16 +171,17 @@ def _by_contacts(people: Sequence[_Support], loaded: Bool[np.ndarray, "plates sa
         rows = np.clip(np.searchsorted(person.time_s, grid_s), 0, len(person.time_s) - 1)
         inside = (grid_s >= person.time_s[0]) & (grid_s <= person.time_s[-1])
         stands = np.maximum(stands, (np.asarray(person.on_plate.any(1))[rows] & inside[:, None]).T)
-    samples = (np.arange(0.0, loaded.shape[1] / rate_hz, 1.0 / _COARSE_HZ) * rate_hz).astype(int)
-    carries = loaded[:, np.minimum(samples, loaded.shape[1] - 1)].astype(float)
-    score = np.zeros(len(samples) + len(grid_s) - 1)
+    carries = loaded[:, _coarse_rows(loaded.shape[1], rate_hz)].astype(float)
+    score = np.zeros(carries.shape[1] + len(grid_s) - 1)
     for load, foot in zip(carries, stands, strict=True):
-        both, load_alone, foot_alone = (
-            correlate(of_load, of_foot, method="fft")
-            for of_load, of_foot in ((load, foot), (load, 1.0 - foot), (1.0 - load, foot))
-        )
-        score += both - load_alone - foot_alone
+        both = correlate(load, foot, method="fft")
+        score += both - correlate(load, 1.0 - foot, method="fft") - correlate(1.0 - load, foot, method="fft")
     return _best_lags(score, len(grid_s), begin_s)
+
+
+def _coarse_rows(num_samples: int, rate_hz: float) -> Int[np.ndarray, " rows"]:
+    """Samples at the times of the coarse search, each before the end, at which rounding may put the last one."""
+    return np.minimum((np.arange(0.0, num_samples / rate_hz, 1.0 / _COARSE_HZ) * rate_hz).astype(int), num_samples - 1)
 
 
 def _alone(person: _Support, others: Sequence[_Support]) -> Bool[np.ndarray, " rows"]:
@@ -196,7 +195,7 @@ def _alone(person: _Support, others: Sequence[_Support]) -> Bool[np.ndarray, " r
 
 
 def _step_s(person: _Support) -> float:
-    return float(np.median(np.diff(person.time_s))) if len(person.time_s) > 1 else 1.0
+    return float(np.median(np.diff(person.time_s)))
 
 
 def _by_weight(
@@ -213,15 +212,12 @@ def _by_weight(
     grid_s = np.arange(person.time_s[0], person.time_s[-1], 1.0 / _COARSE_HZ)
     used = np.interp(grid_s, person.time_s, alone) > 0.99
     weight = np.where(used, 1.0 + np.interp(grid_s, person.time_s, rise_m_s2) / GRAVITY_M_S2, 0.0)
-    edges = (np.arange(0.0, len(force_n) / rate_hz, 1.0 / _COARSE_HZ) * rate_hz).astype(int)
-    mean_n = np.add.reduceat(force_n, edges) / np.diff(edges, append=len(force_n))
+    edges = _coarse_rows(len(force_n), rate_hz)
+    # Below the rate of the search, a sample is the mean of several steps.
+    mean_n = np.add.reduceat(force_n, edges) / np.maximum(np.diff(edges, append=len(force_n)), 1)
     always = np.ones_like(mean_n)
-    force, product, square, count = (
-        correlate(of_load, of_foot, method="fft")
-        for of_load, of_foot in (
-            (mean_n**2, used * 1.0), (mean_n, weight), (always, weight**2), (always, used * 1.0)
-        )
-    )  # fmt: skip
+    pairs = (mean_n**2, used * 1.0), (mean_n, weight), (always, weight**2), (always, used * 1.0)
+    force, product, square, count = (correlate(*pair, method="fft") for pair in pairs)
     covered = (count >= count.max() / 2.0) & (force > count * LOADED_N**2)
     score = np.where(covered, product**2 / np.where(covered, force * square, 1.0), 0.0)
     return _best_lags(score, len(grid_s), float(grid_s[0]))
@@ -230,9 +226,8 @@ def _by_weight(
 def _best_lags(score: Float[np.ndarray, " lags"], num_grid: int, begin_s: float) -> list[float]:
     """Lags of the highest peaks of a score."""
     peaks = find_peaks(np.pad(score, 1, constant_values=-np.inf), distance=_APART_S * _COARSE_HZ)[0] - 1
-    best = sorted(peaks[score[peaks] > _COMPARABLE * max(float(score.max()), 0.0)], key=lambda peak: -score[peak])[
-        :_MAX_CANDIDATES
-    ]
+    high = peaks[score[peaks] > _COMPARABLE * max(float(score.max()), 0.0)]
+    best = sorted(high, key=lambda peak: -score[peak])[:_MAX_CANDIDATES]
     return [float((peak - num_grid + 1) / _COARSE_HZ - begin_s) for peak in best]
 
 
@@ -260,43 +255,31 @@ def _fine(
     pieces = [rows for run in find_runs(alone) for rows in _cut(*run, person.time_s)]
     if not pieces:
         return None
-    impulse = cumulative_trapezoid(
-        cumulative_trapezoid(force_n, dx=1.0 / rate_hz, initial=0.0), dx=1.0 / rate_hz, initial=0.0
-    )
-    bases = []
-    for rows in pieces:
-        time_s = person.time_s[rows] - person.time_s[rows].mean()
-        bases.append(np.linalg.qr(np.stack([np.ones_like(time_s), time_s], axis=1))[0])
-    given = np.concatenate(
-        [
-            _without(
-                basis, person.height_m[rows] + GRAVITY_M_S2 / 2.0 * (person.time_s[rows] - person.time_s[rows][0]) ** 2
-            )
-            for basis, rows in zip(bases, pieces, strict=True)
-        ]
-    )
+    impulse = force_n
+    for _ in range(2):
+        impulse = cumulative_trapezoid(impulse, dx=1.0 / rate_hz, initial=0.0)
+    times_s = [person.time_s[rows] for rows in pieces]
+    lines = [np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1) for time_s in times_s]
+    bases = [np.linalg.qr(line)[0] for line in lines]
+
+    def without_line(series: Iterable[Float[np.ndarray, " rows"]]) -> Float[np.ndarray, " rows"]:
+        """Series of the pieces without their start's height and velocity, one behind the other."""
+        parts = zip(bases, series, strict=True)
+        return np.concatenate([values - basis @ (basis.T @ values) for basis, values in parts])
+
+    fall_m = (GRAVITY_M_S2 / 2.0 * (time_s - time_s[0]) ** 2 for time_s in times_s)
+    given = without_line(person.height_m[rows] + fallen_m for rows, fallen_m in zip(pieces, fall_m, strict=True))
 
     def fitted(lag: float) -> tuple[float, float, np.ndarray]:
-        of_force = np.concatenate(
-            [
-                _without(basis, np.interp(person.time_s[rows] + lag, own_s, impulse))
-                for basis, rows in zip(bases, pieces, strict=True)
-            ]
-        )
+        of_force = without_line(np.interp(time_s + lag, own_s, impulse) for time_s in times_s)
         inverse_mass = float(of_force @ given / max(of_force @ of_force, 1e-12))
         left = given - inverse_mass * of_force
         return float(left @ left), inverse_mass, left
 
     lags_s = lag_s + np.arange(-_FINE_S, _FINE_S, _STEP_S)
     near_s = lags_s[np.argmin([fitted(lag)[0] for lag in lags_s])]
-    best_s = float(
-        minimize_scalar(
-            lambda lag: fitted(lag)[0],
-            bounds=(near_s - _STEP_S, near_s + _STEP_S),
-            method="bounded",
-            options={"xatol": 1e-6},
-        ).x
-    )
+    bounds, options = (near_s - _STEP_S, near_s + _STEP_S), {"xatol": 1e-6}
+    best_s = float(minimize_scalar(lambda lag: fitted(lag)[0], bounds=bounds, method="bounded", options=options).x)
     squares, inverse_mass, left = fitted(best_s)
     around = [fitted(best_s + step)[0] for step in (-_STEP_S / 2, _STEP_S / 2)]
     curvature = (sum(around) - 2.0 * squares) / (_STEP_S / 2) ** 2
@@ -316,10 +299,6 @@ def _cut(start: int, stop: int, time_s: Float[np.ndarray, " rows"]) -> list[slic
         return []
     borders = np.linspace(start, stop, int(np.ceil(length_s / _LONGEST_S)) + 1).round().astype(int)
     return [slice(*pair) for pair in pairwise(borders)]
-
-
-def _without(basis: Float[np.ndarray, "rows 2"], values: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-    return np.asarray(values - basis @ (basis.T @ values))
 
 
 def _by_ends(

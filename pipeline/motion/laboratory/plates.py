@@ -25,41 +25,39 @@ _NUM_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6, 5: 8}
 
 def plate_corners_m(laboratory: Laboratory) -> Float[np.ndarray, "plates 4 3"]:
     """Corners of the plates in the world."""
-    corners = laboratory.numbers("FORCE_PLATFORM", "CORNERS").reshape(-1, 4, 3)[: _num_plates(laboratory)]
+    used = laboratory.numbers("FORCE_PLATFORM", "USED")
+    corners = laboratory.numbers("FORCE_PLATFORM", "CORNERS").reshape(-1, 4, 3)[: int(used.flat[0]) if used.size else 0]
     return laboratory.world_from_laboratory.apply(corners.astype(float) * UNITS_M[laboratory.unit])
 
 
 def force_plates(laboratory: Laboratory) -> tuple[ForcePlate, ...]:
-    """Plates of a laboratory whose types are known, in the file's order."""
+    """Plates of a laboratory whose types are known and whose corners are apart, in the file's order."""
     types = laboratory.numbers("FORCE_PLATFORM", "TYPE").astype(int)
     return tuple(
         _plate(laboratory, number, int(types[number]), corners_m)
         for number, corners_m in enumerate(plate_corners_m(laboratory))
-        if int(types[number]) in _NUM_CHANNELS
+        if int(types[number]) in _NUM_CHANNELS and np.isfinite(_axes(corners_m)).all()
     )
-
-
-def _num_plates(laboratory: Laboratory) -> int:
-    used = laboratory.numbers("FORCE_PLATFORM", "USED")
-    return int(used.flat[0]) if used.size else 0
 
 
 def _plate(laboratory: Laboratory, number: int, kind: int, corners_m: Float[np.ndarray, "4 3"]) -> ForcePlate:
     columns = laboratory.numbers("FORCE_PLATFORM", "CHANNEL")[number, : _NUM_CHANNELS[kind]].astype(int) - 1
-    origins = laboratory.numbers("FORCE_PLATFORM", "ORIGIN")
-    origin_m = (origins[number] if len(origins) else np.zeros(3)) * UNITS_M[laboratory.unit]
+    if columns.min() < 0:
+        raise ValueError("a plate lacks a channel")
+    origins, own = laboratory.numbers("FORCE_PLATFORM", "ORIGIN"), UNITS_M[laboratory.unit]
+    origin_m = (origins[number] if len(origins) else np.zeros(3)) * own
     values = np.stack([laboratory.channel(column) for column in columns])
     if kind != 1:
         values = values - _zero(laboratory, values)[:, None]
-    units = laboratory.texts("ANALOG", "UNITS")
-    own = UNITS_M[laboratory.unit]
     if kind in {4, 5}:
         matrix = laboratory.numbers("FORCE_PLATFORM", "CAL_MATRIX")[number].T[: 6 if kind == 4 else 8]
         values = matrix @ values if kind == 4 else matrix[: len(values)].T @ values
         factor = np.where(np.arange(len(values)) < 3, 1.0, own)
         kind = 2
     else:
-        factor = np.array([_length_m(units[column] if column < len(units) else "", own) for column in columns])
+        units = [*laboratory.texts("ANALOG", "UNITS"), *[""] * (max(columns) + 1)]
+        factor = np.array([_length_m(units[column], own) for column in columns])
+        values = values * [[1000.0 if units[column].lower().startswith("kn") else 1.0] for column in columns]
     force, moment = _force_and_moment(kind, values, factor, origin_m)
     axes = _axes(corners_m)
     force_n, moment_nm = force.T @ axes.T, moment.T @ axes.T
@@ -82,11 +80,9 @@ def _zero(laboratory: Laboratory, values: Float[np.ndarray, "channels samples"])
 
 
 def _length_m(unit: str, otherwise: float) -> float:
-    """Metres of the length in a channel's unit, such as ``Nmm``; 1 of forces."""
-    letters = "".join(filter(str.isalpha, unit)).lower()
-    if letters in {"n", "v", "mv", "kn"}:
-        return 1.0
-    return UNITS_M.get(letters.removeprefix("n"), otherwise)
+    """Metres of the length in a channel's unit, such as ``Nmm``; 1 of forces and volts."""
+    letters = "".join(filter(str.isalpha, unit)).lower().removeprefix("k")
+    return 1.0 if letters in {"n", "v", "mv"} else UNITS_M.get(letters.removeprefix("n"), otherwise)
 
 
 def _force_and_moment(
@@ -110,10 +106,10 @@ def _force_and_moment(
 
 
 def _axes(corners_m: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "3 3"]:
-    """Axes of a plate in the world, by columns."""
+    """Axes of a plate in the world, by columns; NaN if the corners span no area."""
     first, second, third, fourth = corners_m
     x, y = first + fourth - second - third, first + second - third - fourth
-    x = x / np.linalg.norm(x)
     z = np.cross(x, y)
-    z = z / np.linalg.norm(z)
+    with np.errstate(invalid="ignore"):
+        x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     return np.stack([x, np.cross(z, x), z], axis=1)

@@ -139,7 +139,7 @@ def find_columns(headers: Mapping[str, Sequence[str]]) -> Columns:
     of_people = set(people)
     names = list(dict.fromkeys(parts[k] for k in points if owners[k] in of_people))
     layout = named_layout(names, "bodyparts")
-    scene = list(dict.fromkeys(parts[k] for k in points if owners[k] not in of_people))[:MAX_OWN]
+    scene = list(dict.fromkeys(parts[k] for k in points if owners[k] not in of_people))[: MAX_OWN + 1]
     number = np.full((len(people) + 1, max(len(names), len(scene)), len(_COORDS)), -1)
     places = {(owner, name): (k, place) for k, owner in enumerate(people) for place, name in enumerate(names)}
     places |= {(_SCENE, name): (len(people), place) for place, name in enumerate(scene)}

@@ -320,6 +320,16 @@ def test_rows_of_one_person_of_deeplabcut(tmp_path: Path) -> None:
     assert (frames[0][0, :5, 2] == 0).all()
 
 
+def test_points_of_scene_beyond_the_limit_are_an_error(tmp_path: Path) -> None:
+    names = ["left_hip", "right_hip", "left_shoulder", "right_shoulder", *(f"spot {k}" for k in range(201))]
+    owners = ["me"] * 4 + ["single"] * 201
+    rows = (("scorer", ["x"] * 205), ("individuals", owners), ("bodyparts", names))
+    header = [",".join([key, *(cell for cell in cells for _ in range(2))]) for key, cells in rows]
+    lines = [*header, "coords," + ",".join(["x,y"] * 205), "0," + ",".join(["5"] * 410)]
+    _, problems = read(tmp_path, "\n".join(lines), "camDLC_resnet50.csv")
+    assert ["name 201 points that are no joints" in problem.message for problem in problems] == [True]
+
+
 def test_deeplabcut_labels_name_pictures_without_likelihood(tmp_path: Path) -> None:
     parts = ["left_hip", "right_hip", "left_shoulder", "right_shoulder", "corner"]
     header = [

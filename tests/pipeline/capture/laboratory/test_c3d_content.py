@@ -117,3 +117,20 @@ def test_mutated_files_are_read_or_refused_with_a_sentence() -> None:
             sentences.append(str(error))
     assert 50 < len(sentences) < 190
     assert all(sentence.endswith(".") for sentence in sentences)
+
+
+def test_events_of_continued_parameters_are_read() -> None:
+    """A parameter has at most 255 items; further ones are in ``TIMES2``. Times that are no numbers leave the rest."""
+    times = np.stack([np.zeros(300), np.arange(300) / 100.0], axis=1)
+    times[7, 1] = np.nan
+    group = {"USED": [300], "LABELS": [f"E{k}" for k in range(300)], "TIMES": times}
+    events = read_content(c3d_bytes(LABORATORY, {"EVENT": group}, first_frame=2)).events
+    assert len(events) == 299
+    assert (events[0].time_s, events[-1].label) == (0.0, "E299")
+    assert events[-1].time_s == pytest.approx(2.99)
+
+
+def test_numbers_that_are_texts_are_refused() -> None:
+    trial = {"TRIAL": {"ACTUAL_START_FIELD": ["a", "b"], "ACTUAL_END_FIELD": ["c", "d"]}}
+    with pytest.raises(C3dError, match="are damaged"):
+        read_content(c3d_bytes(LABORATORY, trial, first_frame=65_500))

@@ -187,3 +187,10 @@ def test_record_of_a_session_holds_the_laboratory(tmp_path: Path) -> None:
     assert found.texts("ANALOG", "LABELS") == expected.texts("ANALOG", "LABELS")
     assert encode_keypoints(decode_keypoints(encode_keypoints(given))) == encode_keypoints(given)
     assert decode_keypoints(encode_keypoints(session())).laboratory is None
+
+
+def test_channels_that_result_files_can_not_hold_are_refused(tmp_path: Path) -> None:
+    analog = {"ANALOG": {"DESCRIPTIONS": ["x" * 255] * 200}}
+    (tmp_path / "trial.c3d").write_bytes(c3d_bytes(PLATES, analog))
+    with pytest.raises(InputError, match="more than 40,000 bytes: keep fewer channels"):
+        with_laboratory(session(), tmp_path / "trial.c3d")

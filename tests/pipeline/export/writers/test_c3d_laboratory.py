@@ -10,6 +10,7 @@ import ezc3d
 import numpy as np
 import pytest
 
+from pipeline.capture.laboratory.c3d_content import read_content
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import Laboratory, LaboratoryEvent, LaboratoryStart
 from pipeline.core.data.rigid import Rigid3
@@ -130,3 +131,20 @@ def test_file_without_time_or_common_frames_is_as_ever(tmp_path: Path) -> None:
     plain = written(tmp_path / "a.c3d", None).read_bytes()
     for start in (None, LaboratoryStart("trigger", 500.0, 0.0)):
         assert written(tmp_path / "b.c3d", replace(laboratory(), start=start)).read_bytes() == plain
+
+
+def test_unsigned_offsets_and_any_names_are_kept(tmp_path: Path) -> None:
+    given = laboratory()
+    analog = {**given.groups["ANALOG"], "FORMAT": ["UNSIGNED"], "OFFSET": np.full(12, 40_000, "u2"), "NAME_É": ["é"]}
+    raised = replace(given, groups={**given.groups, "ANALOG": analog}, samples=given.samples + np.float32(40_000.0))
+    content_of = read_content(written(tmp_path / "a.c3d", raised).read_bytes())
+    again = replace(raised, samples=content_of.samples, groups=content_of.groups)
+    np.testing.assert_array_equal(again.channel(3), given.channel(3))
+    assert content_of.groups["ANALOG"]["NAME_É"] == ["é"]
+
+
+def test_events_of_long_words_leave_room_for_the_rest(tmp_path: Path) -> None:
+    events = tuple(LaboratoryEvent("L" * 255, "C" * 255, "S" * 255, k / 100.0) for k in range(1000))
+    written_events = read_content(written(tmp_path / "a.c3d", replace(laboratory(), events=events)).read_bytes()).events
+    assert 50 < len(written_events) == 64_000 // (8 + 3 * 255)
+    assert written_events[0].time_s == 0.0

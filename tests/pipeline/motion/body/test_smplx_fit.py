@@ -173,3 +173,13 @@ def test_mutated_models_are_read_or_refused(file: Path, tmp_path: Path, number: 
             messages += [error.problems[0].message]
     assert messages
     assert all(message.startswith("The file is no NPZ model of SMPL-X: ") for message in messages)
+
+
+@pytest.mark.parametrize("name", ["v_template", "shapedirs", "kintree_table"])
+def test_model_of_single_numbers_is_refused(file: Path, tmp_path: Path, name: str) -> None:
+    names = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table")
+    with np.load(file) as arrays:
+        content = {each: arrays[each] for each in names} | {name: np.array(1.0)}
+    (tmp_path / "model.npz").write_bytes(encode_arrays(content))
+    with pytest.raises(InputError, match="no NPZ model of SMPL-X"):
+        read_model(tmp_path / "model.npz", LANDMARKS)

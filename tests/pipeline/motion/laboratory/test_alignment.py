@@ -1,5 +1,6 @@
 """Time of a laboratory's file by feet and force, of simulated people on simulated plates."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -130,3 +131,16 @@ def test_world_that_moved_takes_plates_along() -> None:
     found = in_world_of(moved, cameras, laboratory)
     np.testing.assert_allclose(found.world_from_laboratory.matrix, move.matrix, atol=1e-12)
     assert in_world_of(cameras, cameras, laboratory) is laboratory
+
+
+@pytest.mark.parametrize(("length_s", "step"), [(4.19, 1), (6.0, 20)])
+def test_files_of_any_length_and_rate_are_placed(length_s: float, step: int) -> None:
+    """The last row of the coarse search may be rounded beyond the file; files may be slower than the search."""
+    act = exercise(Gesture.JUMP, num_cameras=4)
+    given = simulated(act, LEAD_S, length_s, plates_m(act, STANDING))
+    assert len(given.samples) == round(length_s * 1000)
+    samples, rate_hz = given.samples[::step], 1000.0 / step
+    slow = replace(given, samples=samples, frame_rate_hz=rate_hz, samples_per_frame=1, num_frames=len(samples))
+    found = placed(act, slow)
+    assert found.start is not None
+    assert found.start.time_s == pytest.approx(LEAD_S, abs=0.005)

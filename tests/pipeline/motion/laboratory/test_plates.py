@@ -134,3 +134,36 @@ def test_plates_are_those_of_ezc3d(tmp_path: Path) -> None:
         pressure_m = other["center_of_pressure"].T[known] / 1000.0
         np.testing.assert_allclose(pressure_m, plate.centre_of_pressure_m[known], atol=1e-4)
     assert np.isfinite(force_plates(laboratory)[0].centre_of_pressure_m).any()
+
+
+def test_unit_of_thousands_of_newtons_is_honoured() -> None:
+    laboratory = plate_of(2)
+    groups = {**laboratory.groups, "ANALOG": {"UNITS": ["kN"] * 3 + ["kNm"] * 3}}
+    scaled = laboratory.samples / np.float32([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])
+    (plate,) = force_plates(replace(laboratory, samples=scaled, groups=groups))
+    np.testing.assert_allclose(plate.force_n[15], -FORCE_N, rtol=1e-4)
+    np.testing.assert_allclose(plate.centre_of_pressure_m[15], PLACE_M + MIDDLE_M, atol=1e-5)
+
+
+def test_plate_of_corners_at_one_place_is_left_out() -> None:
+    changed: dict[str, Any] = {"USED": np.array([2], "u2"), "TYPE": np.array([2, 2], "u2")}
+    changed |= {name: np.repeat(plate_of(2).numbers("FORCE_PLATFORM", name), 2, 0) for name in ("ORIGIN", "CHANNEL")}
+    corners = np.stack([np.zeros((4, 3)), CORNERS_M * 1000.0]).astype("f4")
+    (plate,) = force_plates(plate_of(2, CORNERS=corners, **changed))
+    np.testing.assert_allclose(plate.corners_m, CORNERS_M, atol=1e-6)
+
+
+def test_channel_0_is_refused() -> None:
+    with pytest.raises(ValueError, match="lacks a channel"):
+        force_plates(plate_of(2, CHANNEL=np.arange(6, dtype="u2")[None]))
+
+
+def test_offset_of_signed_samples_is_signed() -> None:
+    laboratory = plate_of(2)
+    offset = np.full(6, -30, "i2").view("u2")
+    groups = {**laboratory.groups, "ANALOG": {**laboratory.groups["ANALOG"], "OFFSET": offset}}
+    shifted = replace(laboratory, samples=laboratory.samples - np.float32(30.0), groups=groups)
+    np.testing.assert_allclose(force_plates(shifted)[0].force_n[15], -FORCE_N, atol=1e-3)
+    groups["ANALOG"] = {**groups["ANALOG"], "FORMAT": ["UNSIGNED"]}
+    raised = replace(laboratory, samples=laboratory.samples + np.float32(65_506.0), groups=groups)
+    np.testing.assert_allclose(force_plates(raised)[0].force_n[15], -FORCE_N, atol=0.01)
