@@ -76,6 +76,8 @@ def remaining_offsets(
     ``[offset for offset in remaining_offsets(...) if offset.is_wrong]`` are the cameras to warn of.
     """
     motions = find_motions(cameras, times, detections, joints)
+    if len({motion.camera for motion in motions}) < len(cameras):
+        return ()
     pairs = strongest_pairs(motions, len(cameras))
     offsets = _offsets(_refined(cameras, times, motions, pairs), times)
     shares = _shares(cameras, motions, pairs)

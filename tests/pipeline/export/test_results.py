@@ -98,7 +98,7 @@ def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path
             assert figures == {}
             assert found_deg is None if np.isnan(xyz_m).all() else 0.0 <= found_deg < 0.001
             continue
-        of_joints = export not in {"bvh", "glb", "fbx", "usd", "vrma"}
+        of_joints = export not in {"bvh", "glb", "fbx", "usd", "vrma", "npz"}
         if of_joints and np.isnan(xyz_m).all():
             assert figures == {"max_distance_mm": None}
         elif export in {"bvh", "fbx"} and len(xyz_m) > 1:

@@ -12,7 +12,7 @@ export class PointFigures {
   #absent;
   #origin;
 
-  constructor(stage, { points = [], people, record, origin_m: origin = [0, 0, 0] }) {
+  constructor(stage, { points = [], people, record = {}, origin_m: origin = [0, 0, 0] }) {
     this.stage = stage;
     this.#absent = record.absent;
     this.#origin = origin;
