@@ -66,13 +66,11 @@ def _laboratory(laboratory: Laboratory | None, arrays: dict[str, np.ndarray]) ->
     """Entry of a head about a laboratory, none without one; its arrays join the others."""
     if laboratory is None:
         return {}
-    pose = laboratory.world_from_laboratory
-    arrays |= {"laboratory": laboratory.samples, "laboratory_pose": pose.matrix}
+    arrays |= {"laboratory": laboratory.samples, "laboratory_pose": laboratory.world_from_laboratory.matrix}
     groups: dict[str, dict[str, list[str] | None]] = {}
     for group, parameters in laboratory.groups.items():
-        arrays |= {
-            f"laboratory {group} {name}": value for name, value in parameters.items() if isinstance(value, np.ndarray)
-        }
+        numbers = {name: value for name, value in parameters.items() if isinstance(value, np.ndarray)}
+        arrays |= {f"laboratory {group} {name}": value for name, value in numbers.items()}
         groups[group] = {name: value if isinstance(value, list) else None for name, value in parameters.items()}
     plain = ("file", "unit", "frame_rate_hz", "num_frames", "samples_per_frame", "events", "start")
     return {"laboratory": {name: getattr(laboratory, name) for name in plain} | {"groups": groups}}

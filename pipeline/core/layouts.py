@@ -29,7 +29,7 @@ class KeypointLayout:
 
     @property
     def has_people(self) -> bool:
-        """Whether any point is a joint of ours; else the points are an animal's."""
+        """True if any point is a joint of ours; else the points are an animal's."""
         return any(point is not None for point in self.points)
 
     @property

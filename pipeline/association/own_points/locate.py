@@ -121,16 +121,13 @@ def _best_of_frames(*parts: Detections2D) -> Detections2D:
     camera, frame, time_s = (np.concatenate([part[k] for part in parts]) for k in range(3))
     seen_px, score = (np.concatenate([part[k] for part in parts]) for k in (3, 4))
     pictures, first, picture = np.unique(np.stack([camera, frame]), axis=1, return_index=True, return_inverse=True)
-    best_px, best = (
-        np.full((pictures.shape[1], *seen_px.shape[1:]), np.nan),
-        np.zeros((pictures.shape[1], score.shape[1])),
-    )
+    best_px = np.full((pictures.shape[1], *seen_px.shape[1:]), np.nan)
+    best = np.zeros((pictures.shape[1], score.shape[1]))
     picture = picture.reshape(-1)
     for k in range(score.shape[1]):
         ranked = np.lexsort((score[:, k], picture))
-        is_last = np.append(np.diff(picture[ranked]) != 0, True)[: len(ranked)]
-        best_px[picture[ranked[is_last]], k] = seen_px[ranked[is_last], k]
-        best[picture[ranked[is_last]], k] = score[ranked[is_last], k]
+        last = ranked[np.append(np.diff(picture[ranked]) != 0, True)[: len(ranked)]]
+        best_px[picture[last], k], best[picture[last], k] = seen_px[last, k], score[last, k]
     colour = np.zeros((len(first), 0, 0), np.uint8)
     return Detections2D(pictures[0], pictures[1], time_s[first], best_px, best, colour)
 

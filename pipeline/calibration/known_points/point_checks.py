@@ -50,16 +50,8 @@ def scene_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size], h
             problems.append(Problem(session_codes.KNOWN_POINTS_FEW, message, None, camera, "known_points", hint))
         elif _are_on_a_line(seen):
             message = "The points are on a line, about which the camera could turn."
-            problems.append(
-                Problem(
-                    session_codes.KNOWN_POINTS_ON_A_LINE,
-                    message,
-                    None,
-                    camera,
-                    "known_points",
-                    "Add a point beside it.",
-                )
-            )
+            hint, code = "Add a point beside it.", session_codes.KNOWN_POINTS_ON_A_LINE
+            problems.append(Problem(code, message, None, camera, "known_points", hint))
     return problems
 
 

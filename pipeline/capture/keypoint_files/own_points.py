@@ -96,23 +96,15 @@ def split_own(
     frames: Mapping[int, People], names: Sequence[str], all_names: Sequence[str]
 ) -> tuple[dict[int, People], OwnFrames]:
     """People of a camera's frames of ``with_own``, and their own points in the order of all cameras' names."""
-    columns, num_own = [all_names.index(name) for name in names], len(names)
+    columns = [all_names.index(name) for name in names]
     people: dict[int, People] = {}
-    of_people: list[People] = []
-    of_scene: list[People] = []
-    of_animals: list[People] = []
+    own: list[tuple[People, People, People]] = []
     for number, joined in frames.items():
-        if not num_own:
-            people[number] = joined
-            points = np.zeros((len(joined), len(all_names), 3))
-            for part, rows in ((of_people, points), (of_scene, points[:0]), (of_animals, points[:0])):
-                part.append(rows)
-            continue
+        num_joints, num_rows = joined.shape[1] - len(names), len(joined) - bool(names)
         points = np.zeros((len(joined), len(all_names), 3))
-        points[:, columns] = joined[:, -num_own:]
-        is_person = is_detected(joined[:-1, :-num_own]).any(-1)
-        people[number] = joined[:-1, :-num_own][is_person]
-        of_people.append(points[:-1][is_person])
-        of_animals.append(points[:-1][~is_person])
-        of_scene.append(points[-1:] if is_detected(points[-1]).any() else points[:0])
-    return people, OwnFrames(of_people, of_scene, of_animals)
+        points[:, columns] = joined[:, num_joints:]
+        rows, scene = points[:num_rows], points[num_rows:]
+        is_person = is_detected(joined[:num_rows, :num_joints]).any(-1)
+        people[number] = joined[:num_rows, :num_joints][is_person]
+        own.append((rows[is_person], scene[is_detected(scene).any(-1)], rows[~is_person]))
+    return people, OwnFrames(*(list(part) for part in zip(*own, strict=True))) if own else OwnFrames((), (), ())

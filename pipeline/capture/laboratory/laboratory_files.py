@@ -71,7 +71,9 @@ def with_laboratory(
     path = Path(path)
     try:
         content = _read(path)
-        read = Laboratory(path.name, _unit(content), *content[1:5], content.groups, content.events, _IDENTITY)
+        read = Laboratory(
+            path.name, _unit(content), *content[1:5], content.groups, content.events, Rigid3(np.eye(3), np.zeros(3))
+        )
         with np.errstate(all="ignore"):
             laboratory = replace(read, world_from_laboratory=_world(read, place, up))
             num_plates, num_corners = len(force_plates(laboratory)), len(plate_corners_m(laboratory))
@@ -91,11 +93,8 @@ def with_laboratory(
 
 
 def is_place(numbers: Sequence[float]) -> bool:
-    """Whether numbers are a place of ``with_laboratory``."""
+    """True if numbers are a place of ``with_laboratory``."""
     return len(numbers) == 4 and all(abs(number) <= _MAX_PLACE for number in numbers)
-
-
-_IDENTITY = Rigid3(np.eye(3), np.zeros(3))
 
 
 def _read(path: Path) -> C3dContent:
@@ -109,7 +108,10 @@ def _read(path: Path) -> C3dContent:
     content = read_content(stored)
     if content.samples.size > _MAX_SAMPLES:
         raise C3dError(f"The file has more than {_MAX_SAMPLES:,} samples: cut it.")
-    kept = {name: dict(content.groups.get(name, {})) for name in ("ANALOG", "FORCE_PLATFORM")}
+    kept = {
+        group: {name: value for name, value in content.groups.get(group, {}).items() if name.isprintable()}
+        for group in ("ANALOG", "FORCE_PLATFORM")
+    }
     values = [value for group in kept.values() for value in group.values()]
     if (
         sum(value.nbytes if isinstance(value, np.ndarray) else len("".join(value)) for value in values)
@@ -132,7 +134,7 @@ def _unit(content: C3dContent) -> str:
 
 
 def _world(laboratory: Laboratory, place: Sequence[float] | None, up: Up) -> Rigid3:
-    """Pose of the laboratory's axes: those of the calibration, or others in which plates lie, and a stated place."""
+    """Pose of the laboratory's axes: the calibration's axes, or others in which plates lie, and a stated place."""
     x_m, y_m, z_m, yaw_deg = place or (0.0, 0.0, 0.0, 0.0)
     turn = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
     corners_m = plate_corners_m(laboratory)
@@ -151,16 +153,13 @@ def _start(
 ) -> tuple[LaboratoryStart | None, str]:
     """Time of the first frame by the file itself, and a sentence about it; ``None`` if contacts are to tell."""
     guess = "" if clock != "auto" else " (chosen automatically)"
+    start, told = None, f"timecode{guess}"
     if clock in {"auto", "timecode"} and channel is None:
         start = _by_timecode(session, laboratory)
-        if start is not None:
-            return start, f"it begins at {start.time_s:.4f} s by timecode{guess}, +- {1000 * start.sigma_s:.1f} ms."
-    if clock in {"auto", "trigger"}:
-        found = _by_trigger(session, laboratory, channel)
-        if found is not None:
-            start, name = found
-            told = f"by the rise of channel {name}{guess}, at which the first frame is taken"
-            return start, f"it begins at {start.time_s:.4f} s {told}, +- {1000 * start.sigma_s:.1f} ms."
+    if start is None and clock in {"auto", "trigger"} and (found := _by_trigger(session, laboratory, channel)):
+        start, told = found[0], f"the rise of channel {found[1]}{guess}, at which the first frame is taken"
+    if start is not None:
+        return start, f"it begins at {start.time_s:.4f} s by {told}, +- {1000 * start.sigma_s:.1f} ms."
     if clock in {"auto", "contacts"} and channel is None and len(plate_corners_m(laboratory)):
         return None, f"contacts and vertical force tell its time{guess}."
     names = ", ".join(laboratory.texts("ANALOG", "LABELS")[:20])

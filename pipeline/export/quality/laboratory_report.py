@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pipeline.core.data.laboratory import Laboratory, LaboratoryStart
+from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import LABORATORY_ALIGNED, LABORATORY_DOUBTFUL
 
@@ -15,27 +15,29 @@ def laboratory_document(laboratory: Laboratory | None) -> dict[str, Any]:
     """Entry ``laboratory`` of ``metrics.json``; none without a file."""
     if laboratory is None:
         return {}
-    start, check = laboratory.start, laboratory.check
-    pose = laboratory.world_from_laboratory
+    check, (clock, start_s, sigma_s) = laboratory.check, laboratory.start or (None, None, None)
     document = {
         "file": laboratory.file,
-        "clock": None if start is None else start.clock,
-        "start_s": None if start is None else round(start.time_s, 6),
-        "sigma_s": None if start is None else round(start.sigma_s, 6),
+        "clock": clock,
+        "start_s": _rounded(start_s, 6),
+        "sigma_s": _rounded(sigma_s, 6),
         "frame_rate_hz": laboratory.frame_rate_hz,
         "num_frames": laboratory.num_frames,
         "sample_rate_hz": laboratory.sample_rate_hz,
-        "world_from_laboratory": pose.matrix.round(6).tolist(),
+        "world_from_laboratory": laboratory.world_from_laboratory.matrix.round(6).tolist(),
     }
     if check is not None:
-        measured = check.measured
         document |= {
-            "measured_start_s": None if measured is None else round(measured.time_s, 6),
+            "measured_start_s": _rounded(check.measured and check.measured.time_s, 6),
             "is_ambiguous": check.is_ambiguous,
-            "mass_kg": None if check.mass_kg is None else round(check.mass_kg, 1),
-            "pressure_from_feet_m": None if check.apart_m is None else round(check.apart_m, 3),
+            "mass_kg": _rounded(check.mass_kg, 1),
+            "pressure_from_feet_m": _rounded(check.apart_m, 3),
         }
     return {"laboratory": document}
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
 
 
 def laboratory_checks(laboratory: Laboratory | None) -> list[dict[str, Any]]:
@@ -53,7 +55,7 @@ def _findings(laboratory: Laboratory) -> list[Finding]:
     evidence = {"start_s": start.time_s, "sigma_s": start.sigma_s}
     if start.clock == "contacts":
         by = "contacts" if check is None or check.mass_kg is None else f"the vertical force of {check.mass_kg:.0f} kg"
-        message = f"{file} begins at {start.time_s:.4f} s, measured by {by}, {_plus_minus(start)}."
+        message = f"{file} begins at {start.time_s:.4f} s, measured by {by}, +- {1000.0 * start.sigma_s:.1f} ms."
         findings.append(Finding(LABORATORY_ALIGNED, message, severity="info", evidence=evidence))
         if check is not None and check.is_ambiguous:
             message = f"Another time of {file} fits nearly as well as {start.time_s:.4f} s: people repeat their motion."
@@ -71,7 +73,3 @@ def _findings(laboratory: Laboratory) -> list[Finding]:
         hint = "State the place of the laboratory's axes in the world of the calibration."
         findings.append(Finding(LABORATORY_DOUBTFUL, message, hint=hint, evidence={"apart_m": check.apart_m}))
     return findings
-
-
-def _plus_minus(start: LaboratoryStart) -> str:
-    return f"+- {1000.0 * start.sigma_s:.1f} ms"

@@ -194,3 +194,14 @@ def test_channels_that_result_files_can_not_hold_are_refused(tmp_path: Path) -> 
     (tmp_path / "trial.c3d").write_bytes(c3d_bytes(PLATES, analog))
     with pytest.raises(InputError, match="more than 40,000 bytes: keep fewer channels"):
         with_laboratory(session(), tmp_path / "trial.c3d")
+
+
+def test_record_leaves_out_parameters_of_unprintable_names(tmp_path: Path) -> None:
+    """Names in the record's archive end at a zero byte."""
+    analog = {"ANALOG": {"A\0B": np.ones(3, "f4"), "A\0C": np.zeros(3, "f4"), "GAIN": np.ones(2, "f4")}}
+    (tmp_path / "trial.c3d").write_bytes(c3d_bytes(PLATES, analog))
+    given = with_laboratory(session(), tmp_path / "trial.c3d")
+    found = decode_keypoints(encode_keypoints(given)).laboratory
+    assert found is not None
+    assert "GAIN" in found.groups["ANALOG"]
+    assert all(name.isprintable() for name in found.groups["ANALOG"])

@@ -24,7 +24,8 @@ _OTHERS = {"spine2": "spine1", "left_foot": "left_ankle", "right_foot": "right_a
 def synthetic() -> dict[str, np.ndarray]:
     """Arrays of a model: eight vertices around each joint, and one at each landmark."""
     random = np.random.default_rng(7)
-    rest_m, above = {}, {}
+    rest_m: dict[str, np.ndarray] = {}
+    above: dict[str, str | None] = {}
     for joint in WHOLE_SKELETON:
         place = rest_m[joint.parent] if joint.parent else np.zeros(3)
         rest_m[joint.name] = place + 1.75 * joint.stature_share * SMPLX_FROM_OURS @ np.array(joint.rest_direction)
@@ -60,8 +61,8 @@ def synthetic() -> dict[str, np.ndarray]:
     shapes[..., 0] += 0.05 * template  # the whole body
     shapes[:, 1, 1] += 0.06 * np.minimum(template[:, 1], 0.0)  # the legs
     regressor = np.zeros((num, len(template)))
-    for joint in range(num):
-        regressor[joint, 8 * joint : 8 * joint + 8] = 1 / 8
+    for row in range(num):
+        regressor[row, 8 * row : 8 * row + 8] = 1 / 8
     return {
         "v_template": template,
         "shapedirs": shapes,
@@ -77,7 +78,8 @@ def synthetic() -> dict[str, np.ndarray]:
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "SMPLX_NEUTRAL.npz"
     # The public file has dictionaries too, which are pickles.
-    np.savez(path, **synthetic(), part2num=np.array({"Pelvis": 0}, object))
+    arrays: dict[str, Any] = {**synthetic(), "part2num": np.array({"Pelvis": 0}, object)}
+    np.savez(path, **arrays)
     return path
 
 
@@ -87,7 +89,7 @@ def skinned(arrays: dict[str, np.ndarray], betas: np.ndarray, turns: np.ndarray,
     rest_m, num = arrays["J_regressor"] @ shaped, len(SMPLX_JOINTS)
     turns = np.concatenate([turns, np.tile(np.eye(3), (num - len(turns), 1, 1))])
     shaped = shaped + arrays["posedirs"] @ (turns[1:] - np.eye(3)).reshape(-1)
-    world = []
+    world: list[np.ndarray] = []
     for joint, parent in enumerate(arrays["kintree_table"][0].astype(int)):
         local = np.eye(4)
         local[:3, :3], local[:3, 3] = turns[joint], rest_m[joint] - (rest_m[parent] if joint else 0.0)

@@ -139,7 +139,7 @@ def test_plates_are_those_of_ezc3d(tmp_path: Path) -> None:
 def test_unit_of_thousands_of_newtons_is_honoured() -> None:
     laboratory = plate_of(2)
     groups = {**laboratory.groups, "ANALOG": {"UNITS": ["kN"] * 3 + ["kNm"] * 3}}
-    scaled = laboratory.samples / np.float32([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])
+    scaled = laboratory.samples / np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6], "f4")
     (plate,) = force_plates(replace(laboratory, samples=scaled, groups=groups))
     np.testing.assert_allclose(plate.force_n[15], -FORCE_N, rtol=1e-4)
     np.testing.assert_allclose(plate.centre_of_pressure_m[15], PLACE_M + MIDDLE_M, atol=1e-5)
