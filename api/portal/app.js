@@ -77,7 +77,7 @@ async function load(name) {
 function showAway(name, problem) {
   view?.close();
   view = null;
-  const label = FRAME.nav[name] ?? FRAME.job;
+  const label = FRAME.nav[name];
   showPlace((place) => render(html`<h1 class="title">${label}</h1>${problemBox(problem)}`, place));
   showNav(name);
   setTitle(label);
@@ -180,10 +180,11 @@ function showEndedLink() {
   </section>`, place);
 }
 
+// The next person at this browser may have another key: no view keeps anything.
 async function leave() {
-  sending.clear(); // the next person at this browser may have another key
+  sending.clear();
   await call("/v1/browser-session", { method: "DELETE" }).catch(() => null);
-  showEntrance();
+  location.reload();
 }
 
 async function enterByLink(route, secret) {

@@ -112,6 +112,25 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) 
     assert portal.people()["edits"] == after["edits"]
 
 
+def test_sex_and_mass_stay_with_their_person_until_set(page: Page, portal: ServedPeople) -> None:
+    revision = portal.revision
+    sex, mass = panel(page).get_by_label("Sex", exact=True), panel(page).get_by_label("Mass, kg")
+    choose(page, "person-1")
+    sex.select_option("female")
+    mass.fill("61")
+    choose(page, "person-2")
+    expect(sex).to_have_value("")
+    expect(mass).to_have_value("")
+    mass.fill("80")
+    # The panel is drawn again before the values are set.
+    panel(page).get_by_label("Other person").select_option("person-3")
+    press(page, "Set sex and mass of person-2")
+    made(page, revision + 1)
+    (edit,) = portal.people()["edits"]
+    assert (edit["action"], edit["person"], edit.get("sex"), edit["mass_kg"]) == ("describe", 2, None, 80.0)
+    expect(mass).to_have_value("80")
+
+
 def test_range_of_timeline_trims_the_take(page: Page, portal: ServedPeople) -> None:
     revision, num_frames = portal.revision, portal.people()["num_frames"]
     page.locator(".look-canvas").focus()

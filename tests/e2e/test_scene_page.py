@@ -171,6 +171,12 @@ def test_marks_are_set_by_keys_alone_and_kept(page: Page, files: list[Path]) -> 
     expect(points.nth(0)).to_contain_text("640.0, 360.0 px")
     page.get_by_label("Points in metres").fill("name,x_m,y_m,z_m,camera,x_px,y_px\nd,0,0,1,cam_01,5.5,7")
     expect(points.nth(0)).to_contain_text("5.5, 7.0 px")
+    # A mark of the table that was moved stays where it is.
+    points.nth(0).get_by_role("button").click()
+    still.press("ArrowRight")
+    page.get_by_role("link", name="Calibrations", exact=True).click()
+    page.go_back()
+    expect(points.nth(0)).to_contain_text("6.5, 7.0 px")
     page.set_viewport_size(PHONE)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     look(page, "phone")

@@ -5,7 +5,7 @@ import { UploadQueue } from "../send/uploads.js";
 import { call, jsonPart } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { size } from "../shared/format.js";
-import { html, nothing, problemBox } from "../shared/lit.js";
+import { html, nothing, problemBox, selectField } from "../shared/lit.js";
 import { address, announce } from "../shared/page.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { SEND } from "../shared/strings/send.js";
@@ -108,9 +108,7 @@ export class AddForm {
 
   #fileFields() {
     return html`<label class="field"><span>${ADD.file}</span><input name="file" type="file" accept=${ACCEPTED_CALIBRATIONS} required></label>
-      <label class="field"><span>${SEND.calibration.unit}</span><select name="units">
-        ${SEND.calibration.units.map(([unit, label]) => html`<option value=${unit}>${label}</option>`)}</select></label>
-      <label class="field"><span>${SEND.calibration.up}</span><select name="up">${AXES.map(([axis, label]) => html`<option value=${axis}>${label}</option>`)}</select></label>`;
+      ${selectField(SEND.calibration.unit, SEND.calibration.units, { name: "units" })}${selectField(SEND.calibration.up, AXES, { name: "up" })}`;
   }
 
   #footageField() {
@@ -145,8 +143,7 @@ export class AddForm {
     const isScene = this.#source === "scene";
     return html`<form class="panel add" aria-labelledby="add-title" @submit=${(event) => this.#submit(event)}>
       <h2 id="add-title">${ADD.title}</h2>
-      <label class="field"><span>${ADD.from}</span><select name="source" @change=${(event) => this.#choose(event.target.value)}>
-        ${ADD.sources.map(([value, label]) => html`<option value=${value} .selected=${value === this.#source}>${label}</option>`)}</select></label>
+      ${selectField(ADD.from, ADD.sources, { name: "source", chosen: this.#source, choose: (source) => this.#choose(source) })}
       ${isScene ? html`<p class="quiet">${ADD.sceneHint}</p><div class="actions"><a class="button primary" href=${address("scene")}>${ADD.scene}</a></div>` : html`
         <label class="field"><span>${ADD.name}</span><input name="title" maxlength="200" placeholder=${ADD.namePlaceholder} autocomplete="off"></label>
         ${fields[this.#source]()}

@@ -1,6 +1,6 @@
 // Fields of the people or the board that calibrate cameras.
 
-import { html, live, nothing, svg, typed } from "../shared/lit.js";
+import { html, nothing, selectField, svg, typed } from "../shared/lit.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
 import { readStatures } from "./values.js";
 
@@ -53,14 +53,13 @@ export function boardFields(board, change) {
   const number = (name, label, { least, most, step = 1 }) => html`<label class="field"><span>${label}</span>
     <input type="number" name=${name} required min=${least} max=${most} step=${step} .value=${typed(board[name])}
       @input=${(event) => change({ [name]: event.target.valueAsNumber })}></label>`;
-  return html`<label class="field"><span>${BOARD_FIELDS.kind}</span><select name="kind" @change=${(event) => change({ kind: event.target.value })}>
-      ${BOARD_FIELDS.kinds.map(([kind, label]) => html`<option value=${kind} .selected=${live(kind === board.kind)}>${label}</option>`)}</select></label>
+  const list = (name, label, pairs) => selectField(label, pairs, { name, chosen: board[name], choose: (value) => change({ [name]: value }) });
+  return html`${list("kind", BOARD_FIELDS.kind, BOARD_FIELDS.kinds)}
     <div class="pair">${number("cols", across, { least: isChessboard ? 2 : 3, most: MOST })}
       ${number("rows", down, { least: isChessboard ? 2 : 3, most: MOST })}</div>
     <div class="pair">${number("square_mm", BOARD_FIELDS.square, { least: 2, most: 2000, step: "any" })}
       ${isChessboard ? nothing : number("marker_mm", BOARD_FIELDS.marker, { least: 1, most: 2000, step: "any" })}</div>
-    ${isChessboard ? nothing : html`<label class="field"><span>${BOARD_FIELDS.dictionary}</span><select name="dictionary" @change=${(event) => change({ dictionary: event.target.value })}>
-      ${DICTIONARIES.map((name) => html`<option .selected=${live(name === board.dictionary)}>${name}</option>`)}</select></label>`}
+    ${isChessboard ? nothing : list("dictionary", BOARD_FIELDS.dictionary, DICTIONARIES.map((name) => [name, name]))}
     ${boardPicture(board)}
     <p class="quiet">${BOARD_FIELDS.hint}</p>`;
 }

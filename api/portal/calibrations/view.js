@@ -3,7 +3,7 @@
 import { call, persistently, readFile } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { moment } from "../shared/format.js";
-import { confirm, helpLink, html, nothing, problemBox, render, repeat, warningList } from "../shared/lit.js";
+import { confirm, helpLink, html, nothing, problemBox, render, renameForm, repeat, scrollTable, warningList } from "../shared/lit.js";
 import { address, announce, save } from "../shared/page.js";
 import { distinct, readCalibrations } from "../shared/resources.js";
 import { CALIBRATIONS } from "../shared/strings/calibrations.js";
@@ -64,28 +64,19 @@ export function open(place, route, caller) {
     place.querySelector(".rename input").select();
   }
 
-  function renameForm({ id, name, urls }) {
+  function nameForm({ id, name, urls }) {
     const end = () => {
       renamed = null;
       draw();
       place.querySelector(`#rename-${id}`)?.focus();
     };
-    const submit = (event) => {
-      event.preventDefault();
-      const wanted = event.target.elements.name.value.trim();
-      if (!wanted || wanted === name) return end();
-      return act(id, async () => {
-        await call(urls.self, { method: "PATCH", body: { name: wanted } });
-        await load();
-        end();
-        announce(COMMON.renamed(wanted));
-      });
-    };
-    return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
-      <input name="name" maxlength="200" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off">
-      <button class="button small primary">${COMMON.save}</button>
-      <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
-    </form>`;
+    const rename = (wanted) => act(id, async () => {
+      await call(urls.self, { method: "PATCH", body: { name: wanted } });
+      await load();
+      end();
+      announce(COMMON.renamed(wanted));
+    });
+    return renameForm({ name, rename, end });
   }
 
   function cameraTable({ name, cameras, report, source }) {
@@ -93,12 +84,9 @@ export function open(place, route, caller) {
     const describeError = (camera) => (errors.get(camera.name) == null ? "" : CALIBRATIONS.px(errors.get(camera.name).toFixed(2)));
     return html`<details class="cameras"><summary>${COMMON.cameras}</summary>
       <p class="quiet">${report?.world ?? [source.format, source.axes].filter(Boolean).join("; ")}</p>
-      <div class="scroll" role="group" aria-label=${CALIBRATIONS.camerasOf(name)} tabindex="0"><table>
-        <thead><tr>${CALIBRATIONS.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
-        <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th>
+      ${scrollTable(CALIBRATIONS.camerasOf(name), CALIBRATIONS.table, cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th>
           <td>${camera.size_px ? camera.size_px.join(" × ") : CALIBRATIONS.sizeUnknown}</td><td>${CALIBRATIONS.px(camera.matrix[0][0].toFixed(1))}</td>
-          <td>${camera.position_m.map((value) => value.toFixed(2)).join(", ")}</td><td>${describeError(camera)}</td></tr>`)}</tbody>
-      </table></div></details>`;
+          <td>${camera.position_m.map((value) => value.toFixed(2)).join(", ")}</td><td>${describeError(camera)}</td></tr>`))}</details>`;
   }
 
   // A format that can't hold a lens is refused, beside the calibration.
@@ -118,7 +106,7 @@ export function open(place, route, caller) {
     const origin = calibration.method === "file" ? CALIBRATIONS.fromFile(calibration.source.file) : CALIBRATIONS.fromMethod[calibration.method];
     const facts = [moment(calibration.created_at), origin, ...(all.length > 1 ? [CALIBRATIONS.storedTimes(all.length)] : [])];
     return html`<li class="panel calibration">
-      <div class="head"><div>${renamed === calibration.id ? renameForm(calibration) : html`<h2>${calibration.name}</h2>`}
+      <div class="head"><div>${renamed === calibration.id ? nameForm(calibration) : html`<h2>${calibration.name}</h2>`}
         <p class="quiet facts">${facts.map((fact) => html`<span>${fact}</span>`)}</p></div>
         <span class="state" data-tone=${STATE_TONES[calibration.state]}>${CALIBRATIONS.states[calibration.state]}</span></div>
       ${problemBox(calibration.error && { message: calibration.error.detail, hint: calibration.error.hint, code: calibration.error.code })}

@@ -2,7 +2,7 @@
 
 import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
-import { html, nothing, problemBox } from "../shared/lit.js";
+import { html, nothing, problemBox, selectField } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
 import { characters } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
@@ -31,8 +31,7 @@ export class AddedFiles {
           ${formats.map(({ name, label }) => html`<label class="tile"><input type="checkbox" name="exports" value=${name}><span class="tile-label">${label}</span></label>`)}</div></fieldset>
         <div class="fields grid">
           ${OF_ALL_FILES.map((name) => this.#select(choices.get(name), job.spec[name]))}
-          <label class="field"><span>${ADDED.character}</span><select name="character"><option value="">${job.spec.character ? ADDED.sameCharacter : COMMON.none}</option>
-            ${(characters.list ?? []).map(({ id, name }) => html`<option value=${id}>${name}</option>`)}</select></label>
+          ${selectField(ADDED.character, [["", job.spec.character ? ADDED.sameCharacter : COMMON.none], ...(characters.list ?? []).map(({ id, name }) => [id, name])], { name: "character" })}
         </div>
         ${flags.length === 0 ? nothing : html`<fieldset class="choice"><legend>${ADDED.toShow}</legend><div class="tiles">
           ${flags.map(({ name, label }) => html`<label class="tile"><input type="checkbox" name=${name}><span class="tile-label">${label}</span></label>`)}</div></fieldset>`}

@@ -1,7 +1,7 @@
 // Part of the view Live with the cameras that the service opens: addresses of streams, and cameras of its machine.
 
 import { call } from "../shared/api.js";
-import { helpLink, html, live, nothing, problemBox, typed } from "../shared/lit.js";
+import { helpLink, html, live, nothing, problemBox, selectField, typed } from "../shared/lit.js";
 import { readOptions } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
@@ -9,16 +9,16 @@ import { LIVE } from "../shared/strings/live.js";
 const TEXT = LIVE.cameras;
 const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "127.0.0.1:39539"];
 
-/** Cameras of a capture as somebody chooses them; `changed` is called after each change from elsewhere. */
+/** Chosen cameras of a capture; `changed` is called after each change from elsewhere. */
 export class ChosenCameras {
   rows = []; // { name, source }
   devices = null; // answer of the service, once it is there
   profiles = []; // { name, label }
   profile = "fast";
-  isMeasured = false; // whether offsets of the cameras are measured
+  isMeasured = false; // true: offsets of the cameras are measured
   vmc = "";
   problem = null;
-  isNew = false; // whether these cameras are to be calibrated, and get their names here
+  isNew = false; // true: these cameras are to be calibrated, and get their names here
   durationS = 20; // of the recording from which they are calibrated
   #names = ""; // of the calibration whose cameras are listed
 
@@ -56,7 +56,7 @@ export class ChosenCameras {
 
   get used() { return this.rows.map(({ name, source }) => ({ camera: name.trim(), source: source.trim() })).filter(({ source }) => source !== ""); }
 
-  /** What is missing, as sentences. */
+  /** Sentences about missing facts. */
   get faults() {
     const names = new Set(this.used.map(({ camera }) => camera));
     return [...(this.used.length < 2 ? [LIVE.faults.cameras] : []), ...(names.size < this.used.length || names.has("") ? [LIVE.faults.names] : [])];
@@ -94,8 +94,7 @@ export class ChosenCameras {
 
   #captureFields(isLocked, allowsPrivate) {
     return html`<div class="pair">
-        <label class="field"><span>${TEXT.profile}</span><select ?disabled=${isLocked} @change=${(event) => { this.profile = event.target.value; }}>
-          ${this.profiles.map(({ name, label }) => html`<option value=${name} .selected=${live(name === this.profile)}>${label}</option>`)}</select></label>
+        ${selectField(TEXT.profile, this.profiles.map(({ name, label }) => [name, label]), { chosen: this.profile, choose: (name) => { this.profile = name; }, isOff: isLocked })}
         ${allowsPrivate ? html`<label class="field"><span>${TEXT.vmc}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
           .value=${typed(this.vmc)} ?disabled=${isLocked} @input=${(event) => { this.vmc = event.target.value; }}><span class="quiet">${TEXT.vmcHint}</span></label>` : nothing}
       </div>

@@ -1,7 +1,7 @@
 // Figures of a live capture from cameras: what happened in the last second, and what each camera does.
 
 import { length } from "../shared/format.js";
-import { html } from "../shared/lit.js";
+import { html, scrollTable } from "../shared/lit.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 
@@ -21,7 +21,6 @@ export function statusFigures({ time_s: timeS, instants_hz: rateHz, latency_s: {
 
 /** Table of the cameras of a message `status`. */
 export const cameraStates = ({ cameras }) => html`<section class="panel" aria-labelledby="cameras-title"><h2 id="cameras-title">${LIVE.preview.cameras}</h2>
-  <div class="scroll" tabindex="0" role="region" aria-labelledby="cameras-title"><table class="live-cameras"><thead><tr>${LIVE.preview.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
-  <tbody>${cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${LIVE.preview.states[camera.state]}</td>
-    <td>${COMMON.hz(camera.decoded_hz)}</td><td>${COMMON.hz(camera.detected_hz)}</td><td>${COUNTS.frames(camera.dropped)}</td><td>${COUNTS.times(camera.lost)}</td></tr>`)}</tbody></table></div>
+  ${scrollTable(LIVE.preview.cameras, LIVE.preview.table, cameras.map((camera) => html`<tr><th scope="row">${camera.name}</th><td>${LIVE.preview.states[camera.state]}</td>
+    <td>${COMMON.hz(camera.decoded_hz)}</td><td>${COMMON.hz(camera.detected_hz)}</td><td>${COUNTS.frames(camera.dropped)}</td><td>${COUNTS.times(camera.lost)}</td></tr>`))}
 </section>`;

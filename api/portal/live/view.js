@@ -18,8 +18,6 @@ import { cameraStates, figureList, statusFigures } from "./status.js";
 const DRAW_MS = 250;
 const NOTICES = 8;
 const LOOK_MS = 1500;
-// Texts while somebody waits, by phase.
-const WAITING = { opening: (isMade) => (isMade ? "recording" : "waiting"), calibrating: () => "made" };
 const ACCEPTED = ".zip,.json,.csv,.toml,.yml,.yaml,.xml,.txt,.npz,.pickle,.pkl";
 
 export function open(place) {
@@ -49,6 +47,7 @@ class LiveView {
   #isClosed = false;
   #client = null;
   #playback = null;
+  #round = 0; // number of the capture, so that an ended one opens no cameras
   #scene = null;
   #stage = null; // element of the 3D view
   #timer = 0;
@@ -119,19 +118,21 @@ class LiveView {
       return;
     }
     this.#go("opening");
+    const round = this.#round;
     try {
       // The player is large: it is loaded when it is needed.
+      const [{ LiveClient }, { LiveScene }] = await Promise.all([import("./client.js"), this.calibrateFrom ? {} : import("./scene.js")]);
+      if (round !== this.#round) return;
       if (this.calibrateFrom) {
-        await this.#record((await import("./client.js")).LiveClient);
+        this.#record(LiveClient);
         return;
       }
-      const [{ LiveClient }, { LiveScene }] = await Promise.all([import("./client.js"), import("./scene.js")]);
       const open = (start, rateHz = null) => this.#open(new LiveClient({ calibration_id: this.rig.id, keep: this.isKept, name: this.#named(), ...start }), LiveScene, rateHz);
       if (this.hasCameras) await open(this.cameras.start);
       else {
         const [{ openRecording }, { Playback }] = await Promise.all([import("./keypoints.js"), import("./playback.js")]);
         const recording = await openRecording(this.files, this.rig.record.cameras.map(({ name }) => name), this.frameRateHz);
-        const ready = this.#isClosed ? null : await open({ layout: recording.layout, frame_rate_hz: recording.rateHz }, recording.rateHz);
+        const ready = round === this.#round ? await open({ layout: recording.layout, frame_rate_hz: recording.rateHz }, recording.rateHz) : null;
         if (ready) this.#playBack(new Playback(this.#client, recording, ready.cameras));
       }
     } catch (problem) {
@@ -180,13 +181,12 @@ class LiveView {
     return this.#keptName;
   }
 
-  // Wait until a capture has begun; returns its message `ready`, or null if it is not wanted any more.
+  // Wait until a capture has begun; returns its message `ready`. One that was left meanwhile never begins.
   async #open(client, LiveScene, rateHz) {
     this.#watch(client);
     client.addEventListener("ended", ({ detail }) => { this.ended = detail; this.#over(null); });
     client.addEventListener("status", ({ detail }) => { this.status = detail; this.draw(); });
     const ready = await client.ready;
-    if (this.#isClosed) return null;
     this.counts = { people: 0, skeletons: 0, instants: 0, dropped: { input: 0, output: 0 }, notSent: 0 };
     this.draw();
     this.#scene?.close();
@@ -218,7 +218,6 @@ class LiveView {
   end() {
     this.#playback?.stop();
     if (this.phase === "opening") {
-      this.#client?.close();
       this.#over(null);
       return;
     }
@@ -230,6 +229,7 @@ class LiveView {
     clearInterval(this.#timer);
     this.#playback?.stop();
     this.#client?.close();
+    this.#round += 1;
   }
 
   #over(problem) {
@@ -272,7 +272,7 @@ class LiveView {
         <div class="look-view live-stage" ${ref((element) => { this.#stage = element ?? null; })}></div>
         ${this.counts ? this.#figures() : nothing}
       </section>
-      ${this.hasCameras && WAITING[this.phase] ? html`<p class="notice" role="status">${LIVE.cameras[WAITING[this.phase](this.calibrateFrom)]}</p>` : nothing}
+      ${this.#waiting()}
       ${this.notices.length ? html`<div role="log" aria-label=${LIVE.notices}><ul class="warnings">${this.notices.map((text) => html`<li>${text}</li>`)}</ul></div>` : nothing}
       ${this.status ? cameraStates(this.status) : nothing}
       ${this.#result()}
@@ -292,6 +292,12 @@ class LiveView {
       </section>
       ${this.hasCameras ? this.cameras.part(this.isBusy) : nothing}
     </form>`;
+  }
+
+  #waiting() {
+    const { waiting, recording, made } = LIVE.cameras;
+    const text = { opening: this.calibrateFrom ? recording : waiting, calibrating: made }[this.phase];
+    return this.hasCameras && text ? html`<p class="notice" role="status">${text}</p>` : nothing;
   }
 
   #action() {

@@ -35,6 +35,7 @@ export class PointMarks {
   held = null; // name of the point whose mark the arrow keys move
   #seen = new Map(); // pixels by camera and name of the point
   #past = []; // states before each change, for the undo
+  #told = new Set(); // marks of the table: one that was moved since stays where it is
 
   of(camera) {
     if (!this.#seen.has(camera)) this.#seen.set(camera, new Map());
@@ -44,7 +45,9 @@ export class PointMarks {
   read(text) {
     const { points, marks, wrong } = readTable(text);
     this.points = points;
-    for (const { camera, name, pixel } of marks) this.of(camera).set(name, pixel);
+    const told = new Map(marks.map((mark) => [JSON.stringify(mark), mark]));
+    for (const [key, { camera, name, pixel }] of told) if (!this.#told.has(key)) this.of(camera).set(name, pixel);
+    this.#told = new Set(told.keys());
     return wrong;
   }
 

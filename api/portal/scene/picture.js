@@ -53,14 +53,14 @@ export class Still {
 
 const clamp = (pixel, size) => pixel.map((value, axis) => Math.min(Math.max(value, 0), size[axis] - 1));
 
-// Picture with its marks. `marks` are changed, and `changed()` hears of it; `fits` has the projections of the last calibration
+// Picture with its marks. `marks` are changed, and `changed()` hears of it; `undo()` undoes a change; `fits` has the projections of the last calibration
 // by name of the point.
 export class MarkedPicture {
   #glass = Object.assign(document.createElement("canvas"), { width: GLASS_PX, height: GLASS_PX, className: "glass" });
   #isPressed = false;
 
-  constructor(marks, changed) {
-    Object.assign(this, { marks, changed });
+  constructor(marks, changed, undo) {
+    Object.assign(this, { marks, changed, undo });
     this.#glass.setAttribute("aria-hidden", "true");
   }
 
@@ -114,7 +114,7 @@ export class MarkedPicture {
     if (step && held) marks.move(still.camera, clamp(held.map((value, axis) => value + step[axis] * (event.shiftKey ? LARGE_STEP : 1)), still.size));
     else if (event.key === "Enter") marks.place(still.camera, held ?? still.size.map((side) => Math.round(side / 2)));
     else if (event.key === "Delete" || event.key === "Backspace") marks.remove(still.camera);
-    else if (event.key === "z" && (event.ctrlKey || event.metaKey)) marks.undo();
+    else if (event.key === "z" && (event.ctrlKey || event.metaKey)) this.undo();
     else if (!step) return;
     event.preventDefault();
     this.changed();

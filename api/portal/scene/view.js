@@ -2,25 +2,24 @@
 
 import { call, jsonPart, readFile } from "../shared/api.js";
 import { stem } from "../shared/format.js";
-import { helpLink, html, nothing, problemBox, render, typed, warningList } from "../shared/lit.js";
+import { helpLink, html, nothing, problemBox, render, selectField, typed, warningList } from "../shared/lit.js";
 import { announce, save } from "../shared/page.js";
-import { dated, readCalibrations } from "../shared/resources.js";
+import { listed, readCalibrations } from "../shared/resources.js";
 import { COMMON } from "../shared/strings/common.js";
 import { SCENE } from "../shared/strings/scene.js";
 import { PointMarks } from "./marks.js";
 import { MarkedPicture, Still } from "./picture.js";
 
 // Marks are the work of minutes: they stay while the page is open.
-const kept = { stills: [], current: null, marks: new PointMarks(), text: "", made: null, isMarkedSince: false };
+const kept = { stills: [], current: null, marks: new PointMarks(), text: "", wrong: [], made: null, isMarkedSince: false };
 
 export function open(place) {
   const { marks } = kept;
-  const picture = new MarkedPicture(marks, () => changed());
+  const picture = new MarkedPicture(marks, () => changed(), () => undo());
   let isClosed = false;
   let isBusy = false;
   let problem = null;
   let unread = []; // names of files that the browser can't show
-  let wrong = marks.read(kept.text);
   let lenses = [];
 
   // Errors are of the marks that were sent.
@@ -38,11 +37,13 @@ export function open(place) {
 
   async function addFiles(files) {
     unread = [];
+    kept.made = null; // of other pictures
     for (const file of files) {
       const still = new Still(file, stem(file.name));
       try {
         await still.load();
       } catch {
+        still.close();
         unread.push(file.name);
         continue;
       }
@@ -53,11 +54,18 @@ export function open(place) {
   }
 
   function readPoints(text) {
-    kept.text = text;
-    wrong = marks.read(text);
-    kept.isMarkedSince = true;
+    Object.assign(kept, { text, wrong: marks.read(text), isMarkedSince: true });
     choose(kept.current);
   }
+
+  // Undo the last change, and show its camera.
+  function undo() {
+    const camera = marks.undo();
+    kept.current = kept.stills.find((each) => each.camera === camera) ?? kept.current;
+    changed();
+  }
+
+  const isReady = () => !isBusy && kept.stills.length > 0 && marks.points.length > 0;
 
   // The lens of a stored calibration goes along as a file.
   async function form({ lens, title }) {
@@ -71,7 +79,7 @@ export function open(place) {
 
   async function submit(event) {
     event.preventDefault();
-    if (isBusy) return;
+    if (!isReady()) return;
     const { lens, title } = event.target.elements;
     isBusy = true;
     problem = null;
@@ -104,12 +112,6 @@ export function open(place) {
 
   function workplace(still) {
     const seek = ({ target }) => still.seek(target.valueAsNumber).then(draw);
-    const undo = () => {
-      const camera = marks.undo();
-      const shown = kept.stills.find((each) => each.camera === camera);
-      if (shown) kept.current = shown;
-      changed();
-    };
     const next = marks.points.find(({ name }) => name === marks.next);
     return html`<section class="panel work" aria-label=${SCENE.pictures}>
       <div class="choices">${kept.stills.map((each) => html`<button type="button" class="button small" aria-pressed=${String(each === still)} @click=${() => choose(each)}>
@@ -147,11 +149,10 @@ export function open(place) {
           ${unread.length ? html`<p class="problem" role="alert">${SCENE.unread(unread.join(", "))}</p>` : nothing}
           <label class="field"><span>${SCENE.table}</span><textarea rows="8" spellcheck="false" placeholder=${SCENE.placeholder} aria-describedby="scene-table"
             .value=${typed(kept.text)} @input=${({ target }) => readPoints(target.value)}></textarea></label>
-          <p id="scene-table" class="quiet">${wrong.length ? SCENE.wrong(wrong.join(", ")) : SCENE.read(marks.points.length)}</p>
-          <label class="field"><span>${SCENE.lens}</span><select name="lens"><option value="">${SCENE.estimated}</option>
-            ${lenses.map((lens) => html`<option value=${lens.id}>${dated(lens)}</option>`)}</select></label>
+          <p id="scene-table" class="quiet">${kept.wrong.length ? SCENE.wrong(kept.wrong.join(", ")) : SCENE.read(marks.points.length)}</p>
+          ${selectField(SCENE.lens, [["", SCENE.estimated], ...listed(lenses)], { name: "lens" })}
           <label class="field"><span>${SCENE.name}</span><input name="title" maxlength="200" placeholder=${SCENE.namePlaceholder} autocomplete="off"></label>
-          <div class="actions"><button class="button primary" aria-disabled=${isBusy || !kept.stills.length || !marks.points.length ? "true" : nothing}>${SCENE.submit}</button></div>
+          <div class="actions"><button class="button primary" aria-disabled=${isReady() ? nothing : "true"}>${SCENE.submit}</button></div>
           ${problemBox(problem)}</form>${result()}</div>
       </div>`, place);
   }

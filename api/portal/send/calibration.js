@@ -3,7 +3,7 @@
 import { boardFields, statureField } from "../calibrations/fields.js";
 import { call, jsonPart, persistently } from "../shared/api.js";
 import { stem } from "../shared/format.js";
-import { html, live, nothing, problemBox, warningList } from "../shared/lit.js";
+import { html, live, nothing, problemBox, selectField, warningList } from "../shared/lit.js";
 import { dated, usable } from "../shared/resources.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { SEND } from "../shared/strings/send.js";
@@ -20,17 +20,14 @@ function calibrationFacts(calibration) {
   return facts.join(" · ");
 }
 
-const choice = (name, choices, chosen, isLocked, choose) => html`<label class="field unit"><span>${name}</span>
-  <select ?disabled=${isLocked} @change=${(event) => choose(event.target.value || null)}>
-    ${choices.map(([value, label]) => html`<option value=${value} .selected=${live(value === (chosen ?? ""))}>${label}</option>`)}</select></label>`;
-
 export function calibrationPart({ sending, stored, away, choose, readFile, isLocked }) {
   const ready = usable(stored ?? []);
   const { rig } = sending;
   const chosen = sending.capture.calibration;
+  const choice = (label, pairs, value, pick) => selectField(label, pairs, { chosen: value, choose: (text) => pick(text || null), isOff: isLocked, style: "unit" });
   // The list may be older than the chosen calibration.
   const listed = rig.id && !ready.some(({ id }) => id === rig.id) ? [chosen ?? { id: rig.id, name: rig.name ?? "…" }, ...ready] : ready;
-  // A live capture has no videos from which to calibrate, and no draft.
+  // Keypoints that are played live have no videos from which to calibrate, and no draft.
   const { calibrateFrom = null, stature, board } = sending.draft ?? {};
   const pick = ({ target: { value } }) => {
     const isMade = value in TEXT.from;
@@ -55,8 +52,8 @@ export function calibrationPart({ sending, stored, away, choose, readFile, isLoc
     ${chosen ? html`<p class="chosen"><b>${chosen.name}</b> <span class="quiet">${calibrationFacts(chosen)}</span></p>
       ${warningList(chosen.warnings, TEXT.warnings)}` : nothing}
     ${rig.file ? html`<details ?open=${rig.problem !== null || rig.units !== null || rig.up !== null}><summary>${TEXT.unitAndUp}</summary><div class="pair">
-      ${choice(TEXT.unit, TEXT.units, rig.units, isLocked, (units) => readFile(rig.file, units, rig.up))}
-      ${choice(TEXT.up, AXES, rig.up, isLocked, (up) => readFile(rig.file, rig.units, up))}</div></details>` : nothing}`;
+      ${choice(TEXT.unit, TEXT.units, rig.units, (units) => readFile(rig.file, units, rig.up))}
+      ${choice(TEXT.up, AXES, rig.up, (up) => readFile(rig.file, rig.units, up))}</div></details>` : nothing}`;
 }
 
 // Calibration files as stored calibrations: a file whose content is stored already is not sent again.

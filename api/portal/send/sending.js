@@ -192,8 +192,8 @@ class Sending extends EventTarget {
   #begin() {
     this.#round += 1;
     this.#press += 1;
-    const { calibrateFrom, stature, board, clock, frameRate_hz, layout, units, up, spec } = this.draft;
-    this.draft = emptyDraft({ calibrateFrom, stature, board, clock, frameRate_hz, layout, units, up, spec, calibrationId: this.rig.id });
+    const { calibrateFrom, stature, board, clock, frameRate_hz, layout, units, up, laboratoryClock, spec } = this.draft;
+    this.draft = emptyDraft({ calibrateFrom, stature, board, clock, frameRate_hz, layout, units, up, laboratoryClock, spec, calibrationId: this.rig.id });
     this.session = this.problem = null;
     this.notes = [];
     this.#go("draft");

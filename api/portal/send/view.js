@@ -4,7 +4,7 @@ import { call, persistently, RequestProblem } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { percent } from "../shared/format.js";
 import { hasEnded, jobState } from "../shared/jobs.js";
-import { helpLink, html, live, nothing, problemBox, render, repeat, typed } from "../shared/lit.js";
+import { helpLink, html, live, nothing, problemBox, render, repeat, selectField, typed } from "../shared/lit.js";
 import { address, go } from "../shared/page.js";
 import { characters, readCalibrations } from "../shared/resources.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
@@ -89,9 +89,7 @@ export function open(place) {
         <input type="number" class="number" min="1" max="1000" step="any" ?required=${isRequired} .value=${typed(rate)} ?disabled=${isLocked}
           @input=${(event) => { sending.draft.frameRate_hz = event.target.value === "" ? null : event.target.valueAsNumber; sending.changed(); }}>
         <span class="quiet">${hint}</span></label>`;
-    const select = (label, name, chosen, values) => html`<label class="field clock"><span>${label}</span>
-        <select ?disabled=${isLocked} @change=${(event) => sending.assignDraft({ [name]: event.target.value || null })}>
-          ${values.map(([value, text]) => html`<option value=${value} .selected=${live(value === (chosen ?? ""))}>${text}</option>`)}</select></label>`;
+    const select = (label, name, chosen, pairs) => selectField(label, pairs, { chosen, choose: (value) => sending.assignDraft({ [name]: value || null }), isOff: isLocked, style: "clock" });
     if (is3d) {
       const told = [["", SEND.pointsTell]];
       return [

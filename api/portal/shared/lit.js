@@ -1,12 +1,12 @@
 // Templates of the page (lit-html). A value in a template becomes text, never markup: names come from clients.
 
 import { Directive, directive } from "../vendor/lit-html/directive.js";
+import { live } from "../vendor/lit-html/directives/live.js";
 import { html, noChange, nothing, render } from "../vendor/lit-html/lit-html.js";
 import { COMMON } from "./strings/common.js";
 
-export { html, nothing, render };
+export { html, live, nothing, render };
 export { svg } from "../vendor/lit-html/lit-html.js";
-export { live } from "../vendor/lit-html/directives/live.js";
 export { ref } from "../vendor/lit-html/directives/ref.js";
 export { repeat } from "../vendor/lit-html/directives/repeat.js";
 
@@ -37,6 +37,31 @@ export const styled = directive(Styled);
 
 // Text of the service, with `code` in backticks.
 export const prose = (text) => text.split("`").map((part, index) => (index % 2 ? html`<code>${part}</code>` : part));
+
+// Parts of forms and lists.
+
+// Field with a list of pairs of value and text. With `choose` it shows the chosen value; without, it keeps its own.
+export const selectField = (label, pairs, { name = nothing, chosen = "", choose = null, isOff = false, style = "" } = {}) => html`<label class="field ${style}"><span>${label}</span>
+  <select name=${name} ?disabled=${isOff} @change=${choose ? (event) => choose(event.target.value) : nothing}>
+    ${pairs.map(([value, text]) => html`<option value=${value} .selected=${choose ? live(value === (chosen ?? "")) : noChange}>${text}</option>`)}</select></label>`;
+
+// Table that is scrolled in itself; `heads` are the texts of its head.
+export const scrollTable = (label, heads, rows) => html`<div class="scroll" role="group" aria-label=${label} tabindex="0"><table>
+  <thead><tr>${heads.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead><tbody>${rows}</tbody></table></div>`;
+
+// Form with a new name: `rename(name)` gets it, and `end()` hears that none is wanted.
+export function renameForm({ name, rename, end }) {
+  const submit = (event) => {
+    event.preventDefault();
+    const wanted = event.target.elements.name.value.trim();
+    return wanted && wanted !== name ? rename(wanted) : end();
+  };
+  return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
+    <input name="name" maxlength="200" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off">
+    <button class="button small primary">${COMMON.save}</button>
+    <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
+  </form>`;
+}
 
 // A question before something is lost. The focus returns to where it was.
 

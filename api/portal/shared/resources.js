@@ -56,8 +56,9 @@ export function usable(calibrations) {
   return distinct(calibrations.filter(isUsable)).map(({ newest }) => newest);
 }
 
-// Name and day of a calibration, as in a list to choose from.
+// Name and day of a calibration, as in a list to choose from, and a list of them for a field.
 export const dated = ({ name, created_at: created }) => (created ? FORMATS.dated(name, day(created)) : name);
+export const listed = (calibrations) => calibrations.map((calibration) => [calibration.id, dated(calibration)]);
 
 // The characters of one's own: their list, and those that were opened, with their bones.
 

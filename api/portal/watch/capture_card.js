@@ -8,9 +8,9 @@ import { call } from "../shared/api.js";
 import { feed } from "../shared/feed.js";
 import { length, moment, size } from "../shared/format.js";
 import { countCameraFrames, estimateTime, hasEnded } from "../shared/jobs.js";
-import { confirm, html, nothing, problemBox, repeat } from "../shared/lit.js";
+import { confirm, html, nothing, problemBox, renameForm, repeat, scrollTable, selectField } from "../shared/lit.js";
 import { announce } from "../shared/page.js";
-import { characters, dated, readCalibrations, usable } from "../shared/resources.js";
+import { characters, listed, readCalibrations, usable } from "../shared/resources.js";
 import { CAPTURES } from "../shared/strings/captures.js";
 import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { jobRow } from "./job_row.js";
@@ -52,13 +52,10 @@ function cameraTable(view, session) {
   };
   return html`<details class="cameras" @toggle=${toggle}>
     <summary>${COMMON.cameras}${findings.length ? html` <span class="badge" data-tone="warn">${COUNTS.findings(findings.length)}</span>` : nothing}</summary>
-    <div class="scroll" role="group" aria-label=${CAPTURES.camerasOf(session.name)} tabindex="0"><table>
-      <thead><tr>${CAPTURES.table.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead>
-      <tbody>${cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
+    ${scrollTable(CAPTURES.camerasOf(session.name), CAPTURES.table, cameras.map((camera) => html`<tr><th scope="row"><div class="with-picture">${isOpen ? thumbnail(camera) : nothing}${camera.name}</div></th><td>${camera.file}</td>
         <td>${camera.size_px.join(" × ")}</td><td>${COMMON.hz(Number(camera.frame_rate_hz.toFixed(2)))}</td><td>${camera.num_frames}</td>
         <td>${CAPTURES.startsAt(camera.start_time_s.toFixed(3))}</td><td>${sizes.has(camera.file) ? size(sizes.get(camera.file)) : ""}</td></tr>
-        ${findingList(findings.filter((finding) => finding.camera === camera.name), cameras, (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`)}</tbody>
-    </table></div>
+        ${findingList(findings.filter((finding) => finding.camera === camera.name), cameras, (list) => html`<tr><td colspan="7">${list}</td></tr>`)}`))}
     ${findingList(findings.filter((finding) => !cameras.some(({ name }) => name === finding.camera)), cameras)}
   </details>`;
 }
@@ -79,29 +76,20 @@ function beginRename(view, session) {
   field.select();
 }
 
-function renameForm(view, session) {
+function nameForm(view, session) {
   const end = () => {
     view.renamed = null;
     view.draw();
     view.place.querySelector(`#rename-${session.id}`)?.focus();
   };
-  const submit = (event) => {
-    event.preventDefault();
-    const name = event.target.elements.name.value.trim();
-    if (!name || name === session.name) return end();
-    return view.act(session.id, async () => {
-      const renamed = await call(session.urls.self, { method: "PATCH", body: { name } });
-      view.sessions = view.sessions.map((other) => (other.id === session.id ? renamed : other));
-      end();
-      announce(COMMON.renamed(name));
-      await feed.refresh(); // jobs bear the name too
-    });
-  };
-  return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
-    <input name="name" maxlength="200" required aria-label=${COMMON.newName(session.name)} value=${session.name} autocomplete="off">
-    <button class="button small primary">${COMMON.save}</button>
-    <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
-  </form>`;
+  const rename = (name) => view.act(session.id, async () => {
+    const renamed = await call(session.urls.self, { method: "PATCH", body: { name } });
+    view.sessions = view.sessions.map((other) => (other.id === session.id ? renamed : other));
+    end();
+    announce(COMMON.renamed(name));
+    await feed.refresh(); // jobs bear the name too
+  });
+  return renameForm({ name: session.name, rename, end });
 }
 
 // Whether a capture has 3D points, and no cameras.
@@ -164,7 +152,7 @@ export function captureCard(view, session) {
     <div class="head">
       ${pictureOfCapture(session)}
       <div>
-        ${view.renamed === session.id ? renameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? CAPTURES.ofCalibration(session.name) : session.name}</h2>`}
+        ${view.renamed === session.id ? nameForm(view, session) : html`<h2 id="name-${session.id}">${isFootage ? CAPTURES.ofCalibration(session.name) : session.name}</h2>`}
         <p class="quiet facts">${captureFacts(session).map((fact) => html`<span>${fact}</span>`)}</p>
       </div>
       ${view.canWrite ? html`<div class="actions">
@@ -262,8 +250,7 @@ function otherCalibrationForm(view, session) {
   };
   return html`<form class="again" aria-label=${CAPTURES.other.label(session.name)} @submit=${submit}>
     <div class="pair">
-      <label class="field"><span>${COMMON.calibration}</span><select name="calibration" required>
-        ${calibrations.map((calibration) => html`<option value=${calibration.id}>${dated(calibration)}</option>`)}</select></label>
+      ${selectField(COMMON.calibration, listed(calibrations), { name: "calibration" })}
       <label class="field"><span>${CAPTURES.other.name}</span><input name="name" maxlength="200" value=${session.name} autocomplete="off"></label>
     </div>
     ${calibrations.length ? "" : html`<p class="quiet">${CAPTURES.other.none} <a href="#/calibrations">${CAPTURES.other.add}</a></p>`}

@@ -1,6 +1,6 @@
 // Actions on the chosen person and on the take, at the play head.
 
-import { confirm, html, nothing, typed } from "../../shared/lit.js";
+import { confirm, html, nothing, repeat, typed } from "../../shared/lit.js";
 import { announce } from "../../shared/page.js";
 import { COMMON, COUNTS } from "../../shared/strings/common.js";
 import { PEOPLE } from "../../shared/strings/take.js";
@@ -54,7 +54,7 @@ function personActions(panel) {
   </fieldset>`;
 }
 
-// Sex and mass of a person, for the centre of mass and momenta.
+// Sex and mass of a person, for the centre of mass and momenta. A choice that is not set yet stays until another person is chosen.
 function massForm(panel, { id, sex, mass_kg: mass }, name) {
   const describe = (event) => {
     event.preventDefault();
@@ -63,13 +63,14 @@ function massForm(panel, { id, sex, mass_kg: mass }, name) {
     if (stated.sex === sex && stated.mass_kg === mass) return announce(PEOPLE.sameMass(name));
     return panel.add({ action: "describe", person: id, ...stated });
   };
-  return html`<form class="actions" @submit=${describe}>
+  const form = () => html`<form class="actions" @submit=${describe}>
     <label class="with"><span>${PEOPLE.sex}</span> <select name="sex">
       ${Object.entries(PEOPLE.sexes).map(([value, label]) => html`<option value=${value} .selected=${value === (sex ?? "")}>${label}</option>`)}</select></label>
     <label class="with"><span>${PEOPLE.mass}</span> <input class="number" name="mass" type="number" min="1" max="500" step="any"
-      placeholder=${PEOPLE.asOptions} .value=${typed(mass)}></label>
+      placeholder=${PEOPLE.asOptions} value=${mass ?? ""}></label>
     <button class="button small" aria-label=${PEOPLE.setMassOf(name)}>${PEOPLE.setMass}</button>
   </form>`;
+  return repeat([[id, sex, mass].join()], String, form);
 }
 
 function rename(panel, event) {

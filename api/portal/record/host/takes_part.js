@@ -7,9 +7,9 @@ import { sending } from "../../send/sending.js";
 import { feed } from "../../shared/feed.js";
 import { clock } from "../../shared/format.js";
 import { jobState } from "../../shared/jobs.js";
-import { confirm, helpLink, html, live as held, nothing, repeat, typed, warningList } from "../../shared/lit.js";
+import { confirm, helpLink, html, live as held, nothing, repeat, selectField, typed, warningList } from "../../shared/lit.js";
 import { address } from "../../shared/page.js";
-import { dated } from "../../shared/resources.js";
+import { listed } from "../../shared/resources.js";
 import { COMMON, COUNTS } from "../../shared/strings/common.js";
 import { RECORD } from "../../shared/strings/record.js";
 import { errorBox } from "../../watch/job_row.js";
@@ -35,10 +35,8 @@ export function recordPart(view, recording) {
     <form @submit=${start}>
       <div class="pair">
         <label class="field"><span>${RECORD.takeName}</span><input name="take" maxlength="200" placeholder=${RECORD.takeDefault(recording.state.recording.takes.length + 1)} autocomplete="off" .value=${typed(view.takeName)} @input=${(event) => { view.takeName = event.target.value; }}></label>
-        <label class="field"><span>${RECORD.video}</span><select name="video" @change=${(event) => { view.videoChoice = event.target.value; view.draw(); }}>
-          <option value="best" .selected=${held(view.videoChoice === "best")}>${RECORD.best(view.best() && videoWords(view.best()))}</option>
-          <option value="own" .selected=${held(view.videoChoice === "own")}>${RECORD.own}</option>
-          ${videos.map((video) => html`<option value=${videoWords(video)} .selected=${held(view.videoChoice === videoWords(video))}>${videoWords(video)}</option>`)}</select></label>
+        ${selectField(RECORD.video, [["best", RECORD.best(view.best() && videoWords(view.best()))], ["own", RECORD.own], ...videos.map((video) => [videoWords(video), videoWords(video)])],
+    { name: "video", chosen: view.videoChoice, choose: (choice) => { view.videoChoice = choice; view.draw(); } })}
       </div>
       <div class="actions">
         ${running ? html`<button type="button" class="button danger record-button" @click=${() => recording.send({ type: "stop" })}>${RECORD.stop}</button>
@@ -56,9 +54,8 @@ export function recordPart(view, recording) {
 export function calibrationPart(view) {
   const { calibrations, calibrationId } = view;
   return html`<section class="panel record-calibration" aria-labelledby="calibration-title"><div class="with-help"><h2 id="calibration-title">${COMMON.calibration}</h2>${helpLink("calibration", COMMON.calibration)}</div>
-    <label class="field"><span>${RECORD.where}</span><select name="calibration" @change=${(event) => { view.calibrationId = event.target.value; view.draw(); }}>
-      <option value="" .selected=${held(!calibrationId)}>${calibrations.length ? COMMON.choose : RECORD.noCalibration}</option>
-      ${calibrations.map((calibration) => html`<option value=${calibration.id} .selected=${held(calibration.id === calibrationId)}>${dated(calibration)}</option>`)}</select></label>
+    ${selectField(RECORD.where, [["", calibrations.length ? COMMON.choose : RECORD.noCalibration], ...listed(calibrations)],
+    { name: "calibration", chosen: calibrationId, choose: (id) => { view.calibrationId = id; view.draw(); } })}
     <p class="quiet">${RECORD.calibrationHint}
       ${RECORD.boardHint} <a href="/portal/record/board.html" target="_blank" rel="noopener">${RECORD.boardLink}</a>. ${RECORD.calibrationHolds}</p></section>`;
 }
@@ -99,8 +96,7 @@ function calibrateForm(view, recording, take) {
   };
   const isBoard = view.calibratedBy === "board";
   return html`<form class="record-form" aria-label=${RECORD.calibrateOf(take.name)} @submit=${submit}>
-    <label class="field"><span>${RECORD.from}</span><select name="kind" @change=${(event) => { view.calibratedBy = event.target.value; view.draw(); }}>
-      <option value="people" .selected=${held(!isBoard)}>${RECORD.byPeople}</option><option value="board" .selected=${held(isBoard)}>${RECORD.byBoard}</option></select></label>
+    ${selectField(RECORD.from, [["people", RECORD.byPeople], ["board", RECORD.byBoard]], { name: "kind", chosen: view.calibratedBy, choose: (by) => { view.calibratedBy = by; view.draw(); } })}
     ${isBoard ? html`<label class="field"><span>${RECORD.board}</span><input name="board" required maxlength="100" placeholder=${RECORD.boardPlaceholder} autocomplete="off" .value=${typed(view.board)}></label>`
     : statureField()}
     <div class="actions"><button class="button primary">${RECORD.calibrate}</button><button type="button" class="button" @click=${() => view.show(take.number, null)}>${COMMON.close}</button></div></form>`;

@@ -2,7 +2,6 @@
 
 export const LIVE = {
   title: "Live",
-  previewTitle: "Multicap live",
   hint: "People in 3D while cameras film them. Programs use `WS /v1/live`.",
   from: "People from",
   sources: { cameras: "Cameras", keypoints: "Keypoint files" },
@@ -10,7 +9,7 @@ export const LIVE = {
   start: "Start the capture",
   startAgain: "Start again",
   cameras: {
-    hint: "Address of each camera's stream: rtsp, rtsps, http or https. Two or more.",
+    hint: "Addresses of the streams of two or more cameras: rtsp, rtsps, http or https.",
     noCalibration: "Choose the calibration: its cameras are listed here.",
     devices: (count) => (count ? "A list offers the cameras of the service's machine." : "The service's machine has no camera."),
     publicOnly: "The operator allows public addresses only (MULTICAP_LIVE_PRIVATE).",
@@ -43,7 +42,7 @@ export const LIVE = {
   framesOf: (camera, frames) => `${camera}: ${frames}`,
   timesOf: (file) => `times of ${file}`,
   leftOut: (files) => `Left out: ${files}.`,
-  notices: "What has changed",
+  notices: "Messages about cameras",
   figures: { time: "Time", people: "People", latency: "Latency", instants: "Instants", dropped: "Dropped" },
   timeOf: (time, total) => `${time} of ${total}`,
   peopleNumber: (people, skeletons) => `${people}, ${skeletons} with a skeleton`,
@@ -99,7 +98,7 @@ export const LIVE = {
   },
   preview: {
     idle: "No capture is running.",
-    cameras: "What the cameras do",
+    cameras: "States of the cameras",
     table: ["Camera", "State", "Sends", "Detected", "Dropped", "Lost"],
     states: { open: "open", lost: "lost, opening again", ended: "ended" },
   },

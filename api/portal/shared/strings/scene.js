@@ -31,7 +31,7 @@ export const SCENE = {
   save: "Save the marks",
   keys: "Arrow keys move the mark by a pixel, with Shift by ten. Enter marks the next point, Delete removes the mark, Ctrl Z undoes. Press and drag to see a place in the magnifier.",
   stored: (name) => `Stored: ${name}`,
-  worst: (camera, median, { name, error_px: error }) => `${camera}: ${median.toFixed(1)} px (median), ${name} ${error.toFixed(1)} px.`,
-  again: "Calibrate again to replace it.",
+  worst: (camera, median, { name, error_px: error }) => `${camera}: ${median.toFixed(1)} px (median), at most ${error.toFixed(1)} px (${name}).`,
+  again: "Calibrate again to replace it. Other pictures begin another one.",
   all: "All calibrations",
 };

@@ -56,7 +56,7 @@ export const SEND = {
   laboratory: "force plates, channels",
   laboratoryClock: "The C3D file begins",
   laboratoryClocks: [["", "Automatic"], ["timecode", "At its timecode"], ["trigger", "By its trigger channel"], ["contacts", "By feet and vertical force"]],
-  pointsTell: "As in the file, or told by the people",
+  pointsTell: "From the file or the people",
   pointsRate: "Frame rate of the points, Hz",
   pointsRateHint: "Only for files that do not state it.",
   allCameras: "all cameras, by order of names",
