@@ -59,7 +59,8 @@ export class ChosenCameras {
   /** Sentences about missing facts. */
   get faults() {
     const names = new Set(this.used.map(({ camera }) => camera));
-    return [...(this.used.length < 2 ? [LIVE.faults.cameras] : []), ...(names.size < this.used.length || names.has("") ? [LIVE.faults.names] : [])];
+    return [...(this.used.length < 2 ? [LIVE.faults.cameras] : []), ...(names.size < this.used.length || names.has("") ? [LIVE.faults.names] : []),
+      ...(this.isNew && !(this.durationS >= 1 && this.durationS <= 60) ? [LIVE.faults.duration] : [])];
   }
 
   /** Fields of the message `start_cameras`. */

@@ -61,6 +61,7 @@ export const LIVE = {
   faults: {
     cameras: "Type the addresses of two cameras or more.",
     names: "Each camera needs a name of its own.",
+    duration: "Type a length of 1 to 60 s.",
     stature: "Type the height of a person, such as 1.78 m.",
     keypoints: "Choose keypoints of the cameras.",
     calibration: "Choose the calibration of the cameras.",

@@ -24,7 +24,7 @@ export const SCENE = {
   noPoints: "Type the points first.",
   unmarked: "no mark",
   pixel: (x, y) => `${x.toFixed(1)}, ${y.toFixed(1)} px`,
-  off: (error) => `${error.toFixed(1)} px off`,
+  off: (error) => `(${error.toFixed(1)} px off)`,
   time: (seconds) => `Picture at ${seconds} s`,
   undo: "Undo",
   remove: (point) => `Remove mark ${point}`,
