@@ -114,7 +114,7 @@ def test_split_exchange_rename_delete_and_cut(page: Page, portal: ServedPeople) 
 
 def test_sex_and_mass_stay_with_their_person_until_set(page: Page, portal: ServedPeople) -> None:
     revision = portal.revision
-    sex, mass = panel(page).get_by_label("Sex", exact=True), panel(page).get_by_label("Mass, kg")
+    sex, mass = panel(page).get_by_role("combobox", name="Sex"), panel(page).get_by_role("spinbutton", name="Mass, kg")
     choose(page, "person-1")
     sex.select_option("female")
     mass.fill("61")

@@ -8,7 +8,7 @@ import { shownSpec } from "./choices.js";
 import { isLaboratory, needsCamera } from "./files.js";
 import { naturalOrder, groupRecordings } from "./matching.js";
 
-// Start of the cameras that nobody knows: the service measures their clocks.
+// Unknown start of the cameras: the service measures their clocks.
 export const MEASURED = "measured";
 
 // Choices of a job that are about cameras, and have no effect on 3D points.
@@ -119,7 +119,7 @@ export function sessionBody({ name, files, is3d, laboratory, laboratoryClock, ca
 // Request that reconstructs it.
 export const jobBody = ({ spec }) => spec;
 
-// What keeps a capture from being sent, as sentences.
+// Faults that keep a capture from being sent, as sentences.
 
 const MIN_CAMERAS = 2;
 

@@ -80,7 +80,7 @@ function findPurpose(options, spec) {
   return options.purposes.find((purpose) => Object.entries(purpose.spec).every(([name, value]) => isSame(choiceValue(findChoice(options, name), spec), value)));
 }
 
-// What a take is for, which sets several choices at once; none is checked if they were set otherwise.
+// Purposes of a take, each of which sets several choices at once; none is checked if they were set otherwise.
 function purposeField({ id, options, spec, onChange }) {
   const chosen = findPurpose(options, spec);
   const pick = (purpose) => {

@@ -30,7 +30,7 @@ export const ACCEPTED = ["zip", "npy", ...POINTS, ...Object.values(KINDS).flat()
 export const AXES = [["", SEND.calibration.upAuto], ...["x", "-x", "y", "-y", "-z"].map((axis) => [axis, axis.toUpperCase().replace("-", "−")])];
 export const ACCEPTED_CALIBRATIONS = KINDS.calibration.map((ending) => `.${ending}`).join(",");
 
-// Files that systems and cameras put beside others, and that nobody means to send.
+// Files that systems and cameras put beside others, and that are not meant to be sent.
 const BESIDE = /^(\._.*|__macosx|desktop\.ini|thumbs\.db|.*\.(lrv|lrf|thm|insv))$/i;
 
 const paths = new WeakMap(); // of dropped files, with their folders
@@ -53,7 +53,7 @@ export function uniqueNames(files) {
 
 const fileEnding = (name) => name.slice(name.lastIndexOf(".") + 1).toLowerCase();
 
-// Whether a file of points is a laboratory's: a C3D file beside videos or keypoints.
+// True if a file of points is a laboratory's: a C3D file beside videos or keypoints.
 export const isLaboratory = (row, rows) => row.kind === "points" && /\.c3d$/i.test(row.name) && rows.some(({ kind, isUsed }) => isUsed && ["video", "keypoints", "array"].includes(kind));
 
 // Files that belong to one camera, by their kinds.

@@ -80,7 +80,7 @@ class Sending extends EventTarget {
   get unpairedRecordings() { return groupRows(this.unpaired); }
   get freeCameras() { return this.cameraNames.filter((name) => !this.used.some(({ camera }) => camera === name)); }
 
-  // What Send waits for, as words.
+  // Reasons why Send waits, as words.
   get unread() {
     return [...new Set([...this.#reading.values(), ...(this.rig.isReading ? [SEND.unread.calibration(this.rig.name ?? "")] : [])])];
   }

@@ -81,7 +81,7 @@ export function open(place) {
     </div>`;
   }
 
-  // What the files do not say about their times.
+  // Facts about times that the files do not state.
   function timePart(isLocked) {
     const { start, views, is3d, needsFrameRate, frameRate_hz: rate, hasPoints, layout, units, up, laboratory, laboratoryClock } = sending.capture;
     if (views.length === 0) return nothing;

@@ -74,7 +74,7 @@ const AGAIN_MS = 3000;
 let answering = null; // promise of the next answer, which all waiting requests share
 
 // Result of a task, which is tried again whenever the service was away. `away(problem)` hears of each failure, and
-// `isOver()` tells that nobody waits for the result any more; the last problem is then thrown.
+// `isOver()` tells that the result is not wanted any more; the last problem is then thrown.
 export async function persistently(task, { away = () => {}, isOver = () => false } = {}) {
   for (;;) {
     try {

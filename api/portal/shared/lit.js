@@ -20,7 +20,7 @@ class Typed extends Directive {
   }
 }
 
-// Value of a field, as `.value=${typed(value)}`: it is left alone while somebody types in it.
+// Value of a field, as `.value=${typed(value)}`: it is left alone while it has the focus.
 export const typed = directive(Typed);
 
 class Styled extends Directive {

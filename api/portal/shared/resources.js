@@ -107,7 +107,7 @@ class CharacterShelf extends EventTarget {
     return added;
   }
 
-  // Bone of a joint as somebody knows better; null: the joint has none.
+  // Bone of a joint as the user corrects it; null: the joint has none.
   async correct({ urls, corrections }, joint, bone) {
     const changed = await this.#try(() => call(urls.self, { method: "PATCH", body: { bones: { ...corrections, [joint]: bone } } }));
     if (changed) this.opened.set(changed.id, changed);

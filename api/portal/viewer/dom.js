@@ -51,7 +51,7 @@ export function figure(value, decimals = 1, unit = "") {
   return value === null || Number.isNaN(value) ? "–" : `${value.toFixed(decimals)}${unit}`;
 }
 
-// What the browser draws with.
+// Renderer of the browser.
 
 let found = null;
 

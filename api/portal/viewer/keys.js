@@ -27,7 +27,7 @@ export function listenToKeys(viewer) {
   return () => document.removeEventListener("keydown", listen);
 }
 
-/** Whether a control needs the key itself. */
+/** True if a control needs the key itself. */
 function isBusy(target, key) {
   if (target.matches?.("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]")) return true;
   if (key === " " || key === "Enter") return target.matches?.("button, input[type=checkbox], a, summary") ?? false;

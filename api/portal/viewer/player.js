@@ -14,7 +14,7 @@ export class Player extends EventTarget {
   constructor(range) {
     super();
     this.#setRange(range);
-    // Whether time has to stand still for a moment; viewers set it.
+    // True if time has to stand still for a moment; viewers set it.
     this.mustWait = () => false;
     this.isPlaying = false;
     this.isLooping = true;

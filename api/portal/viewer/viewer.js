@@ -144,7 +144,7 @@ export class Viewer {
     if (this.#isDrawn) this.#lookAsBefore();
   }
 
-  /** Whether the play head must wait: for frames on their way, or for a video that is late. */
+  /** True if the play head must wait: for frames on their way, or for a video that is late. */
   isLate(now) {
     const isVideoLate = this.wall?.isBehind(now);
     return isVideoLate || (this.frame !== null && !this.store.has(this.frame));
@@ -171,7 +171,7 @@ export class Viewer {
     this.showPeople();
   }
 
-  /** Whether the 3D view is over the picture of a camera's video. */
+  /** True if the 3D view is over the picture of a camera's video. */
   get hasFootage() {
     const tile = this.wall?.tiles[this.seen];
     return (tile?.isLent && tile.isInTake) ?? false;

@@ -92,7 +92,7 @@ function nameForm(view, session) {
   return renameForm({ name: session.name, rename, end });
 }
 
-// Whether a capture has 3D points, and no cameras.
+// True if a capture has 3D points, and no cameras.
 const is3d = ({ files }) => files.some(({ kind }) => kind === "points");
 
 export function captureCard(view, session) {

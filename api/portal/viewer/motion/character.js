@@ -84,7 +84,7 @@ class CharacterKeys {
   }
 }
 
-/** Whether the meshes of a file are compressed in a way that the viewer does not read. */
+/** True if the meshes of a file are compressed in a way that the viewer does not read. */
 export function isCompressed({ extensionsUsed = [] }) {
   return extensionsUsed.includes(DRACO);
 }
@@ -124,7 +124,7 @@ function simplifyMaterial({ name, pbrMetallicRoughness: surface = {}, emissiveFa
   };
 }
 
-// Whether the picture of a texture is in the file, in a format that browsers read.
+// True if the picture of a texture is in the file, in a format that browsers read.
 function isInside({ index }, { textures = [], images = [] }) {
   const { source, extensions } = textures[index] ?? {};
   const image = images[extensions?.EXT_texture_webp?.source ?? extensions?.EXT_texture_avif?.source ?? source];

@@ -91,7 +91,7 @@ export function extrapolated(centreAt, frame, ankles, rateHz) {
   return [centre[0] + time * slope[0], centre[1] + time * slope[1]];
 }
 
-/** Whether a foot stands on the floor in a frame; `contacts` are the rows of a person's description. */
+/** True if a foot stands on the floor in a frame; `contacts` are the rows of a person's description. */
 export function standing(contacts, side, frame) {
   return contacts.some(([ofSide, , first, count]) => ofSide === side && frame >= first && frame < first + count);
 }

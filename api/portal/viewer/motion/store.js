@@ -52,7 +52,7 @@ export class MotionStore extends EventTarget {
     }
   }
 
-  /** Whether the frame is here, with all people in it. */
+  /** True if the frame is here, with all people in it. */
   has(frame) {
     return this.#pieces.has(Math.floor(frame / this.pieceFrames));
   }
@@ -214,7 +214,7 @@ export class EditedStore extends EventTarget {
     this.#base.want(this.#inBase(frame));
   }
 
-  /** Whether the frame is here; frames that an earlier cut left out never come. */
+  /** True if the frame is here; frames that an earlier cut left out never come. */
   has(frame) {
     const { num_frames: numFrames } = this.#base.description;
     const inBase = frame + this.#shift;

@@ -96,7 +96,7 @@ export class Film {
     return new Promise((resolve) => { this.#wake = resolve; });
   }
 
-  /** Whether a frame comes sooner, or at all, if decoding restarts at the key before it. */
+  /** True if a frame comes sooner, or at all, if decoding restarts at the key before it. */
   #mustBegin(frame) {
     return this.#next === null || frame <= this.#shown || this.#keyBefore(frame) > this.#next;
   }

@@ -71,7 +71,7 @@ export class SkeletonDrawing {
     return this.#pixels;
   }
 
-  /** Whether a point is at most one picture's size outside: farther away, lens models fold over. */
+  /** True if a point is at most one picture's size outside: farther away, lens models fold over. */
   #isNear(pixels, joint) {
     return [0, 1].every((axis) => {
       const value = pixels[2 * joint + axis];

@@ -21,7 +21,7 @@ export class Pictures {
     return this.#kept.get(frame) ?? undefined;
   }
 
-  /** Whether the picture of a frame is kept, or is being made. */
+  /** True if the picture of a frame is kept, or is being made. */
   has(frame) {
     return this.#kept.has(frame);
   }
@@ -96,7 +96,7 @@ const MAX_SAMPLES = 3;
 // Red from Cr, green from Cb and Cr, blue from Cb (ITU-R BT.709 and BT.601).
 const MATRICES = { bt709: [1.5748, -0.1873, -0.4681, 1.8556], bt601: [1.402, -0.3441, -0.7141, 1.772] };
 
-/** Whether frames of a format can be shrunk. */
+/** True if frames of a format can be shrunk. */
 export const canShrink = (format) => format in CHROMA;
 
 /**

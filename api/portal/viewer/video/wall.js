@@ -46,7 +46,7 @@ export class Wall {
     for (const tile of this.tiles) tile.draw(true);
   }
 
-  /** Whether a video is so late that the play head must wait. */
+  /** True if a video is so late that the play head must wait. */
   isBehind(now) {
     // All are asked: each keeps how long it has been late.
     return this.tiles.filter((tile) => tile.isBehind(now)).length > 0;
@@ -184,7 +184,7 @@ export class Tile {
     this.resize();
   }
 
-  /** Whether a picture of the video is there and belongs to the play head's time. */
+  /** True if a picture of the video is there and belongs to the play head's time. */
   get isInTake() {
     return this.#isShowing && this.#clock.frameAt(this.#player.timeS) !== null;
   }
@@ -241,7 +241,7 @@ export class Tile {
     return this.draw();
   }
 
-  /** Whether the play head must wait for this video. */
+  /** True if the play head must wait for this video. */
   isBehind(now) {
     if (this.#isHidden || !this.isInTake || !this.#player.isPlaying || this.#shown === null) return false;
     const isBehind = this.#player.timeS - this.#shown > Math.max(WAIT_S * this.#player.speed, 1 / this.#player.rateHz);
