@@ -65,7 +65,7 @@ class LazyGroup(TyperGroup):
 def load(name: str) -> Any:
     """Import a command of ``COMMANDS``: a module's group ``app``, or its function ``command``.
 
-    A format of another package that can't be loaded ends a command; the service goes on without it.
+    A format of another package that can't be loaded ends a command; the service continues without it.
     """
     warnings.simplefilter("default" if name == "serve" else "error", PluginWarning)
     module = importlib.import_module(f"{__package__}.commands.{name}")

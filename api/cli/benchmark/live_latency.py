@@ -216,6 +216,6 @@ def _report_people(as_json: bool) -> None:
         typer.echo(
             f"With {kind}, {figures['back']} of {figures['people']} people who came back got their numbers again, half "
             f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got numbers of others. "
-            f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of somebody who had "
+            f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of a person who had "
             "left."
         )

@@ -38,7 +38,7 @@ _PRIVATE_HINT = "The operator allows private addresses and cameras of the machin
 
 
 def allows_private(settings: Settings, caller: Caller) -> bool:
-    """Whether a caller may open cameras of this machine and of private networks, and send by VMC."""
+    """True if a caller may open cameras of this machine and of private networks, and send by VMC."""
     return caller.key is None if settings.live_private is None else settings.live_private
 
 
@@ -48,13 +48,8 @@ def read_cameras(
     """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
-
-    Parameters
-    ----------
-    known
-        Names of the calibrated cameras; ``None``: they have none yet.
-    is_private
-        Whether cameras of this machine and of private networks are allowed.
+    ``known`` are the names of the calibrated cameras; ``None``: there is no calibration yet. With ``is_private``
+    cameras of this machine and of private networks are allowed.
     """
     errors: list[ErrorItem] = []
     sources: list[CameraSource] = []
@@ -89,13 +84,12 @@ class _WrongSourceError(Exception):
 def _source(name: str, text: str, devices: dict[str, str], resolve_end_s: float | None) -> CameraSource:
     """Source of a text; ``resolve_end_s`` is the end of the time for names, ``None``: all addresses are allowed."""
     scheme, sign, _ = text.partition("://")
+    if text in devices:
+        return CameraSource(name, "device", text)
     if not sign:
-        if text in devices:
-            return CameraSource(name, "device", text)
         listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
-        hint = (
-            f"Write an address such as rtsp://192.168.0.10/stream. {listed if resolve_end_s is None else _PRIVATE_HINT}"
-        )
+        further = listed if resolve_end_s is None else _PRIVATE_HINT
+        hint = f"Write an address such as rtsp://192.168.0.10/stream. {further}"
         raise _WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
     if (kind := SCHEMES.get(scheme.lower())) is None:
         raise _WrongSourceError(*unsupported(scheme[:40]))

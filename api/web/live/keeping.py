@@ -40,7 +40,7 @@ _START_S = 60.0
 class KeptPackets:
     """Packets of a capture in a file, as many as a session may have and the disk takes.
 
-    A capture whose disk is full goes on; what was kept up to then stays.
+    A capture whose disk is full continues; packets that were kept before stay.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class KeptPackets:
         self._buffer = bytearray()
         self._left_joints = services.settings.max_session_joints
         self._frames: Counter[int] = Counter()
-        self._buffered: Counter[int] = Counter()  # Those of the frames that are in memory alone
+        self._buffered: Counter[int] = Counter()  # Frames that are in memory alone
         self.is_full = False
 
     @property

@@ -127,7 +127,7 @@ class PhoneRename(_Received):
 
 
 class PhoneStarted(_Received):
-    """A phone records a take, or goes on with another part of it."""
+    """A phone records a take, or continues with another part of it."""
 
     type: Literal["started"]
     take: _Number
@@ -332,14 +332,14 @@ class HostState(ResponseModel):
     live: tuple[LivePhoneOut, ...] = Field(description="Phones at the moment, in the order of their numbers.")
     relay: Literal["ok", "away"] = Field(
         description="`away`: the broker does not answer, and phones at other API processes are seen late or not at "
-        "all; recording goes on."
+        "all; recording continues."
     )
     server_s: ServerTime
     request_id: str = Field(examples=[ID])
 
 
 class RecordingProblemOut(SocketProblemOut):
-    """Problem of a message. With a `close_code` the connection is closed; without one it goes on."""
+    """Problem of a message. With a `close_code` the connection is closed; without one it continues."""
 
 
 PhoneMessage = PhoneHello | ClientPing | PhoneStatus | PhoneRename | PhoneStarted | PhoneStopped | PhoneFile

@@ -151,7 +151,7 @@ class PhoneConnection:
                 return recordings.add_file(recording_id, message.take, self._number, _clip_file(message))
 
     async def _answer(self, error: Exception) -> None:
-        """State why something was not done; the connection goes on."""
+        """State why something was not done; the connection continues."""
         await self._send(refusal_message(error, self._websocket.state.request_id))
 
     def _news(self, recording: phone_records.RecordingSession) -> list[BaseModel]:
@@ -188,7 +188,7 @@ async def send(websocket: WebSocket, message: BaseModel | bytes, settings: Setti
 
 
 def refusal_message(error: Exception, request_id: str) -> messages.RecordingProblemOut:
-    """Message about something that was not done, after which the connection goes on."""
+    """Message about something that was not done, after which the connection continues."""
     refusal = as_api_error(error)
     return messages.RecordingProblemOut(
         code=refusal.code,

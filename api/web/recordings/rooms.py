@@ -88,7 +88,7 @@ class Room:
         return self._relay.is_away
 
     def update(self, recording: RecordingSession) -> None:
-        """Take a newer state of the rows, and let everybody here know."""
+        """Take a newer state of the rows, and tell all connections."""
         if recording.revision > self.recording.revision:
             self.replace(recording)
 
@@ -98,7 +98,7 @@ class Room:
         self.wake_all()
 
     def changed(self, recording: RecordingSession) -> None:
-        """Take the state after a change of this process, and let everybody know."""
+        """Take the state after a change of this process, and tell all connections."""
         self.update(recording)
         self._relay.publish(recording.id, RelayKind.CHANGED)
 

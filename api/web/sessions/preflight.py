@@ -405,7 +405,7 @@ def _parsed(printed: bytes) -> Preflight | None:
 
 
 def _has_thumbnails(session: Preflight, folder: Path | None) -> bool:
-    """Whether all thumbnails of a session are files of the sizes that it states, and small."""
+    """True if all thumbnails of a session are files of the sizes that it states, and small."""
     for camera, number, thumbnail in session.thumbnails():
         path = (folder or Path()) / thumbnail_name(camera, number)
         if not path.is_file() or not path.stat().st_size == thumbnail.num_bytes <= _MAX_THUMBNAIL_BYTES:

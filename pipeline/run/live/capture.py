@@ -87,7 +87,7 @@ class LiveCapture:
         self._bodies: dict[int, LiveBody] = {}
         bodies = [np.array(length_m) for length_m in settings.bodies]
         self._identities = Identities(joints, len(cameras), bodies, offsets)
-        # Time of the last step of learning somebody's bones
+        # Time of the last step of learning a person's bones
         self._learnt_s = -math.inf
         self._start_s: float | None = None
         self._num_instants = 0

@@ -1,4 +1,4 @@
-"""Numbers of people who come back, by proportions and clothes, against everybody who was there before.
+"""Numbers of people who come back, by proportions and clothes, against all people who were there before.
 
 The tracker gives a new number to whoever was hidden for longer than it waits. Until the bones of a new person are
 learnt, all full seconds of sight are compared with the people who are not there: by the log-likelihood ratio that the
@@ -99,7 +99,7 @@ class LiveClothes:
                 self._others[other].discard(number)
 
     def log_ratios(self, number: int, others: Sequence[int]) -> Mapping[int, float]:
-        """Log-likelihood ratios that a person is each of others, against being somebody else; 0 where nothing tells."""
+        """Log-likelihood ratios that a person is each of others, against being another; 0 where nothing tells."""
         known = [other for other in others if other in self._halves]
         ratios = dict.fromkeys(others, 0.0)
         if number in self._halves and known:
@@ -121,7 +121,7 @@ _STRETCH_S = 1.0
 _MOST_KEPT = 25
 # Standard deviation of a limb measured for a second, before a capture tells, and its weight in pairs of seconds.
 _USUAL_M, _USUAL_SECONDS = 0.03, 0.5
-# Log-likelihood ratio from which on somebody is a person who was there before (odds of 55), and by how much it is above
+# Log-likelihood ratio from which on a person is one who was there before (odds of 55), and by how much it is above
 # others. Whoever is announced is expected.
 _CLEAR, _CLEAR_IF_ANNOUNCED = 4.0, 2.0
 # Fewest positions of a second that are compared.
@@ -307,9 +307,9 @@ class Identities:
         return best if is_clear else None
 
     def log_odds(self, number: int, others: Sequence[int]) -> Mapping[int, float]:
-        """Log-likelihood ratios that a person is each of others, against being somebody else."""
+        """Log-likelihood ratios that a person is each of others, against being another person."""
         numbers = [number, *others]
-        # Everybody's proportions tell what an unknown person is like.
+        # The proportions of all people tell what an unknown person is like.
         measured = [self._seconds[n].measured() for n in numbers]
         proportions = LimbProportions(measured, np.sqrt(self._square_m2 / self._count))
         information, pull = proportions.information, proportions.pull
@@ -330,7 +330,7 @@ def limbs_of_bones_m(
 ) -> Float[np.ndarray, " limbs"]:
     """Lengths of the limbs of ``identity.proportions`` from the lengths of a skeleton's bones, in metres.
 
-    Shoulders and hips are where a detector with such offsets marks them on somebody who stands upright.
+    Shoulders and hips are where a detector with such offsets marks them on a person who stands upright.
     """
     trunk_m = trunk_length_m(length_m)
 

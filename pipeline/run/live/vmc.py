@@ -142,7 +142,7 @@ class VmcSender:
     def _send(self, packet: bytes, port: int) -> bool:
         try:
             self._socket.sendto(packet, (self._address, port))
-        except OSError:  # no room, nobody who listens, no network now
+        except OSError:  # no room, no listener, no network now
             return False
         return True
 

@@ -43,7 +43,7 @@ class Upload:
 
     @property
     def is_size_unknown(self) -> bool:
-        """Whether the source has not stated the size of the file yet."""
+        """True if the source has not stated the size of the file yet."""
         return self.is_fetching and self.num_bytes == 0
 
 

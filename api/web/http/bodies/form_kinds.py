@@ -68,7 +68,7 @@ class UploadedFootage(UploadedFiles):
 
     @property
     def has_urls(self) -> bool:
-        """Whether some videos are fetched."""
+        """True if some videos are fetched."""
         return any(isinstance(video, str) for video in self.videos)
 
 
@@ -82,7 +82,7 @@ class FormKind:
     - ``documents``: names of the other parts, with the models of their JSON; ``None`` for an id.
     - ``uploaded``: model of the JSON that takes the form's place and names uploads.
     - ``faults``: code, sentence and part of each fault of a complete form, by the numbers of its files and documents.
-    - ``has_job``: whether the record is reconstructed at once.
+    - ``has_job``: true if the record is reconstructed at once.
     """
 
     name: str

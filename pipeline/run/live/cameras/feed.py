@@ -98,7 +98,7 @@ class SharedPictures:
         self.shape = (num_slots, height, width, 3)
         self._file = _file_in_memory()
         self._file.truncate(num_slots * height * width * 3)
-        # Until nobody refers to it: a path must not lead to a later file.
+        # Closed with the last reference: a path must not lead to a later file.
         weakref.finalize(self, self._file.close)
 
     @property

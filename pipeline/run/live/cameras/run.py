@@ -1,4 +1,4 @@
-"""Live capture from cameras, the whole way: streams, detection in the newest pictures, people and their skeletons."""
+"""Live capture from cameras: streams, detection in the newest pictures, people and their skeletons."""
 
 import contextlib
 import itertools
@@ -328,7 +328,7 @@ class CameraRun:
             self._listener.tell(f"{totals.name} is lost: {problem.message}{again}")
 
     def _ask(self, feeds: Sequence[CameraFeed], pace: DetectionPace) -> None:
-        """Ask for pictures as long as there is somebody to detect in them."""
+        """Ask for pictures as long as people can be detected in them."""
         while self._num_pending < self._max_pending:
             free = [
                 number
