@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
+from uuid_utils import uuid7
+
 from api.web.dependencies import Services
 from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form
@@ -32,25 +34,16 @@ _MIN_RANGES, _MIN_CHUNK_FRAMES = 4, 25
 
 @dataclass(frozen=True, slots=True)
 class CheckedSession:
-    """A session without errors whose files are not in the artifact store yet.
-
-    Parameters
-    ----------
-    record_path
-        File that the preflight wrote for the workers.
-    thumbnails
-        Folder with the thumbnails that the preflight wrote; ``None`` without any.
-    awaited
-        Names of uploads and URLs, if some files are fetched: then the form's files are empty, and not checked.
-    """
+    """A session without errors whose files are not in the artifact store yet."""
 
     form: Form
     manifest: Manifest
     spec: JobSpec
     preflight: Preflight
-    record_path: Path
+    record_path: Path  # File that the preflight wrote for the workers
     upload_ids: tuple[str, ...]
-    thumbnails: Path | None = None
+    thumbnails: Path | None = None  # Folder with the thumbnails that the preflight wrote
+    # Names of uploads and URLs, if some files are fetched: then the form's files are empty, and not checked
     awaited: form_kinds.UploadedFootage | None = None
 
 
@@ -71,7 +64,7 @@ class NewSession:
     record_sha256: str
     chunk_frames: int
     arrival: Mapping[str, Any] | None = None
-    fetches: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
+    fetches: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
 
     def add_to(self, work: TenantRecords, purpose: Purpose = "capture") -> Session:
         """Record the session, and that its uploads are used or reserved, in an open transaction."""
@@ -90,7 +83,7 @@ class NewSession:
         )
         if self.arrival is not None:
             for fetch in self.fetches:
-                work.uploads.add(**fetch)
+                work.uploads.add(*fetch)
             work.arrivals.reserve(self.id, self.upload_ids)
         return session
 
@@ -127,14 +120,12 @@ def new_session(services: Services, checked: CheckedSession, session_id: str | N
 def _awaiting(
     services: Services, checked: CheckedSession, names: form_kinds.UploadedFootage, session_id: str
 ) -> NewSession:
-    """Session whose videos are fetched, with empty files for them on the spool."""
+    """Session whose videos are fetched."""
     fetches, videos = [], list(names.videos)
     for index, url in enumerate(names.videos):
         if isinstance(url, str):
-            upload_id = services.uploads.create(0)
-            upload = {"upload_id": upload_id, "name": source_name(url), "num_bytes": 0, "metadata": ""}
-            place = {"keep_s": services.settings.upload_keep_s, "spool": services.uploads.name}
-            fetches.append({**upload, **place, "source_url": url})
+            upload_id, keep_s = str(uuid7()), services.settings.upload_keep_s
+            fetches.append((upload_id, source_name(url), 0, "", keep_s, services.uploads.name, url))
             videos[index] = UUID(upload_id)
     body = names.model_copy(update={"videos": tuple(videos)})
     return NewSession(
@@ -167,8 +158,9 @@ def stored(services: Services, checked: CheckedSession, new: NewSession | None =
     """
     new = new or new_session(services, checked)
     with contextlib.ExitStack() as undo:
-        for fetch in new.fetches:
-            undo.callback(services.uploads.remove, fetch["upload_id"])
+        for upload_id, *_ in new.fetches:
+            undo.callback(services.uploads.remove, upload_id)
+            services.uploads.create(0, upload_id)
         if new.arrival is None:
             undo.callback(services.artifacts.delete_prefix, session_prefix(new.id))
             put_files(services, checked, new)

@@ -40,10 +40,10 @@ class FolderUploads(spool.Writers):
         self._disk = disk
         self.name = f"{socket.gethostname()}:{folder.absolute()}"
 
-    def create(self, num_bytes: int) -> str:
+    def create(self, num_bytes: int, upload_id: str | None = None) -> str:
         """Create an empty file and return the id of its upload; raises 507 if the disk has no room for it."""
         self._disk.require_room(num_bytes)
-        upload_id = str(uuid7())
+        upload_id = upload_id or str(uuid7())
         self._path(upload_id).open("xb").close()
         sync(self._folder)
         return upload_id

@@ -89,10 +89,10 @@ class SharedUploads(Writers):
         self._disk = disk
         self.name = url
 
-    def create(self, num_bytes: int) -> str:
-        """Return a new id, since an upload without bytes has no object; raises 507 if the disk is full."""
+    def create(self, num_bytes: int, upload_id: str | None = None) -> str:
+        """Return the id alone, since an upload without bytes has no object; raises 507 if the disk is full."""
         self._disk.require_room()
-        return str(uuid7())
+        return upload_id or str(uuid7())
 
     def is_here(self, upload: Upload) -> bool:
         """Return whether an upload was begun in the bucket, not in the folder of an API process."""

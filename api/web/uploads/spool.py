@@ -122,8 +122,8 @@ class UploadSpool(Protocol):
     name: str
     """Name of the place, kept in the upload's row."""
 
-    def create(self, num_bytes: int) -> str:
-        """Make room for an upload and return its id; the caller records the upload at once."""
+    def create(self, num_bytes: int, upload_id: str | None = None) -> str:
+        """Make room for an upload, by default with a new id, and return its id; the caller records it at once."""
 
     def is_here(self, upload: Upload) -> bool:
         """Return whether this process can reach the bytes of an upload."""

@@ -1,5 +1,6 @@
 """Sessions whose videos are URLs: they wait, get their files or fail, and so do their jobs."""
 
+import errno
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 from api.cli.client import Client, ServiceError
 from api.web.settings import Settings
 from api.web.uploads import fetching
+from api.web.uploads.files import FolderUploads
 from tests.api.conftest import Live, problem_of, running
 from tests.api.web.uploads.test_fetching import CONTENT, SECRET, VideoSource, serving_files
 from tests.api.web.uploads.test_files import TUS, Uploader
@@ -178,6 +180,24 @@ def test_known_problems_are_answered_before_a_fetch(fetcher: Live, source: Video
         ("calibration_unknown", "/calibration_id"),
         ("webhook_secret_missing", "/spec/callback_url"),
     ]
+    assert source.requests == []
+
+
+def test_session_that_is_not_stored_leaves_no_upload(
+    fetcher: Live, source: VideoSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, create = fetcher.services.settings.uploads_dir, FolderUploads.create
+    body = body_of(fetcher, source)
+    before = {path.name for path in folder.iterdir()}
+
+    def create_first(uploads: FolderUploads, *arguments: Any) -> str:
+        if {path.name for path in folder.iterdir()} != before:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return create(uploads, *arguments)
+
+    monkeypatch.setattr(FolderUploads, "create", create_first)
+    problem_of(fetcher.client.post("/v1/sessions", json=body), 507, "storage_full")
+    assert {path.name for path in folder.iterdir()} == before
     assert source.requests == []
 
 
