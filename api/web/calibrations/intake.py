@@ -62,40 +62,22 @@ _IMAGES_RATE_HZ = 25.0
 
 @dataclass(frozen=True, slots=True)
 class ReadyCalibration:
-    """Calibration without a job: the contents of a file, or made from a scene.
+    """Calibration without a job: the contents of a file, or made from a scene."""
 
-    Parameters
-    ----------
-    source
-        See ``CalibrationOut.source``.
-    """
-
-    source: Mapping[str, Any]
+    source: Mapping[str, Any]  # See ``CalibrationOut.source``
     contents: CalibrationContents
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedCalibration:
-    """A calibration without errors.
-
-    Parameters
-    ----------
-    content
-        A file, videos that were sent, or a stored session.
-    has_intrinsics
-        Whether the intrinsics of the cameras are given.
-    has_photographs
-        Whether the files are photographs in place of videos.
-    upload_ids
-        Uploads that the files are from.
-    """
+    """A calibration without errors."""
 
     spec: CalibrationSpec
     name: str
-    content: ReadyCalibration | CheckedSession | Session
-    has_intrinsics: bool = False
-    has_photographs: bool = False
-    upload_ids: tuple[str, ...] = ()
+    content: ReadyCalibration | CheckedSession | Session  # Ready, videos that were sent, or a stored session
+    has_intrinsics: bool = False  # True if the intrinsics of the cameras are given
+    has_photographs: bool = False  # True if the files are photographs in place of videos
+    upload_ids: tuple[str, ...] = ()  # Uploads that the files are from
 
     def choices(self) -> CalibrationChoices | None:
         """Choices of the job that makes it; ``None`` for a file."""
@@ -142,10 +124,9 @@ def _of_session(
     session = records.sessions.get(session_id)
     if session.purpose == "calibration":
         message = "The capture was sent for a calibration itself."
-        error = ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))
-        raise unprocessable([error])
-    if has_points(session):
-        message = "The capture has 3D points, and no cameras."
+    else:
+        message = "The capture has 3D points, and no cameras." if has_points(session) else ""
+    if message:
         raise unprocessable([ErrorItem(code=NOT_A_CAPTURE, message=message, pointer=_pointer(part, _SESSION))])
     errors = _point_errors(spec, session.preflight, part)
     if has_videos(session):

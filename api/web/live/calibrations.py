@@ -18,17 +18,20 @@ from api.web.live.connection import LiveConnection
 from api.web.live.forks import ForkServer, start_limit_s
 from api.web.live.problems import failed
 from api.web.live.schemas import LiveCamerasStart, LiveStart
+from api.web.sessions.intake import stored_calibration
 from api.web.sessions.preflight import NICE, InvalidFilesError, PreflightProgram, cpu_limit_s
-from pipeline.core.problems.request_codes import CALIBRATION_UNKNOWN, CALIBRATION_UNMADE, LIVE_FIELDS
+from pipeline.core.problems.request_codes import LIVE_FIELDS
 from pipeline.core.runtime.forks import NUMBER, ForkRequest
-from worker.store.errors import NotFound
-from worker.store.tenant_records import TenantRecords
 
 
 async def calibration_file(connection: LiveConnection, start: LiveStart | LiveCamerasStart, folder: Path) -> Path:
     """File of the calibration in metres, Z up; raises ``SocketProblem`` with all that is wrong."""
     if start.calibration_id is not None:
-        content = await run_in_threadpool(_stored_calibration, connection.records, str(start.calibration_id))
+        content = await run_in_threadpool(stored_calibration, connection.records, str(start.calibration_id))
+        if not isinstance(content, str):
+            code, message, hint = content
+            item = ErrorItem(code=code, message=message, pointer="/calibration_id", hint=hint)
+            raise SocketProblem(LIVE_FIELDS, message, errors=[item])
     else:
         content = await _sent_calibration(connection, start, folder)
     num_cameras, max_cameras = len(json.loads(content)["cameras"]), connection.settings.max_cameras
@@ -53,21 +56,6 @@ async def _sent_calibration(connection: LiveConnection, start: LiveStart | LiveC
         errors = [item.model_copy(update={"pointer": "/calibration", "file": None}) for item in invalid.errors]
         raise SocketProblem(LIVE_FIELDS, "The calibration is wrong.", errors=errors) from None
     return contents.text
-
-
-def _stored_calibration(records: TenantRecords, calibration_id: str) -> str:
-    pointer = "/calibration_id"
-    try:
-        text = records.calibrations.get(calibration_id).text
-    except NotFound:
-        message = "There is no such calibration."
-        item = ErrorItem(code=CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint="List them.")
-        raise SocketProblem(LIVE_FIELDS, message, errors=[item]) from None
-    if text is None:
-        message = "The calibration is not made yet."
-        item = ErrorItem(code=CALIBRATION_UNMADE, message=message, pointer=pointer, hint="Wait for its job.")
-        raise SocketProblem(LIVE_FIELDS, message, errors=[item])
-    return text
 
 
 def _program(services: Services) -> PreflightProgram:

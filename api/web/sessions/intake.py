@@ -26,6 +26,7 @@ from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
+from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import PAIRED_IN_SORTED_ORDER
 from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT, LABORATORY_CLOCK, SESSION_TOO_LONG
 from worker.store.errors import NotFound
@@ -205,29 +206,31 @@ def _with_calibration(records: TenantRecords, arrival: Arrival, folder: Path) ->
     """Add the file of the stored calibration that a session names, if it names one."""
     if arrival.calibration_id is None:
         return arrival
-    pointer = pointer_to(form_kinds.CALIBRATION_ID)
-    try:
-        calibration = records.calibrations.get(arrival.calibration_id)
-    except NotFound:
-        message, hint = "There is no such calibration.", "GET /v1/calibrations lists them."
-        return arrival.with_error(
-            ErrorItem(code=request_codes.CALIBRATION_UNKNOWN, message=message, pointer=pointer, hint=hint)
-        )
-    if (text := calibration.text) is None:
-        message, hint = "The calibration is not made yet.", "Wait for its job, or see why it failed."
-        return arrival.with_error(
-            ErrorItem(code=request_codes.CALIBRATION_UNMADE, message=message, pointer=pointer, hint=hint)
-        )
-    if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
-        message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
-        return arrival.with_error(
-            ErrorItem(code=request_codes.CALIBRATION_UNPOSED, message=message, pointer=pointer, hint=hint)
-        )
+    text = stored_calibration(records, arrival.calibration_id)
+    if not isinstance(text, str):
+        code, message, hint = text
+        pointer = pointer_to(form_kinds.CALIBRATION_ID)
+        return arrival.with_error(ErrorItem(code=code, message=message, pointer=pointer, hint=hint))
     name = f"calibration-{arrival.calibration_id}.json"
     path, content = folder / name, text.encode()
     path.write_bytes(content)
     file = ReceivedFile(name, path, len(content), hashlib.sha256(content).hexdigest())
     return replace(arrival, form=replace(arrival.form, files={**arrival.form.files, form_kinds.CALIBRATION: (file,)}))
+
+
+def stored_calibration(records: TenantRecords, calibration_id: str) -> str | tuple[Code, str, str]:
+    """Text of a stored calibration with poses; else code, sentence and hint about why there is none."""
+    try:
+        calibration = records.calibrations.get(calibration_id)
+    except NotFound:
+        return request_codes.CALIBRATION_UNKNOWN, "There is no such calibration.", "GET /v1/calibrations lists them."
+    if calibration.text is None:
+        hint = "Wait for its job, or see why it failed."
+        return request_codes.CALIBRATION_UNMADE, "The calibration is not made yet.", hint
+    if not (calibration.report or {"has_extrinsics": True})["has_extrinsics"]:
+        message, hint = "The calibration has intrinsics, and no poses.", "Make one from videos that cameras share."
+        return request_codes.CALIBRATION_UNPOSED, message, hint
+    return calibration.text
 
 
 def _facts_of_videos(manifest: Manifest) -> Iterator[ErrorItem]:
