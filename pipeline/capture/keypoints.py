@@ -77,7 +77,7 @@ class KeypointSession:
     own
         Points of the user's own, which are no joints of ours.
     laboratory
-        What a laboratory recorded beside the cameras; ``None``: nothing.
+        Records of a laboratory beside the cameras; ``None``: none.
 
     Examples
     --------

@@ -57,7 +57,7 @@ class CaptureSession:
     offset_std_s
         Standard deviation of a camera's declared offset, by camera name, where it is stated.
     laboratory
-        What a laboratory recorded beside the cameras; ``None``: nothing.
+        Records of a laboratory beside the cameras; ``None``: none.
 
     Examples
     --------

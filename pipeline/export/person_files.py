@@ -56,7 +56,7 @@ class PersonOfTake:
     # Points of the user's own in the track's frames, and their names; ``None`` without any
     own: Track3D | None
     own_names: tuple[str, ...]
-    laboratory: Laboratory | None = None  # What a laboratory recorded beside the cameras
+    laboratory: Laboratory | None = None  # Records of a laboratory beside the cameras
 
     @property
     def all_points(self) -> Track3D:

@@ -58,7 +58,7 @@ class PoseFit:
     turn_sigma_deg: float = 0.0
     focal_sigma_percent: float = 0.0
     rival_px: float = np.inf  # Root mean square error of another pose; infinite if there is none
-    is_mirrored: bool = False  # Whether the points fit, but only when they are mirrored
+    is_mirrored: bool = False  # The points fit, but only when they are mirrored
 
     @property
     def rms_px(self) -> float:
@@ -67,7 +67,7 @@ class PoseFit:
 
     @property
     def is_agreed(self) -> bool:
-        """Whether so many points agree that the others are errors."""
+        """True if so many points agree that the others are errors."""
         return bool(2 * self.fits.sum() > len(self.fits))
 
     @property

@@ -146,7 +146,7 @@ def _best(curves: Sequence[PairCurve], num_cameras: int) -> list[PairCurve]:
 
 
 def shows_drift(motions: Sequence[BodyMotion]) -> bool:
-    """Whether motions last long enough for rates of clocks to matter and to be measured."""
+    """True if motions last long enough for rates of clocks to matter and to be measured."""
     first = min((motion.first for motion in motions), default=0)
     return (max((motion.stop for motion in motions), default=0) - first) * STEP_S >= _MIN_DRIFT_S
 

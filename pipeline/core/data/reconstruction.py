@@ -123,7 +123,7 @@ class Reconstruction:
         return self.animation.motions
 
     def accepts(self, kind: str, person: int = 0, frames: range | None = None, camera: str | None = None) -> bool:
-        """Whether a person or a camera was looked at, and is right; ``None``: in any frames."""
+        """True if a person or a camera was looked at, and is right; ``None``: in any frames."""
         return any(
             (edit.kind, edit.camera) == (kind, camera)
             and (frames is None or (edit.start_frame < frames.stop and frames.start < edit.stop_frame))

@@ -1,4 +1,4 @@
-"""What a laboratory's file adds to a person's C3D file: analog samples as they are, force plates, and events.
+"""Additions of a laboratory's file to a person's C3D file: analog samples as they are, force plates, and events.
 
 Samples are floats in the file, which hold every integer of 16 bits: each number is the laboratory's, and scales and
 offsets stay. Corners of force plates are in the world of the points; all else of a plate is along its own axes.

@@ -54,7 +54,7 @@ class PersonContent:
         Points of the user's own in the frames of the track, and their names. In files of joints they are behind the
         joints in ``track`` and ``joints``, too.
     laboratory
-        What a laboratory recorded beside the cameras; ``None``: nothing.
+        Records of a laboratory beside the cameras; ``None``: none.
 
     Examples
     --------

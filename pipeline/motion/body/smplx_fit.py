@@ -17,7 +17,7 @@ from pipeline.motion.body.smplx_model import NUM_BETAS, SmplxModel
 
 _KINDS = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
 FITTED: tuple[str, ...] = tuple(f"{side}{kind}" for side in ("Left", "Right") for kind in _KINDS)
-"""Our joints whose centres the model's joints have: those of the limbs."""
+"""Our joints whose centres the model's joints have: the limbs' joints."""
 _MODEL_JOINTS = [SMPLX_JOINTS.index(JOINT_MAP[name][0]) for name in FITTED]
 _BONES = [
     (FITTED.index(f"{side}{first}"), FITTED.index(f"{side}{second}"))
@@ -38,9 +38,7 @@ class FittedBody(NamedTuple):
     betas: Float[np.ndarray, " betas"]
     poses: Float[np.ndarray, "frames joints 3"]  # Rotation vectors of ``SMPLX_JOINTS``
     trans_m: Float[np.ndarray, "frames 3"]
-    error_m: Float[
-        np.ndarray, "frames points"
-    ]  # Distance of each joint of ``FITTED``, then of each point; NaN: unknown
+    error_m: Float[np.ndarray, "frames points"]  # Of each joint of ``FITTED``, then of each point; NaN: unknown
 
 
 def fit_body(

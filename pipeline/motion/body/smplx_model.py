@@ -114,7 +114,7 @@ def _fault(arrays: Mapping[str, np.ndarray]) -> str | None:
 
 
 def _of_body(weights: Float[np.ndarray, "vertices all"], parents: Int[np.ndarray, " all"]) -> np.ndarray:
-    """Weights of the body's joints, with those of face and fingers added to the joint that carries them."""
+    """Weights of the body's joints, with the weights of face and fingers added to the joint that carries them."""
     summed = weights.copy()
     for joint in range(len(parents) - 1, NUM_BODY - 1, -1):
         summed[:, parents[joint]] += summed[:, joint]
