@@ -40,6 +40,11 @@ def point_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size]) -
 def scene_problems(points: Sequence[KnownPoint], sizes_px: Mapping[str, Size], has_intrinsics: bool) -> list[Problem]:
     """Find everything that is wrong with points that shall place each camera by itself."""
     problems = [*_repeated(points), *_misplaced(points, sizes_px)]
+    if not sizes_px:
+        hint = "Mark points in a picture of each camera."
+        problems.append(
+            Problem(session_codes.KNOWN_POINTS_FEW, "No camera sees a point.", field="known_points", hint=hint)
+        )
     least = MIN_POINTS_OF_CAMERA[has_intrinsics]
     lens = "" if has_intrinsics else " while its lens is not known"
     for camera in sizes_px:

@@ -210,3 +210,12 @@ def test_marks_of_no_scene_are_refused() -> None:
     problems = refusals(BOXES_M, seen)
     assert len(problems) == 3
     assert all("no half of them fits" in problem.message for problem in problems)
+
+
+def test_points_without_marks_are_named() -> None:
+    points = known(BOXES_M, {})
+    with pytest.raises(InputError) as raised:
+        calibrate_scene(scene_cameras(points, {}, None), points, has_intrinsics=False)
+    (problem,) = raised.value.problems
+    assert (problem.code, problem.field) == ("known_points_few", "known_points")
+    assert problem.message == "No camera sees a point."

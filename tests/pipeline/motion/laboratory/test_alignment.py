@@ -15,6 +15,8 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.laboratory.alignment import in_world_of, placed_in_time
 from pipeline.motion.skeleton.animate import animate
+from pipeline.motion.skeleton.corrections.poses import rows_of
+from pipeline.motion.skeleton.corrections.stances import clipped
 from pipeline.validation.simulation.motion.performance import joints_at
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.gait.walks import Act, body_only, exercise, performed, walk
@@ -144,3 +146,16 @@ def test_files_of_any_length_and_rate_are_placed(length_s: float, step: int) -> 
     found = placed(act, slow)
     assert found.start is not None
     assert found.start.time_s == pytest.approx(LEAD_S, abs=0.005)
+
+
+def test_person_of_one_frame_tells_no_time() -> None:
+    act = exercise(Gesture.JUMP, num_cameras=4)
+    (motion,), (track,) = animated(act).motions, animated(act).tracks
+    rows = slice(motion.contacts[0].start_frame, motion.contacts[0].start_frame + 1)
+    part = replace(rows_of(motion, rows), start_frame=rows.start, contacts=clipped(motion.contacts, rows))
+    animation = replace(animated(act), motions=(part,), tracks=(track.part(rows),))
+    laboratory = simulated(act, LEAD_S, 1.0, plates_m(act, STANDING))
+    found = placed_in_time(laboratory, animation, act.joints, Timebase(0.0, act.rate_hz, track.num_frames), Subject())
+    assert found.start is None
+    assert found.check is not None
+    assert found.check.measured is None
