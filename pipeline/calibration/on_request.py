@@ -78,13 +78,9 @@ def _sized(calibration: str) -> tuple[Camera, ...]:
         "The calibration does not contain the size of the picture.",
         "Add it to the file, and send it again.",
     )
-    problems = [
-        Problem(INVALID_SIZE, message, None, camera.name, "size", hint)
-        for camera in cameras
-        if camera.size_px == UNKNOWN_SIZE
-    ]
-    if problems:
-        raise InputError(problems)
+    unsized = [camera.name for camera in cameras if camera.size_px == UNKNOWN_SIZE]
+    if unsized:
+        raise InputError([Problem(INVALID_SIZE, message, None, name, "size", hint) for name in unsized])
     return cameras
 
 
