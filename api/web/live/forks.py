@@ -38,13 +38,7 @@ class _Running:
 
 
 class ForkServer:
-    """Server of forks. It is started for the first of them, and again if it has ended.
-
-    Parameters
-    ----------
-    command
-        Program of the server, see ``pipeline.core.runtime.forks``.
-    """
+    """Server of ``pipeline.core.runtime.forks``. It is started for the first fork, and again if it has ended."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._command = command

@@ -59,17 +59,7 @@ def read_end(message: Mapping[str, Any]) -> None:
 
 
 class Intake:
-    """Messages with keypoints of one capture as packets.
-
-    Parameters
-    ----------
-    cameras
-        Names of the cameras.
-    layout
-        Layout of the points.
-    max_people
-        Largest number of people in a frame.
-    """
+    """Messages with keypoints of one capture as packets; a frame has at most ``max_people``."""
 
     def __init__(self, cameras: Sequence[str], layout: Layout, max_people: int) -> None:
         self._places: Mapping[str, int] = {name: place for place, name in enumerate(cameras)}

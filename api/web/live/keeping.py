@@ -40,12 +40,8 @@ _START_S = 60.0
 class KeptPackets:
     """Packets of a capture in a file, as many as a session may have and the disk takes.
 
-    A capture whose disk is full continues; packets that were kept before stay.
-
-    Parameters
-    ----------
-    folder
-        Folder of the connection, which the caller removes.
+    A capture whose disk is full continues; packets that were kept before stay. ``folder`` is the folder of the
+    connection, which the caller removes.
     """
 
     def __init__(self, services: Services, folder: Path, layout: Layout) -> None:
@@ -99,12 +95,9 @@ class KeptPackets:
 async def keep_session(
     connection: LiveConnection, kept: KeptPackets, name: str, calibration: Path, cameras: Sequence[str]
 ) -> str:
-    """Make a session of keypoints from what was kept, checked and stored as others are; return its id.
+    """Make a session of the kept keypoints, checked and stored like others; return its id.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong, such as a single frame.
+    Raises ``ApiError`` with all that is wrong, such as a single frame.
     """
     await kept.flush()
     folder, services = calibration.parent, connection.services

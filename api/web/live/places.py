@@ -20,14 +20,8 @@ _PAUSE, _MAX_PAUSE_S = 2.0, 0.5
 class LivePlaces:
     """Counts of open live captures, and of captures of the last minute that ended by a client's fault.
 
-    Parameters
-    ----------
-    max_captures, max_of_owner
-        Largest number of open captures, of all owners and of one.
-    max_bad_per_minute
-        Captures of an owner that may end by a fault within a minute, until the owner waits.
-    max_with_cameras
-        Largest number of captures whose cameras the service opens.
+    ``max_of_owner`` and ``max_bad_per_minute`` are limits of one owner, ``max_with_cameras`` is a limit of captures
+    whose cameras the service opens.
     """
 
     def __init__(self, max_captures: int, max_of_owner: int, max_bad_per_minute: int, max_with_cameras: int) -> None:

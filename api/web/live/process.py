@@ -64,10 +64,7 @@ class CaptureProcess:
 async def capture_process(server: ForkServer, folder: Path, memory_bytes: int) -> AsyncIterator[CaptureProcess]:
     """Run the process during the block; at its end it is killed, and why it had ended by itself is logged.
 
-    Parameters
-    ----------
-    folder
-        Folder for its log and temporary files, which the caller removes.
+    ``folder`` is for its log and temporary files; the caller removes it.
     """
     log_path = folder / "capture.log"
     request = ForkRequest("capture", (), str(folder), memory_bytes, _MAX_LOG_BYTES, None, _NICE)

@@ -20,13 +20,7 @@ from worker.store.tenant_records import TenantRecords
 
 
 async def record_calibration(connection: LiveConnection, start: LiveRecordStart, folder: Path) -> LiveRecorded:
-    """Record cameras, and begin their calibration; files go through ``folder``.
-
-    Raises
-    ------
-    SocketProblem, ApiError
-        With all that is wrong.
-    """
+    """Record cameras, and begin their calibration; raises ``SocketProblem`` or ``ApiError`` with all that is wrong."""
     services, records, owner = connection.services, connection.records, connection.caller.owner
     await run_in_threadpool(records.require_room, 0)
     videos = await record_cameras(connection, start, folder)

@@ -92,13 +92,7 @@ class Outgoing:
 
 
 class Relay(Outgoing):
-    """Relay of one capture.
-
-    Parameters
-    ----------
-    rate_hz
-        Rate of the frames of all cameras together.
-    """
+    """Relay of one capture; ``rate_hz`` is the rate of the frames of all cameras together."""
 
     def __init__(
         self,
@@ -126,10 +120,7 @@ class Relay(Outgoing):
     async def run(self) -> None:
         """Relay until the client's ``end`` was computed and everything was sent.
 
-        Raises
-        ------
-        SocketProblem, WebSocketDisconnect
-            If the capture ends early.
+        Raises ``SocketProblem`` or ``WebSocketDisconnect`` if the capture ends early.
         """
         ways = (self._receive(), self._feed(), self._collect(), self._send())
         await all_or_first_error(ways, (self._watch_process(), self._connection.watch_key()))

@@ -45,24 +45,14 @@ _tracer = trace.get_tracer("multicap")
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Files of a session with its documents.
-
-    Parameters
-    ----------
-    manifest, spec
-        ``None`` where they are wrong; ``errors`` then says why.
-    calibration_id
-        Calibration that the session names in place of a file.
-    upload_ids
-        Uploads that the files are from.
-    """
+    """Files of a session with its documents."""
 
     form: Form
-    manifest: Manifest | None
+    manifest: Manifest | None  # ``None`` if it is wrong, like ``spec``; ``errors`` then tell why
     spec: JobSpec | None
     errors: tuple[ErrorItem, ...] = ()
-    calibration_id: str | None = None
-    upload_ids: tuple[str, ...] = ()
+    calibration_id: str | None = None  # Calibration that the session names in place of a file
+    upload_ids: tuple[str, ...] = ()  # Uploads that the files are from
 
     def with_error(self, error: ErrorItem) -> "Arrival":
         """Return the arrival with one more error."""

@@ -42,27 +42,13 @@ _FOOTAGE = {
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A session, a calibration or a character as a client sent it, in a folder of the spool.
+    """A session, a calibration or a character as a client sent it, in a folder of the spool."""
 
-    Parameters
-    ----------
-    folder
-        Holds the files of a form; gone with the request.
-    kind
-        Kind of the form, or of the JSON in its place.
-    content
-        Received form, or names of uploads.
-    parts
-        JSON of the content, for the fingerprint of the request.
-    places
-        Places of the fields of the body, for hints.
-    """
-
-    folder: Path
-    kind: form_kinds.FormKind
+    folder: Path  # Holds the files of a form; removed at the end of the request
+    kind: form_kinds.FormKind  # Kind of the form, or of the JSON in its place
     content: Form | form_kinds.UploadedFiles
-    parts: object
-    places: FieldPlaces
+    parts: object  # JSON of the content, for the fingerprint of the request
+    places: FieldPlaces  # Places of the fields of the body, for hints
 
 
 @contextlib.asynccontextmanager
@@ -75,17 +61,8 @@ async def received(
 ) -> AsyncIterator[Sent]:
     """Receive a record as a form, or as JSON that names uploads; its files are there in the block.
 
-    Parameters
-    ----------
-    kind
-        Kind of the form, or of the JSON in its place.
-    types
-        Content types that the operation takes: ``FORM_TYPE``, ``JSON_TYPE`` or both.
-
-    Raises
-    ------
-    ApiError
-        If there is no room for it, or the request can't be read.
+    ``types`` are the content types that the operation takes: ``FORM_TYPE``, ``JSON_TYPE`` or both. Raises ``ApiError``
+    if there is no room for it, or the request can't be read.
     """
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if content_type not in types:

@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -104,10 +105,7 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
     try:
         _capture(start, answers, incoming)
     except InputError as refused:
-        names = ("code", "message", "file", "camera", "field", "hint")
-        answers.send_json(
-            CaptureAnswer.REFUSED, [{name: getattr(problem, name) for name in names} for problem in refused.problems]
-        )
+        answers.send_json(CaptureAnswer.REFUSED, [asdict(problem) for problem in refused.problems])
         return 2
     except PipelineError as failed:
         answers.send_json(CaptureAnswer.REFUSED, [{"code": failed.code, "message": str(failed)}])
