@@ -58,12 +58,6 @@ export function open(place, route, caller) {
     });
   }
 
-  function beginRename(id) {
-    renamed = id;
-    draw();
-    place.querySelector(".rename input").select();
-  }
-
   function nameForm({ id, name, urls }) {
     const end = () => {
       renamed = null;
@@ -115,7 +109,7 @@ export function open(place, route, caller) {
       ${calibration.cameras.length ? cameraTable(calibration) : nothing}
       <div class="actions">
         ${calibration.urls.file ? downloadForm(calibration) : nothing}
-        ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label=${COMMON.renameOf(calibration.name)} @click=${() => beginRename(calibration.id)}>${COMMON.rename}</button>
+        ${add ? html`<button type="button" class="button small" id="rename-${calibration.id}" aria-label=${COMMON.renameOf(calibration.name)} @click=${() => { renamed = calibration.id; draw(); }}>${COMMON.rename}</button>
           <button type="button" class="button small danger-quiet" aria-label=${CALIBRATIONS.deleteOf(calibration.name)} @click=${() => remove(group)}>${COMMON.delete}</button>` : nothing}
       </div></li>`;
   }

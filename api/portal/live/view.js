@@ -162,7 +162,7 @@ class LiveView {
       if (made.state !== "ready") throw Object.assign(new Error(LIVE.cameras.unmade), { hint: [made.error?.detail, made.error?.hint].filter(Boolean).join(" ") });
       this.#draft.calibrateFrom = null;
       await this.rig.choose(id, made.name);
-      this.#over(null);
+      this.#over(null, LIVE.said.calibrated);
     } catch (problem) {
       this.#over(problem);
     }
@@ -232,12 +232,12 @@ class LiveView {
     this.#round += 1;
   }
 
-  #over(problem) {
+  #over(problem, said = LIVE.said.over) {
     if (this.#isClosed) return;
     this.#leave();
     this.problem = problem;
     this.#go("over");
-    announce(problem ? LIVE.said.failed : LIVE.said.over);
+    announce(problem ? LIVE.said.failed : said);
   }
 
   #go(phase) {

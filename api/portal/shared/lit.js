@@ -2,12 +2,12 @@
 
 import { Directive, directive } from "../vendor/lit-html/directive.js";
 import { live } from "../vendor/lit-html/directives/live.js";
+import { ref } from "../vendor/lit-html/directives/ref.js";
 import { html, noChange, nothing, render } from "../vendor/lit-html/lit-html.js";
 import { COMMON } from "./strings/common.js";
 
-export { html, live, nothing, render };
+export { html, live, nothing, ref, render };
 export { svg } from "../vendor/lit-html/lit-html.js";
-export { ref } from "../vendor/lit-html/directives/ref.js";
 export { repeat } from "../vendor/lit-html/directives/repeat.js";
 
 class Typed extends Directive {
@@ -49,6 +49,8 @@ export const selectField = (label, pairs, { name = nothing, chosen = "", choose 
 export const scrollTable = (label, heads, rows) => html`<div class="scroll" role="group" aria-label=${label} tabindex="0"><table>
   <thead><tr>${heads.map((head) => html`<th scope="col">${head}</th>`)}</tr></thead><tbody>${rows}</tbody></table></div>`;
 
+const begin = (field) => queueMicrotask(() => { field?.focus(); field?.select(); }); // once it is in the page
+
 // Form with a new name: `rename(name)` gets it, and `end()` hears that none is wanted.
 export function renameForm({ name, rename, end }) {
   const submit = (event) => {
@@ -57,7 +59,7 @@ export function renameForm({ name, rename, end }) {
     return wanted && wanted !== name ? rename(wanted) : end();
   };
   return html`<form class="rename" @submit=${submit} @keydown=${(event) => { if (event.key === "Escape") end(); }}>
-    <input name="name" maxlength="200" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off">
+    <input name="name" maxlength="200" required aria-label=${COMMON.newName(name)} value=${name} autocomplete="off" ${ref(begin)}>
     <button class="button small primary">${COMMON.save}</button>
     <button type="button" class="button small" @click=${end}>${COMMON.cancel}</button>
   </form>`;

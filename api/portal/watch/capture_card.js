@@ -68,14 +68,6 @@ function pictureOfCapture({ name, preflight }) {
   return html`<img class="cover" src=${url} alt=${CAPTURES.seenBy(name, camera.name)} loading="lazy">`;
 }
 
-function beginRename(view, session) {
-  view.renamed = session.id;
-  view.draw();
-  const field = view.place.querySelector(".rename input");
-  field.focus();
-  field.select();
-}
-
 function nameForm(view, session) {
   const end = () => {
     view.renamed = null;
@@ -160,7 +152,7 @@ export function captureCard(view, session) {
           ?disabled=${!view.options} id="run-${session.id}" aria-label=${CAPTURES.actionOf(run, session.name)} @click=${toggleForm}>${run}</button>`}
         ${session.state === "ready" && !is3d(session) ? html`<button type="button" class="button small" id="recalibrate-${session.id}" aria-expanded=${view.recalibrated.has(session.id) ? "true" : "false"}
           aria-label=${CAPTURES.actionOf(CAPTURES.recalibrate, session.name)} @click=${recalibrate}>${CAPTURES.recalibrate}</button>` : nothing}
-        <button type="button" class="button small" id="rename-${session.id}" aria-label=${COMMON.renameOf(session.name)} @click=${() => beginRename(view, session)}>${COMMON.rename}</button>
+        <button type="button" class="button small" id="rename-${session.id}" aria-label=${COMMON.renameOf(session.name)} @click=${() => { view.renamed = session.id; view.draw(); }}>${COMMON.rename}</button>
         ${hasVideos && hasResults ? html`<button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.neededByJob : nothing}
           aria-label=${CAPTURES.deleteVideosOf(session.name)} @click=${removeVideos}>${CAPTURES.deleteVideos}</button>` : nothing}
         <button type="button" class="button small danger-quiet" ?disabled=${isBusy} title=${isBusy ? CAPTURES.cancelFirst : nothing}

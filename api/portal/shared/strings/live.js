@@ -72,6 +72,7 @@ export const LIVE = {
     begun: "The capture has started.",
     failed: "The capture ended with a problem.",
     over: "The capture is over.",
+    calibrated: "The calibration is ready.",
   },
   problems: {
     stopped: "The service restarts, and the capture has ended.",
