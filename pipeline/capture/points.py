@@ -30,7 +30,7 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.core.problems.request_codes import INVALID_VALUE, SESSION_TOO_LARGE
-from pipeline.motion.angles.definitions import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
+from pipeline.motion.body_segments import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.timeline import cut_timebase, require_frames
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import av
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, ViewportSize, expect
 
 from pipeline.calibration.write import encode
 from pipeline.core.runtime.child_processes import python_command
@@ -24,7 +24,7 @@ from tests.e2e.test_live_page import num_bright
 from tests.pipeline.run.live.cameras.servers import LoopbackServer
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("page")]
-NARROW = {"width": 390, "height": 844}
+NARROW: ViewportSize = {"width": 390, "height": 844}
 RATE_HZ, GROUP = 15, 15
 FIRST_S = time.monotonic()
 STARTED_MS = 180_000

@@ -83,7 +83,8 @@ def test_calibration_is_added_chosen_and_deleted(page: Page, served: Served, tmp
     stored.get_by_text("Cameras", exact=True).click()
     expect(stored.get_by_role("row")).to_have_count(1 + 2)
     with page.expect_download() as download:
-        stored.get_by_role("link", name="as Caliscope TOML").click()
+        stored.get_by_label("Format of <i>Studio</i> B").select_option("Caliscope TOML")
+        stored.get_by_role("button", name="Download").click()
     assert len(read_calibration(download.value.path().rename(download.value.path().with_suffix(".toml")))) == 2
     page.get_by_role("link", name="New capture").click()
     choose_option(page.get_by_label("Stored calibration"), "<i>Studio</i> B")

@@ -55,7 +55,7 @@ class Track3D:
     # Standard deviation of a joint's position, root mean square over the axes; NaN where it is absent. ``None``: no
     # uncertainty was computed.
     uncertainty_m: Float[np.ndarray, "frames joints"] | None = None
-    # Orientations of the segments of ``pipeline.motion.angles.definitions`` that a file of 3D points states, NaN where
+    # Orientations of the segments of ``pipeline.motion.body_segments`` that a file of 3D points states, NaN where
     # it states none. ``None``: no orientation is stated.
     world_from_segment: Float[np.ndarray, "frames segments 3 3"] | None = None
 

@@ -16,7 +16,7 @@ from pipeline.core.errors import PipelineError
 from pipeline.core.options.rules import require, unlisted_value
 from pipeline.core.paths import StrPath
 from pipeline.motion.angles.compute import joint_angles, observable_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 
 if TYPE_CHECKING:
     import pandas as pd

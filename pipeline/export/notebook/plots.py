@@ -16,7 +16,7 @@ from pipeline.export.notebook.named_arrays import individuals, optional_module
 from pipeline.export.report.markup import Markup, element
 from pipeline.geometry.camera import project
 from pipeline.motion.angles.compute import joint_angles, observable_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -33,7 +33,7 @@ class CentreMarker(Marker):
 class BoneMarker(Marker):
     """Landmark of a bone, placed by a segment of the skeleton."""
 
-    segment: str  # Segment of ``pipeline.motion.angles.definitions``, which must be observed
+    segment: str  # Segment of ``pipeline.motion.body_segments``, which must be observed
     joint: str  # Joint of the skeleton from which it is placed
     offset_m: Place  # Place from this joint in the segment's axes, in the generic model's size
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from pipeline.core.joints import SIDES
 from pipeline.export.report.markup import Markup, element, join
 from pipeline.motion.angles.compute import NUM_POINTS, JointAngles, normalised_cycles
-from pipeline.motion.angles.definitions import ANGLE_NAMES, JOINTS
+from pipeline.motion.body_segments import ANGLE_NAMES, JOINTS
 from pipeline.motion.gait.movements import MovementKind
 from pipeline.motion.gait.strides import Stride
 

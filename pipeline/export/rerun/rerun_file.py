@@ -38,7 +38,7 @@ from pipeline.export.rerun.rerun_pictures import is_unmatched, small_pictures, s
 from pipeline.export.scene import Rgb, color_rgb, file_origin_m
 from pipeline.export.timelines import frame_blocks
 from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics
 from pipeline.video.timeline import frames_in
 

@@ -36,11 +36,11 @@ from pipeline.export.viewer.frames import (
     record_type,
 )
 from pipeline.motion.angles.compute import joint_angles, observable_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.balance.segment_masses import segment_masses
 from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
 from pipeline.motion.body.makehuman import FULL_WEIGHT, UNITS_PER_M
 from pipeline.motion.body.shape import BodyShapes, shape_body, standing_ankle_m
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, find_skeleton, forward_kinematics
 
 

@@ -18,8 +18,8 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.export.timelines import fixed, frame_blocks, held, read_rows, unknown_outside
 from pipeline.export.writers.registry import Expected, PersonContent, Writer
 from pipeline.motion.angles.compute import JointAngles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.balance.compute import Balance
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.gait.analysis import PersonGait, marked_events, time_s
 from pipeline.motion.gait.strides import FIGURES, Stride
 

@@ -39,7 +39,7 @@ from pipeline.export.timelines import frame_blocks, unknown_outside
 from pipeline.export.writers.c3d_laboratory import per_frame, with_groups, with_samples
 from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
 from pipeline.motion.angles.compute import observed
-from pipeline.motion.angles.definitions import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
+from pipeline.motion.body_segments import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
 from pipeline.motion.laboratory.plates import UNITS_M
 from pipeline.motion.skeleton.model import INDEX, posed_joints

@@ -10,7 +10,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import FINGER_JOINTS, JointSet
-from pipeline.motion.angles import definitions
+from pipeline.motion import body_segments
 from pipeline.motion.angles.precision import angle_sigma_rad, vector_m
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 from pipeline.motion.skeleton.rotations import unit
@@ -19,7 +19,7 @@ from pipeline.motion.skeleton.rotations import unit
 _STRAIGHT_SINE = 0.2
 # Frames that are worked on at once, so that a long take needs little memory.
 _BLOCK_FRAMES = 2048
-_JOINTS = tuple((joint, side) for joint in definitions.JOINTS for side in definitions.joint_sides(joint))
+_JOINTS = tuple((joint, side) for joint in body_segments.JOINTS for side in body_segments.joint_sides(joint))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,22 +57,22 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
             replace(motion, root_m=motion.root_m[rows], parent_from_joint=motion.parent_from_joint[rows])
         )
         known = observed(part, joints)
-        bent = {name: is_bent(name, part, joints) for name in definitions.SEGMENTS}
+        bent = {name: is_bent(name, part, joints) for name in body_segments.SEGMENTS}
         for number, (joint, side) in enumerate(_JOINTS):
             rotation = _proximal_from_distal(world_from_segment, joint, side)
-            found_rad[number, rows] = definitions.angles_rad(rotation, joint.sequence)
+            found_rad[number, rows] = body_segments.angles_rad(rotation, joint.sequence)
             if has_sigmas:
                 sigma_rad[number, rows] = angle_sigma_rad(world_from_segment, part, joints, joint, side)
-            ends = [name for name in definitions.joint_segments(joint, side) if name]
+            ends = [name for name in body_segments.joint_segments(joint, side) if name]
             is_free[number, rows] = np.all([known[name] for name in ends], axis=0)[:, None]
-            is_free[number, rows, ::2] &= ~definitions.is_locked(rotation, joint.sequence)[:, None]
+            is_free[number, rows, ::2] &= ~body_segments.is_locked(rotation, joint.sequence)[:, None]
             is_free[number, rows, joint.twist] &= np.all([bent[name] for name in ends], axis=0)
-    angle_deg, sigma_deg = np.full((2, num_frames, len(definitions.ANGLE_NAMES)), np.nan)
+    angle_deg, sigma_deg = np.full((2, num_frames, len(body_segments.ANGLE_NAMES)), np.nan)
     for number, (joint, side) in enumerate(_JOINTS):
-        turned_deg = np.degrees(definitions.continuous(found_rad[number], joint.is_proper))
+        turned_deg = np.degrees(body_segments.continuous(found_rad[number], joint.is_proper))
         for angle in joint.angles:
             column, free = (
-                definitions.ANGLE_NAMES.index(definitions.angle_name(angle, side)),
+                body_segments.ANGLE_NAMES.index(body_segments.angle_name(angle, side)),
                 is_free[number, :, angle.rotation],
             )
             angle_deg[free, column] = angle.sign * turned_deg[free, angle.rotation]
@@ -83,18 +83,18 @@ def joint_angles(motion: SkeletonMotion, track: Track3D, joints: JointSet, has_s
 def observable_angles(joints: JointSet) -> tuple[str, ...]:
     """Names of the angles that the joints of a detector can show, in the order of ``ANGLE_NAMES``."""
     return tuple(
-        definitions.angle_name(angle, side)
+        body_segments.angle_name(angle, side)
         for joint, side in _JOINTS
         if all(
-            _has_landmarks(definitions.SEGMENTS[name], joints)
-            for name in definitions.joint_segments(joint, side)
+            _has_landmarks(body_segments.SEGMENTS[name], joints)
+            for name in body_segments.joint_segments(joint, side)
             if name
         )
         for angle in joint.angles
     )
 
 
-def _has_landmarks(segment: definitions.BodySegment, joints: JointSet) -> bool:
+def _has_landmarks(segment: body_segments.BodySegment, joints: JointSet) -> bool:
     return {*segment.primary, *segment.secondary} <= set(joints.names)
 
 
@@ -103,7 +103,7 @@ def segments_from(motion: SkeletonMotion) -> dict[str, Float[np.ndarray, "frames
     _, world_from_joint = posed_joints(motion)
     return {
         name: world_from_joint[INDEX[segment.joint]] @ segment.rest_from_segment
-        for name, segment in definitions.SEGMENTS.items()
+        for name, segment in body_segments.SEGMENTS.items()
     }
 
 
@@ -115,14 +115,14 @@ def segment_angles(
     NaN for joints one of whose segments is missing. Where a sequence is locked, two of its angles are arbitrary.
     """
     num_frames = len(next(iter(world_from_segment.values())))
-    angle_rad = np.full((num_frames, len(definitions.ANGLE_NAMES)), np.nan)
+    angle_rad = np.full((num_frames, len(body_segments.ANGLE_NAMES)), np.nan)
     for joint, side in _JOINTS:
-        if not {name for name in definitions.joint_segments(joint, side) if name} <= world_from_segment.keys():
+        if not {name for name in body_segments.joint_segments(joint, side) if name} <= world_from_segment.keys():
             continue
         rotation = _proximal_from_distal(world_from_segment, joint, side)
-        turned_rad = definitions.continuous(definitions.angles_rad(rotation, joint.sequence), joint.is_proper)
+        turned_rad = body_segments.continuous(body_segments.angles_rad(rotation, joint.sequence), joint.is_proper)
         for angle in joint.angles:
-            angle_rad[:, definitions.ANGLE_NAMES.index(definitions.angle_name(angle, side))] = (
+            angle_rad[:, body_segments.ANGLE_NAMES.index(body_segments.angle_name(angle, side))] = (
                 angle.sign * turned_rad[:, angle.rotation]
             )
     return angle_rad
@@ -136,7 +136,7 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
     """
     known = np.isfinite(track.xyz_m).all(-1)
     by_segment = {}
-    for name, segment in definitions.SEGMENTS.items():
+    for name, segment in body_segments.SEGMENTS.items():
         landmarks = sorted({*segment.primary, *segment.secondary})
         if not _has_landmarks(segment, joints):
             by_segment[name] = np.zeros(len(known), bool)
@@ -146,7 +146,7 @@ def observed(track: Track3D, joints: JointSet) -> dict[str, Bool[np.ndarray, " f
         if fingers:
             source = track.source[:, joints.indices(tuple(fingers))]
             by_segment[name] &= np.isin(source, (Source.MEASURED, Source.INTERPOLATED)).any(1)
-    for name in definitions.SEGMENTS:
+    for name in body_segments.SEGMENTS:
         by_segment[name] |= is_stated(name, track)
     return by_segment
 
@@ -155,7 +155,7 @@ def is_stated(name: str, track: Track3D) -> Bool[np.ndarray, " frames"]:
     """Frames in which the file of a track states the orientation of a segment."""
     if track.world_from_segment is None:
         return np.zeros(track.num_frames, bool)
-    return np.isfinite(track.world_from_segment[:, list(definitions.SEGMENTS).index(name)]).all((-1, -2))
+    return np.isfinite(track.world_from_segment[:, list(body_segments.SEGMENTS).index(name)]).all((-1, -2))
 
 
 def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " frames"]:
@@ -163,7 +163,7 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
 
     The twist of a straight arm or leg is not seen: the fit interpolates it from one bend to the next.
     """
-    segment = definitions.SEGMENTS[name]
+    segment = body_segments.SEGMENTS[name]
     if not _has_landmarks(segment, joints):
         return is_stated(name, track)
     along, aside = (unit(vector_m(weights, track, joints)) for weights in (segment.primary, segment.secondary))
@@ -172,13 +172,13 @@ def is_bent(name: str, track: Track3D, joints: JointSet) -> Bool[np.ndarray, " f
 
 
 def _proximal_from_distal(
-    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: definitions.AngleJoint, side: str | None
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: body_segments.AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Rotation of a joint; the left side is mirrored."""
-    proximal, distal = definitions.joint_segments(joint, side)
-    world_from_proximal = definitions.WORLD if proximal is None else world_from_segment[proximal]
+    proximal, distal = body_segments.joint_segments(joint, side)
+    world_from_proximal = body_segments.WORLD if proximal is None else world_from_segment[proximal]
     rotation = np.swapaxes(world_from_proximal, -1, -2) @ world_from_segment[distal]
-    return definitions.mirrored(rotation) if side == "left" else rotation
+    return body_segments.mirrored(rotation) if side == "left" else rotation
 
 
 def ranges_of_motion(angles: JointAngles) -> dict[str, dict[str, float | None]]:
@@ -188,7 +188,9 @@ def ranges_of_motion(angles: JointAngles) -> dict[str, dict[str, float | None]]:
     angle that was never known is left out.
     """
     found: dict[str, dict[str, float | None]] = {}
-    for name, angle_deg, sigma_deg in zip(definitions.ANGLE_NAMES, angles.angle_deg.T, angles.sigma_deg.T, strict=True):
+    for name, angle_deg, sigma_deg in zip(
+        body_segments.ANGLE_NAMES, angles.angle_deg.T, angles.sigma_deg.T, strict=True
+    ):
         known_deg, stated_deg = angle_deg[np.isfinite(angle_deg)], sigma_deg[np.isfinite(sigma_deg)]
         if len(known_deg):
             found[name] = {

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
-from pipeline.motion.angles import definitions
+from pipeline.motion import body_segments
 from pipeline.motion.skeleton.rotations import unit
 
 _STEP_RAD = 1e-4
@@ -28,15 +28,15 @@ def angle_sigma_rad(
     world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]],
     track: Track3D,
     joints: JointSet,
-    joint: definitions.AngleJoint,
+    joint: body_segments.AngleJoint,
     side: str | None,
 ) -> Float[np.ndarray, "frames 3"]:
     """Standard deviations of the three angles of a joint's sequence in radians.
 
     NaN where a landmark has no position or no standard deviation.
     """
-    proximal, distal = definitions.joint_segments(joint, side)
-    ends = [definitions.SEGMENTS[name] for name in (distal, proximal) if name]
+    proximal, distal = body_segments.joint_segments(joint, side)
+    ends = [body_segments.SEGMENTS[name] for name in (distal, proximal) if name]
     landmarks = sorted({name for end in ends for name in (*end.primary, *end.secondary)})
     sigma_m = track.uncertainty_m
     if sigma_m is None or not set(landmarks) <= set(joints.names):
@@ -58,11 +58,11 @@ def vector_m(weights: Mapping[str, float], track: Track3D, joints: JointSet) -> 
 
 
 def _derivative(
-    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: definitions.AngleJoint, side: str | None
+    world_from_segment: Mapping[str, Float[np.ndarray, "frames 3 3"]], joint: body_segments.AngleJoint, side: str | None
 ) -> Float[np.ndarray, "frames 3 3"]:
     """Derivatives of the angles of a sequence (rows) by a rotation of the distal segment about the world's axes."""
-    proximal, distal = definitions.joint_segments(joint, side)
-    proximal_from_world = np.swapaxes(definitions.WORLD if proximal is None else world_from_segment[proximal], -1, -2)
+    proximal, distal = body_segments.joint_segments(joint, side)
+    proximal_from_world = np.swapaxes(body_segments.WORLD if proximal is None else world_from_segment[proximal], -1, -2)
     columns = []
     for axis in np.eye(3):
         ends = []
@@ -70,7 +70,9 @@ def _derivative(
             turn = Rotation.from_rotvec(step_rad * axis).as_matrix()
             rotation = proximal_from_world @ (turn @ world_from_segment[distal])
             ends.append(
-                definitions.angles_rad(definitions.mirrored(rotation) if side == "left" else rotation, joint.sequence)
+                body_segments.angles_rad(
+                    body_segments.mirrored(rotation) if side == "left" else rotation, joint.sequence
+                )
             )
         change = (ends[0] - ends[1] + np.pi) % (2 * np.pi) - np.pi
         columns.append(change / (2 * _STEP_RAD))
@@ -78,7 +80,7 @@ def _derivative(
 
 
 def _rotation_by_landmark(
-    segment: definitions.BodySegment, track: Track3D, joints: JointSet, landmarks: list[str]
+    segment: body_segments.BodySegment, track: Track3D, joints: JointSet, landmarks: list[str]
 ) -> Float[np.ndarray, "landmarks frames 3 3"]:
     """Rotations of a segment, in radians about the world's axes, for each metre of displacement of each landmark."""
     first, second = (vector_m(weights, track, joints) for weights in (segment.primary, segment.secondary))

@@ -69,7 +69,7 @@ _ENDS = {
 class SegmentMasses:
     """Segments of a body over the joints of a detector; a row a segment."""
 
-    orientations: tuple[str, ...]  # Names in ``angles.definitions.SEGMENTS``
+    orientations: tuple[str, ...]  # Names in ``body_segments.SEGMENTS``
     mass: Float[np.ndarray, " segments"]  # Shares of the body's mass, whose sum is 1
     start: Float[np.ndarray, "segments joints"]  # Weights of the joints
     axis: Float[np.ndarray, "segments joints"]  # Weights of the joints: vector from the start to the end

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.people import Track3D
-from pipeline.motion.angles.definitions import SEGMENTS
+from pipeline.motion.body_segments import SEGMENTS
 from pipeline.motion.skeleton.model import INDEX, find_skeleton, forward_kinematics, posed_joints
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw
 

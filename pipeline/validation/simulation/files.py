@@ -20,7 +20,7 @@ from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.validation.simulation.scenes import Simulation
 
 

@@ -80,7 +80,7 @@ class Simulation:
     joints: JointSet  # Joints of the detections and of the truth
     timebase: Timebase  # Frames of the truth
     truth_m: Float[np.ndarray, "people frames joints 3"]  # World positions of the joints, NaN while a person is absent
-    # True joint angles of ``angles.definitions.ANGLE_NAMES`` in degrees; NaN while a person is absent, and of segments
+    # True joint angles of ``body_segments.ANGLE_NAMES`` in degrees; NaN while a person is absent, and of segments
     # that are not simulated
     truth_deg: Float[np.ndarray, "people frames angles"]
     present: Bool[np.ndarray, "people frames"]  # True if each person is present, visible or not

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from pipeline.calibration.program_files import PROGRAM_FORMATS
 from pipeline.calibration.registry import read_contents
-from pipeline.calibration.write import ENCODERS, FORMATS
+from pipeline.calibration.write import ENCODERS
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, fisheye
@@ -73,18 +74,20 @@ def test_every_camera_survives(
     np.testing.assert_allclose(read.cam_from_world.rotation, written.cam_from_world.rotation, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", ["multicap", "anipose", "caliscope", "opencv"])
 def test_every_format_is_read(tmp_path: Path, name: str) -> None:
-    ending, encode = FORMATS[name]
+    target = PROGRAM_FORMATS[name]
     rig = (*RIG, fisheye("f", 2.0))
-    path = tmp_path / f"rig{ending}"
-    path.write_bytes(encode(rig))
+    path = tmp_path / f"rig{target.endings[0]}"
+    path.write_bytes(target.encode(rig))
     assert_rig(read_contents(path), rig, num_digits=9)
 
 
 def test_caliscope_finds_what_its_reader_looks_for(tmp_path: Path) -> None:
     """Caliscope looks under ``cameras`` for sections named by numbers, and shows five coefficients or four."""
-    cameras = tomllib.loads(FORMATS["caliscope"][1]((camera("plain", 0.1, ()), fisheye("f", 2.0))).decode())["cameras"]
+    cameras = tomllib.loads(
+        PROGRAM_FORMATS["caliscope"].encode((camera("plain", 0.1, ()), fisheye("f", 2.0))).decode()
+    )["cameras"]
     assert list(cameras) == ["0", "1"]
     assert [one["cam_id"] for one in cameras.values()] == [0, 1]
     assert [len(one["distortions"]) for one in cameras.values()] == [5, 4]
@@ -96,7 +99,7 @@ def test_caliscope_finds_what_its_reader_looks_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["anipose", "caliscope", "opencv"])
 def test_lens_without_distortion_has_five_zeros(name: str) -> None:
-    text = FORMATS[name][1]([camera("plain", 0.1, ())]).decode()
+    text = PROGRAM_FORMATS[name].encode([camera("plain", 0.1, ())]).decode()
     assert text.count("0.0, 0.0, 0.0, 0.0, 0.0") == 1
 
 
@@ -104,9 +107,9 @@ def test_sections_of_anipose_are_in_order_of_cameras_as_text() -> None:
     """aniposelib sorts them: cam_10 would come before cam_2."""
     for count in (10, 11, 12, 101):
         rig = [camera(f"c{number}", 0.01 * number) for number in range(count)]
-        sections = tomllib.loads(FORMATS["anipose"][1](rig).decode())
+        sections = tomllib.loads(PROGRAM_FORMATS["anipose"].encode(rig).decode())
         assert [sections[title]["name"] for title in sorted(sections)] == [one.name for one in rig]
-    assert list(tomllib.loads(FORMATS["anipose"][1](RIG).decode())) == ["cam_0", "cam_1"]
+    assert list(tomllib.loads(PROGRAM_FORMATS["anipose"].encode(RIG).decode())) == ["cam_0", "cam_1"]
 
 
 def test_names_that_are_no_keys_of_opencv_are_fields(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from pipeline.core.options.file_formats import Export
 from pipeline.export.results import write_files
 from pipeline.export.writers import angle_tables
 from pipeline.motion.angles.compute import JointAngles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from tests.pipeline.export.test_results import take
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
 

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.joints import BODY_FEET, COCO_17, FINGER_JOINTS, SIDES, JointSet
-from pipeline.motion.angles.definitions import SEGMENTS, WORLD
+from pipeline.motion.body_segments import SEGMENTS, WORLD
 from pipeline.validation.simulation.acrobatics import anatomy
 from pipeline.validation.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
 from pipeline.validation.simulation.motion.body import random_proportions

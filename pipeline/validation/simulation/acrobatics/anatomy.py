@@ -99,7 +99,7 @@ def body_parts(
 ) -> dict[str, Float[np.ndarray, "times 3 3"]]:
     """Orientations of the body's parts in the world for the angles of ``ANGLE_NAMES``, by name.
 
-    Axes of each part are ahead, left and up in the rest pose. Names are from ``angles.definitions.SEGMENTS``, and
+    Axes of each part are ahead, left and up in the rest pose. Names are from ``body_segments.SEGMENTS``, and
     ``waist``, the middle of the back.
     """
     angle = dict(zip(ANGLE_NAMES, angles_rad.T, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.core.joints import COCO_17, SIDES
-from pipeline.motion.angles.definitions import WORLD
+from pipeline.motion.body_segments import WORLD
 
 STANDING_LEG = 0.985
 """Height of the hips above the ankles of a standing person, as a share of the leg's length."""

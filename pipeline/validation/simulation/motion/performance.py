@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet
-from pipeline.motion.angles.definitions import WORLD
+from pipeline.motion.body_segments import WORLD
 from pipeline.validation.simulation.motion.body import (
     STANDING_LEG,
     Pose,

@@ -20,9 +20,9 @@ from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import ViewerMotion, describe_body, describe_shape
 from pipeline.geometry.camera import project
 from pipeline.motion.angles.compute import joint_angles, observable_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body import installed
 from pipeline.motion.body.shape import shape_body
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics, joint_pose
 from tests.api.portal.node import run_by_node
 from tests.pipeline.export.character.takes import take_of

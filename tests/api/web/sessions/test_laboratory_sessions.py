@@ -24,7 +24,7 @@ def sent(simulation: Simulation, content: bytes = C3D, **facts: Any) -> list[tup
 
 
 def test_session_has_the_laboratory_s_file(checking: Live, simulation: Simulation) -> None:  # noqa: F811
-    facts = {"clock": "contacts", "place": [0.5, 0.0, 0.0, 90.0]}
+    facts: dict[str, Any] = {"clock": "contacts", "place": [0.5, 0.0, 0.0, 90.0]}
     session = checking.client.post("/v1/sessions", files=sent(simulation, **facts)).raise_for_status().json()
     assert {file["name"]: file["kind"] for file in session["files"]}["trial.c3d"] == "laboratory"
     (finding,) = [each for each in session["preflight"]["findings"] if each["code"] == "laboratory_read"]

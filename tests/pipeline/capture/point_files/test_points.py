@@ -28,7 +28,7 @@ from pipeline.capture.preflight_npz import decode_points, encode_points
 from pipeline.core.options.edits import Describe, PersonAt
 from pipeline.core.runtime.npz import decode_arrays
 from pipeline.motion.angles.compute import joint_angles, segments_from
-from pipeline.motion.angles.definitions import ANGLE_NAMES, RIGHT_FRONT_UP, SEGMENT_LABELS
+from pipeline.motion.body_segments import ANGLE_NAMES, RIGHT_FRONT_UP, SEGMENT_LABELS
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.point_files.mutations import mutated

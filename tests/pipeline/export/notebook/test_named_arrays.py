@@ -11,7 +11,7 @@ import pytest
 from multicap import InputError, PipelineError, Reconstruction, open_keypoints, reconstruct, write_results
 from pipeline.export.notebook import named_arrays
 from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.simulations import write_simulation
 

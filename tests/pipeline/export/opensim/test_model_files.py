@@ -18,7 +18,7 @@ from pipeline.export.opensim.model_files import OpenSimPerson, write_opensim_fil
 from pipeline.export.opensim.setup import read_columns
 from pipeline.export.quality.report import estimate_stature_m
 from pipeline.motion.angles.compute import JointAngles, joint_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import INDEX
 from tests.cases import accuracy_but
 from tests.pipeline.export.opensim.conftest import archived, needs_opensim, take_of

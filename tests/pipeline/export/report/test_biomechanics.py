@@ -17,7 +17,7 @@ from pipeline.export.report.biomechanics import (
     movement_rows,
 )
 from pipeline.motion.angles.compute import JointAngles, ranges_of_motion
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.gait.analysis import gait_document, movement_documents
 from pipeline.motion.gait.strides import Stride
 from pipeline.validation.simulation.motion.script import Gesture

@@ -27,7 +27,7 @@ from pipeline.export.rerun.rerun_file import RecordedFootage, write_rerun
 from pipeline.export.results import write_results
 from pipeline.export.scene import color_rgb
 from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import forward_kinematics
 from tests.pipeline.export.test_overlay import LARGE, NUM_FRAMES, OFFSET_S, RATE_HZ, runner, session_of, take_of
 from tests.pipeline.export.test_results import take

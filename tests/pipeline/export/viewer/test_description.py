@@ -16,10 +16,10 @@ from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import ViewerMotion, person_frames
 from pipeline.export.viewer.frames import ABSENT, ANGLE_STEP_DEG, encode_person, record_type
 from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
 from pipeline.motion.body import installed
 from pipeline.motion.body.makehuman import NUM_COARSE_TRIANGLES
 from pipeline.motion.body.shape import shape_body, standing_ankle_m
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.model import find_skeleton, forward_kinematics
 from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, shifted
 from tests.pipeline.export.viewer.takes import FOOTAGE, read_record, take

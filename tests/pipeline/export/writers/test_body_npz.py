@@ -1,6 +1,7 @@
 """Files for users of body models: NumPy reads them, and the model's kinematics lead to our joints."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,6 +24,7 @@ def test_poses_of_smplx_lead_to_our_joints(tmp_path: Path) -> None:
     )
     clock = Timebase(0.0, motion.frame_rate_hz, frames.stop)
     is_there = np.ones(len(frames), bool)
+    unused: Any = None
     content = PersonContent(
         track,
         motion,
@@ -33,9 +35,9 @@ def test_poses_of_smplx_lead_to_our_joints(tmp_path: Path) -> None:
         is_there,
         np.zeros(3),
         "default",
-        None,
+        unused,
         lambda: skeleton_m,
-        None,
+        unused,
     )
     path = tmp_path / "person-1.npz"
     path.write_bytes(b"".join(WRITER.encode(content)))

@@ -17,7 +17,7 @@ from pipeline.core.joints import BODY_FEET
 from pipeline.export.writers import c3d_file
 from pipeline.export.writers.c3d_file import parameter_bytes
 from pipeline.motion.angles.compute import segments_from
-from pipeline.motion.angles.definitions import SEGMENT_LABELS
+from pipeline.motion.body_segments import SEGMENT_LABELS
 from pipeline.motion.gait.analysis import MarkedEvent
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 from tests.pipeline.export.writers.test_bvh import walk

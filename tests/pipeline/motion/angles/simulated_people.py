@@ -8,7 +8,7 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.joints import BODY_FEET
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.angles.compute import JointAngles, joint_angles, segment_angles
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.animate import animate
 from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, acrobat_segments_at, perform_acrobatics
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS

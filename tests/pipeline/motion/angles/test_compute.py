@@ -20,13 +20,13 @@ from pipeline.motion.angles.compute import (
     segment_angles,
     segments_from,
 )
-from pipeline.motion.angles.definitions import ANGLE_NAMES, SEGMENTS
+from pipeline.motion.body_segments import ANGLE_NAMES, SEGMENTS
 from pipeline.motion.skeleton.animate import animate
 from tests.cases import accuracy_but
 from tests.pipeline.motion.angles.simulated_people import NOISE_PX, RATE_HZ, errors_deg, fitted, performed, rmse_deg
-from tests.pipeline.motion.angles.test_definitions import posed
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
 from tests.pipeline.motion.skeleton.synthetic_tracks import track_of, walker
+from tests.pipeline.motion.test_body_segments import posed
 
 HINGES = ("knee_flexion", "elbow_flexion", "ankle_dorsiflexion")
 BALLS = ("hip_flexion", "hip_adduction", "shoulder_flexion", "shoulder_adduction", "shoulder_elevation")

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.core.errors import InputError
 from pipeline.geometry.camera import project
-from pipeline.motion.angles.definitions import ANGLE_NAMES
+from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.rotations import unit
 from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.director import Cast

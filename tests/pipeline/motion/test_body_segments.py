@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.motion.angles.compute import segment_angles, segments_from
-from pipeline.motion.angles.definitions import (
+from pipeline.motion.body_segments import (
     ANGLE_NAMES,
     JOINTS,
     SEGMENTS,
