@@ -70,7 +70,7 @@ ADDRESSES = {"New capture": "new", "Captures": "captures", "Calibrations": "cali
 LOADED = {
     "New capture": ("option", re.compile("Rig offline")),
     "Captures": ("button", re.compile("Run again: Offline|Reconstruct: Offline")),
-    "Calibrations": ("link", "Rig offline as JSON"),
+    "Calibrations": ("button", "Download Rig offline"),
     "Job": ("link", re.compile(r"person-1\.bvh|\.bvh")),
 }
 
