@@ -442,11 +442,8 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
     used = set().union(*counts.values()) if counts else set()
     if not used:
         if frames and not problems:
-            problems.append(
-                Problem(
-                    session_codes.KEYPOINTS_EMPTY, "No camera detected anybody.", hint="Check the detector's output."
-                )
-            )
+            message, hint = "No camera detected a person.", "Check the detector's output."
+            problems.append(Problem(session_codes.KEYPOINTS_EMPTY, message, hint=hint))
         return None
     joints = find_joint_set(used)
     if joints is None:
@@ -455,13 +452,8 @@ def _joint_set(frames: Mapping[str, Mapping[int, People]], problems: list[Proble
             for name, of_camera in counts.items()
             if of_camera
         )
-        problems.append(
-            Problem(
-                session_codes.KEYPOINTS_MIXED,
-                f"The files have several joint sets ({shown}).",
-                hint="Use one joint set for all files.",
-            )
-        )
+        message = f"The files have several joint sets ({shown})."
+        problems.append(Problem(session_codes.KEYPOINTS_MIXED, message, hint="Use one joint set for all files."))
     return joints
 
 

@@ -21,9 +21,9 @@ from api.web.sessions.intake import (
     preflight_arguments,
     record_path_in,
 )
+from api.web.sessions.manifest import Manifest
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
-from api.web.sessions.schemas import Manifest
 from api.web.sessions.storing import CheckedSession, stored
 from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.capture.preflight_record import Preflight

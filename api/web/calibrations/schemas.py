@@ -11,7 +11,7 @@ from api.web.contract.examples import ID, SHA256
 from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from api.web.jobs.schemas import JobError
-from api.web.sessions.schemas import CameraManifest, Up
+from api.web.sessions.manifest import CameraManifest, Up
 from pipeline.core.options import job_choices
 from worker.store.model.session_records import Calibration
 from worker.store.model.states import JobState

@@ -23,7 +23,7 @@ from api.web.live.problems import failed, refused
 from api.web.live.process import CaptureProcess, camera_process
 from api.web.live.relay import Outgoing, all_or_first_error
 from api.web.live.schemas import LiveCamerasStart, LiveReady, LiveRecordStart
-from api.web.sessions.schemas import CameraManifest
+from api.web.sessions.manifest import CameraManifest
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
 from pipeline.core.problems.request_codes import LIVE_FIELDS, MISSING_FIELD

@@ -14,8 +14,8 @@ from api.web.http.bodies.form_kinds import SPEC, VIDEOS
 from api.web.live.cameras import record_cameras
 from api.web.live.connection import LiveConnection
 from api.web.live.schemas import LiveRecorded, LiveRecordStart
+from api.web.sessions.manifest import CameraManifest
 from api.web.sessions.receiving import Sent
-from api.web.sessions.schemas import CameraManifest
 from worker.store.tenant_records import TenantRecords
 
 

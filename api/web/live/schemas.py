@@ -10,7 +10,7 @@ from api.web.contract.examples import ID
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
 from api.web.recordings.schemas import TakeCalibrationSpec
-from api.web.sessions.schemas import SessionName, Up
+from api.web.sessions.manifest import SessionName, Up
 from pipeline.core.options.config import DetectedJoints, Profile
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S
 

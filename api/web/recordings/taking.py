@@ -19,15 +19,9 @@ from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEO
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.recordings.schemas import TakeCalibrationSpec, TakeSessionOut, TakeSessionSpec
 from api.web.sessions.intake import check
+from api.web.sessions.manifest import CameraManifest, Manifest
 from api.web.sessions.receiving import Sent
-from api.web.sessions.schemas import (
-    CAPTURE_FORM,
-    SESSION_FORM,
-    CameraManifest,
-    Manifest,
-    UploadedCapture,
-    UploadedSession,
-)
+from api.web.sessions.schemas import CAPTURE_FORM, SESSION_FORM, UploadedCapture, UploadedSession
 from api.web.sessions.storing import CheckedSession, session_and_job, stored
 from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import CLIP_NOT_SENT, CLIP_OUTSIDE_TAKE, CLIP_PART_LEFT_OUT

@@ -18,9 +18,10 @@ from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.jobs.queueing import check_spec, spec_limits, with_session_choices
+from api.web.sessions.manifest import CameraManifest, LaboratoryManifest, Manifest
 from api.web.sessions.preflight import InvalidFilesError, allowance_s, further_wait_s
 from api.web.sessions.receiving import Sent, adopted, document, sent_form
-from api.web.sessions.schemas import CameraManifest, LaboratoryManifest, Manifest, UploadedCapture, UploadedSession
+from api.web.sessions.schemas import UploadedCapture, UploadedSession
 from api.web.sessions.storing import CheckedSession
 from api.web.settings import Settings
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase

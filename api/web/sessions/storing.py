@@ -14,7 +14,7 @@ from api.web.dependencies import Services
 from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form
 from api.web.jobs.queueing import queued_job
-from api.web.sessions.schemas import Manifest
+from api.web.sessions.manifest import Manifest
 from api.web.settings import Settings
 from api.web.uploads.intake import source_name
 from pipeline.capture.preflight_record import Preflight, thumbnail_name

@@ -1,7 +1,4 @@
-"""Tables of the database. From the first release on a change here needs a migration (a test compares the two).
-
-Times are seconds since 1970 in UTC, from the clock of the database only: the clocks of the machines need not agree.
-"""
+"""Tables of the database. Times are seconds since 1970 in UTC, from the clock of the database only."""
 
 from datetime import UTC, datetime
 from typing import Any

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import api
 from api.cli.main import app
-from api.web.sessions.schemas import Layout
+from api.web.sessions.manifest import Layout
 from api.web.settings import Settings
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.calibration.write import encode

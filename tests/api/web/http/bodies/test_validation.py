@@ -10,7 +10,7 @@ import pytest
 
 from api.web.errors import MAX_LISTED, MEANINGS
 from api.web.http.bodies.field_places import FieldPlaces
-from api.web.sessions.schemas import CameraManifest, Manifest
+from api.web.sessions.manifest import CameraManifest, Manifest
 from api.web.settings import KIB, Settings
 from pipeline.core.options import rules
 from pipeline.core.options.requirements import requirement
