@@ -150,7 +150,7 @@ def length(
         tuple[float, float], typer.Option(min=0.1, help="Lengths of the shorter and the longer take.")
     ] = (1.0, 4.0),
     people: Annotated[int, typer.Option(min=1, max=32, help="Number of people.")] = 10,
-    cameras: Annotated[int, typer.Option(min=2, max=16, help="Number of cameras.")] = 4,
+    cameras: Annotated[int, typer.Option(min=2, max=64, help="Number of cameras.")] = 4,
     as_json: JsonOption = False,
 ) -> None:
     """Compare what a frame costs in a short and in a long take of keypoints: processor time and memory by stage."""
