@@ -66,6 +66,19 @@ def test_start_by_force_is_within_2_ms(act: Act, middles_m: tuple[tuple[float, f
     assert 0.02 < laboratory.check.apart_m < 0.2
 
 
+@pytest.mark.accuracy
+@pytest.mark.parametrize("middles_m", [((0.0, 0.0),), ROW], ids=["one", "three"])
+@pytest.mark.parametrize("rate_hz", [50.0, 60.0])
+def test_start_of_walk_is_within_its_deviation(middles_m: tuple[tuple[float, float], ...], rate_hz: float) -> None:
+    """Walks over a plate or three, by seeds; a start is stated unless nothing tells it. ``-s`` prints the errors."""
+    for seed in range(5):
+        act = replace(walk(1.2, num_cameras=4, rate_hz=rate_hz), seed=seed)
+        start = placed(act, simulated(act, LEAD_S, 6.0, plates_m(act, middles_m))).start
+        error_s = np.nan if start is None else start.time_s - LEAD_S
+        print(seed, f"{1000 * error_s:.1f} ms", start and f"+-{1000 * start.sigma_s:.1f}")  # noqa: T201
+        assert start is None or abs(error_s) < 3.0 * start.sigma_s
+
+
 def test_start_is_on_the_clock_of_the_frames() -> None:
     act = exercise(Gesture.JUMP, num_cameras=4)
     late = placed(act, simulated(act, LEAD_S, 6.0, plates_m(act, STANDING)), start_s=7.5)
