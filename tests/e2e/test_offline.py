@@ -114,7 +114,7 @@ def test_second_click_without_connection_opens_other_view(page: Page, job: dict[
     open_view(page, "Calibrations", job)
     expect(page.get_by_role("heading", name="Calibrations", level=1)).to_be_visible()
     page.context.set_offline(False)
-    expect(page.get_by_role("link", name="Rig offline as JSON").first).to_be_visible(timeout=180_000)
+    expect(page.get_by_role("button", name="Download Rig offline").first).to_be_visible(timeout=180_000)
 
 
 def test_job_is_followed_again(page: Page, served: Served, job: dict[str, Any]) -> None:
