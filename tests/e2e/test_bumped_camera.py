@@ -87,4 +87,8 @@ def test_good_take_has_no_bumped_camera(tmp_path: Path, scene: str, seed: int) -
     assert metrics["calibration"]["bumped"] == []
     assert metrics["calibration"]["world"] is None
     assert not metrics["calibration"]["refined"]
-    assert {check["code"] for check in metrics["capture_checks"]} <= {"few_views", "uncertain_identity"}
+    assert {check["code"] for check in metrics["capture_checks"]} <= {
+        "calibration_kept",
+        "few_views",
+        "uncertain_identity",
+    }

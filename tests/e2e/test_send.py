@@ -89,7 +89,7 @@ def test_page_of_running_job_shows_progress_at_once(page: Page, served: Served, 
         expect(page.get_by_label("Camera of left.mp4")).to_have_value("left", timeout=180_000)
         send(page).click()
         expect(page).to_have_url(re.compile("#/jobs/"), timeout=180_000)
-        expect(page.locator(".state")).to_have_text("Waiting")
+        expect(page.locator(".state").first).to_have_text("Waiting")
         for progress in page.get_by_role("main").get_by_role("progressbar").all():
             assert is_seen(progress)
         assert page.get_by_role("main").get_by_role("progressbar").count() > 0
