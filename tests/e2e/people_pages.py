@@ -155,7 +155,7 @@ def panel(page: Page) -> Locator:
 
 
 def choose(page: Page, person: str, frame: int | None = None) -> None:
-    # Not `check`, which looks at the element that was clicked: the list is drawn anew meanwhile.
+    # Not `check`, which looks at the element that was clicked: the list is drawn again meanwhile.
     radio = panel(page).get_by_role("radio", name=re.compile(f"^{person} "))
     radio.click()
     expect(radio).to_be_checked()

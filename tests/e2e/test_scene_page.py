@@ -17,7 +17,7 @@ from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served
 from tests.pipeline.media import write_pictures
 
-# The service is that of the other tests of the page.
+# All tests of the page share one service.
 pytestmark = pytest.mark.xdist_group("page")
 
 CAMERAS = build_cameras(Rig(Layout.RING, 2, (3.0, 2.5), 2.0, distortion=(0.0,) * 5), np.random.default_rng(0))

@@ -45,7 +45,7 @@ MOUNT = """async ({ jobs, clock, video, clocks, person }) => {
   globalThis.viewer = jobs.length === 1 ? await mount(place, sources[0]) : await mountPair(place, sources, titles);
 }"""
 
-# Frame that the video's picture shows, that of the skeletons over it, and that of the play head.
+# Frames of the video's picture, of the skeletons over it, and of the play head.
 PICTURE = """() => {
   const { viewer } = globalThis;
   const tile = viewer.wall.tiles[0];

@@ -22,7 +22,7 @@ from pipeline.core.data.rigid import Rigid3
 
 # Extent of a person in a picture, as the larger side of the box, to which animals are compared.
 _PERSON_M = 1.5
-# Where the size of animals can't be told, or is that of a fly: no enlargement beyond this.
+# Largest enlargement: for animals of unknown size, or as small as a fly.
 _MAX_SCALE = 1000.0
 
 

@@ -83,7 +83,7 @@ def write_rerun(
 
     The file has its name when it is whole.
 
-    ``footage``: pictures, and detections that nobody was given; ``None``: the file has none. Raises ``InputError`` if a
+    ``footage``: pictures, and detections without a person; ``None``: the file has none. Raises ``InputError`` if a
     video can't be decoded; see ``pipeline.video.decode.decode``. Raises ``OSError`` if the file can't be written, or
     does not hold what was written.
     """

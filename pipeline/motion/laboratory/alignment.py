@@ -118,7 +118,7 @@ def measure_start(
     by_contacts_s = _by_contacts(people, loaded, rate_hz)
     candidates_s = [*by_contacts_s, *_by_weight(person, alone, total_n, rate_hz)]
     fits = [fit for lag_s in candidates_s if (fit := _fine(person, alone, total_n, rate_hz, lag_s)) is not None]
-    # Where the file covers little of the support, a fit is good without reason.
+    # A fit is good without reason if the file covers little of the support.
     fits = [fit for fit in fits if 2 * fit.num_rows >= max(other.num_rows for other in fits)]
     if fits:
         alike = [fit for fit in fits if fit.square_m2 <= _AMBIGUOUS * min(other.square_m2 for other in fits)]

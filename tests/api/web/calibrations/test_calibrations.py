@@ -88,7 +88,7 @@ def test_it_is_downloaded_in_other_formats(strict: Live) -> None:
 
 
 def test_every_format_is_read_back(strict: Live) -> None:
-    """What is downloaded for another program, sent again, has the same cameras."""
+    """Files for other programs, sent again, have the same cameras."""
     assert {name: known.endings[0].removeprefix(".") for name, known in PROGRAM_FORMATS.items()} | {
         "opencv": "yml"
     } == {name: ending for name, (ending, _) in MEDIA_TYPES.items()}

@@ -60,7 +60,7 @@ def test_ball_listed_with_anybody_is_object(scene: OwnScene, take: Reconstructio
 
 
 def test_point_of_scene_near_person_is_persons(scene: OwnScene, take: Reconstruction) -> None:
-    """The racket of one person alone, listed with nobody, belongs to that person."""
+    """A racket that is listed without a person belongs to the only person."""
     own, session = scene.session.own, scene.session
     person = take.tracks[0].track_id
     tip = take.own.of_people[0]

@@ -107,7 +107,7 @@ def test_pairs_of_many_cameras_are_few_and_link_all() -> None:
     for _ in pairs:
         reached |= {camera for pair in pairs if reached & set(pair) for camera in pair}
     assert reached == set(range(12))
-    # Cameras that see nobody are linked too.
+    # Cameras without people are linked too.
     assert strongest_pairs([], 3) == [(0, 1), (0, 2), (1, 2)]
 
 

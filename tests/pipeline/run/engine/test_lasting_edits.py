@@ -51,7 +51,7 @@ def column(joint: str) -> int:
 
 
 def within(time_s: np.ndarray, frames: range) -> np.ndarray:
-    """Whether times are of output frames."""
+    """True if times are of output frames."""
     return np.isin(np.round(time_s * RATE_HZ), frames)
 
 
@@ -143,7 +143,7 @@ def right_m() -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong, and how an animator puts it right."""
+    """A fault of a take, and the edits that mend it."""
 
     frames: range
     edits: list[PeopleEdit]
