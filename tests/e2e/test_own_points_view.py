@@ -64,6 +64,7 @@ def test_points_are_drawn_where_they_are(live: Live, tmp_path: Path) -> None:
     live.finish(job_id, motion=viewer_files_of(replace(take, own=OwnTracks(("racket_tip",), tips, (ball,)))))
     with opened(str(live.client.base_url)) as page:
         page.evaluate(MOUNT, job_id)
+        expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
         for frame in (0, 13, 25):
             places = page.evaluate(PLACES, frame)
             expected = [*(tip.xyz_m[frame, 0] for tip in tips), ball_m[frame]]
