@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS, ROTATION, move_camera
 from pipeline.calibration.adjustment.projection import linearise
@@ -263,7 +263,7 @@ def _measured_shift(
         float(np.median(shift_px / extent_px[rows])),
         len(bodies),
         len(bodies) / len(np.unique(instant[bodies])),
-        float(f_distribution.sf(wald * freedom / (len(step) * len(bodies)), len(step), freedom)),
+        float(fdtrc(len(step), freedom, max(wald, 0.0) * freedom / (len(step) * len(bodies)))),
         float((_TAIL + 2.0) / 2.0 * np.log((_TAIL + before) / (_TAIL + after)).sum()),
     )
 

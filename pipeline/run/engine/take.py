@@ -19,7 +19,6 @@ from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
-from pipeline.motion.laboratory.alignment import in_world_of, placed_in_time
 from pipeline.run.engine import stage
 from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
@@ -68,6 +67,9 @@ def assemble(context: stage.Context) -> Reconstruction:
         subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),
     )
     if session.laboratory is not None:
+        # Its libraries take tenths of a second to load, and it is seldom needed.
+        from pipeline.motion.laboratory.alignment import in_world_of, placed_in_time  # noqa: PLC0415
+
         laboratory = in_world_of(session.cameras, outline.cameras, session.laboratory)
         joints, subject = reconstruction.joints, reconstruction.subject
         placed = placed_in_time(laboratory, animation, joints, session.timebase, subject)

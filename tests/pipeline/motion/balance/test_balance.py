@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
@@ -254,3 +255,10 @@ def test_simulated_jump_flies_like_a_projectile(subject: Subject) -> None:
         for axis in (0, 1):
             line = np.polynomial.Polynomial.fit(time_s, centre_m[rows, axis], 1)
             np.testing.assert_allclose(line(time_s), centre_m[rows, axis], atol=1e-3)
+
+
+@pytest.mark.parametrize(("num_frames", "window"), [(3, 3), (13, 13), (40, 7), (101, 15)])
+def test_velocity_equals_filter_of_scipy(num_frames: int, window: int) -> None:
+    values = np.random.default_rng(num_frames).normal(size=(num_frames, 3)).cumsum(0)
+    expected = savgol_filter(values, window, 2, deriv=1, delta=1.0 / RATE_HZ, axis=0)
+    np.testing.assert_array_equal(compute._velocity(values, window, RATE_HZ), expected)
