@@ -18,7 +18,8 @@ AVOIDED = {
     r"anew": "'again', or a verb: 'rebuilt', 'requested again'",
     r"is the whole way": "'Entry point: ...'",
     r"at stake": "'affected'",
-    r"(?<=\"\"\")(?:Who|Whom|Whose|What|Which|Where)": "the noun first",
+    r"(?<=\"\"\")(?:Who|Whom|Whose|What|Which|Where|Whether)": "the noun first",
+    r"(?:[Nn]o|[Ss]ome)body": "'no person', 'a person', 'the user'",
 }
 
 
@@ -37,7 +38,7 @@ def files() -> list[Path]:
 
 def test_words_sought_and_not_written_are_counted() -> None:
     found = occurrences('"""What people whom it sees do anew."""\nthose of, that of.')
-    assert found == occurrences("") | {r"those of": 1, r"that of": 1, r"whom": 1, r"anew": 1, list(AVOIDED)[-1]: 1}
+    assert found == occurrences("") | {r"those of": 1, r"that of": 1, r"whom": 1, r"anew": 1, list(AVOIDED)[-2]: 1}
 
 
 def test_words_in_code_and_documents_are_few() -> None:

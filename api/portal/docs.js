@@ -1,4 +1,4 @@
-// Shows the contract by Swagger UI, which asks nobody but this service.
+// Shows the contract by Swagger UI, which asks this service alone.
 SwaggerUIBundle({
   url: "/openapi.json",
   dom_id: "#docs",

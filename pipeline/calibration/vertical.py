@@ -18,7 +18,7 @@ AXES: Mapping[str, Float[np.ndarray, " 3"]] = {
 }
 """Axes of a world and their opposites, by name, such as ``-y``."""
 
-# Distance from ankles to shoulders, as a share of its largest values, at which somebody stands upright.
+# Distance from ankles to shoulders, as a share of its largest values, at which a person stands upright.
 _UPRIGHT, _LARGEST = 0.97, 95
 _ITERATIONS, _LEAN_RAD = 10, np.radians(4.0)
 # Least length of the mean of the cameras' up directions at which it is a direction.

@@ -176,7 +176,7 @@ def decode_session(content: bytes, folder: Path) -> CaptureSession:
 
 @encode_record.register
 def encode_keypoints(session: KeypointSession) -> bytes:
-    """Write a session of keypoints, all of it: nobody needs its files again."""
+    """Write a session of keypoints, all of it: its files are not needed again."""
     cameras, arrays = _cameras(session.cameras)
     head = {
         "cameras": cameras,

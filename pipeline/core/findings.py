@@ -18,7 +18,7 @@ _SEVERITIES: tuple[Severity, ...] = get_args(Severity)
 _DECIMALS = 4
 
 CERTAIN = frozenset({TOO_FEW_CAMERAS, CALIBRATION_UNPOSED, WORLD_UNIT})
-"""Codes of errors of cameras alone with which nobody can be located: no people outweigh them."""
+"""Codes of errors of cameras alone with which no person can be located: no people outweigh them."""
 
 
 @dataclass(frozen=True, slots=True)

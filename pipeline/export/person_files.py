@@ -175,7 +175,7 @@ def _written(
 
 
 def without_resting_fingers(track: Track3D, joints: JointSet) -> Track3D:
-    """Track without the fingers of hands that nobody saw.
+    """Track without the fingers of hands that no camera saw.
 
     Such hands rest in a pose of the model. It animates a skeleton, but is no measurement. A hand was seen in frames in
     which one of its fingers was measured or interpolated.

@@ -93,8 +93,8 @@ def write_results(
 ) -> list[Path]:
     """Write all result files of a reconstruction into a folder, which is created if missing; return their paths.
 
-    See ``write_files`` for the parameters. A Rerun recording has neither pictures nor detections that nobody was
-    given: a reconstruction does not hold them.
+    See ``write_files`` for the parameters. A Rerun recording has neither pictures nor detections without a
+    person: a reconstruction does not hold them.
 
     Parameters
     ----------

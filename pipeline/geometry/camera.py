@@ -1,7 +1,7 @@
 """Distortion, projection and rays of one camera (OpenCV's pinhole model).
 
 The standard distortion model is documented in OpenCV's ``calib3d``: radial k1..k6 (rational), tangential p1, p2 and
-thin prism s1..s4. That of fisheye lenses is in ``fisheye.py``.
+thin prism s1..s4. The model of fisheye lenses is in ``fisheye.py``.
 """
 
 from collections.abc import Sequence

@@ -88,7 +88,7 @@ def decode_from(
 def decode_keyframes(path: Path, wanted_pts: Collection[int]) -> Iterator[VideoFrame]:
     """Decode some keyframes in the order of display, and no other frame.
 
-    Those of ``wanted_pts`` that can't be decoded are missing. Raises ``DECODE_ERRORS`` if the file can't be opened or
+    Frames of ``wanted_pts`` that can't be decoded are missing. Raises ``DECODE_ERRORS`` if the file can't be opened or
     read.
     """
     with open_container(path) as container:

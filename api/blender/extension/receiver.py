@@ -22,7 +22,7 @@ _MAX_PACKETS, _MAX_PACKET_BYTES = 256, 65_535
 
 
 class LiveReceiver:
-    """Armature that moves as somebody does now.
+    """Armature that moves like a person of a live capture.
 
     The action that the armature has rests meanwhile. Raises ``RequestError`` if the port can't be used, or bones are
     missing.

@@ -40,7 +40,7 @@ def scene_rate_hz(scene: Any) -> float:
 def import_person(path: Path, name: str, collection: Any) -> Any:
     """Import the person of a GLB or FBX file into a collection; return the armature, which gets the name.
 
-    Raises ``RequestError`` if the importer of Blender refuses the file, or finds nobody in it.
+    Raises ``RequestError`` if the importer of Blender refuses the file, or finds no person in it.
     """
     added = _imported(path)
     armatures = [thing for thing in added if thing.type == "ARMATURE"]

@@ -13,7 +13,7 @@ class BackgroundTask:
     """Function in a thread of its own, which reports how far it is and can be stopped.
 
     The function gets the task, calls ``report`` now and then, and touches nothing of Blender. A thread that waits for a
-    silent service ends some time after ``stop``; nobody waits for it, and what it still returns is dropped.
+    silent service ends some time after ``stop``; nothing waits for it, and what it still returns is dropped.
 
     ``title``: title of the work for the user, such as ``Send a capture``.
     """
@@ -74,7 +74,7 @@ class BackgroundTask:
             self.error = str(error)
         except OSError as error:
             self.error = f"A file can't be read or written: {error.strerror or error}."
-        except Exception as error:  # A thread has nobody above it, and the user must learn of it
+        except Exception as error:  # nothing above a thread catches it, and the user must learn of it
             self.error = f"The extension failed: {type(error).__name__}."
 
 

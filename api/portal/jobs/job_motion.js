@@ -85,7 +85,7 @@ export class JobMotion extends EventTarget {
       return new MotionStore(description, this.#source);
     };
     const store = await persistently(() => orAway(read), { isOver });
-    // Nobody disappears until the frames are there.
+    // No person disappears until the frames are there.
     await store.loaded(this.frame === null ? 0 : this.frame - store.description.first_frame);
     if (isOver()) return store.close();
     const earlier = this.#store;

@@ -109,7 +109,7 @@ async function findLayout(frames) {
     if (layout === undefined) throw new PlaybackProblem(PROBLEM_TEXTS.layout(row.length / 3), PROBLEM_TEXTS.layoutHint([...LAYOUTS.keys()].join(", ")));
     return { layout: layout === "body-25" && await isBody25B(frames) ? "body-25b" : layout, numPoints: row.length / 3 };
   }
-  throw new PlaybackProblem(PROBLEM_TEXTS.nobody);
+  throw new PlaybackProblem(PROBLEM_TEXTS.noPerson);
 }
 
 // BODY_25B has as many points in another order; it is told as in pipeline/capture/keypoint_files/layout_evidence.py.

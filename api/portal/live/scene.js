@@ -110,7 +110,7 @@ export class LiveStore {
     this.#approximate = makeApproximation(bones, joints);
   }
 
-  /** Take an instant; returns whether `description` is another one, as somebody came or left. */
+  /** Take an instant; returns whether `description` is another one, as a person came or left. */
   add({ people }) {
     const numValues = 3 * this.description.skeleton.names.length;
     const positions = new Map(people.map(({ id, joints, skeleton }) => {

@@ -1,5 +1,5 @@
 // Takes of a dropped folder: captures by the same cameras, which are sent one after another with one calibration and the
-// same choices. The draft has one take at a time; those that can't be sent wait until somebody mends them.
+// same choices. The draft has one take at a time; those that can't be sent wait until the user mends them.
 
 import { announce } from "../shared/page.js";
 import { COUNTS } from "../shared/strings/common.js";
@@ -39,7 +39,7 @@ function remember(take) {
 }
 
 class Takes {
-  offered = null; // takes of a dropped folder, until somebody says whether they are takes
+  offered = null; // takes of a dropped folder, until the user says whether they are takes
   list = [];
   isRunning = false;
   #shown = null; // take in the draft
@@ -113,7 +113,7 @@ class Takes {
     sending.clear();
   }
 
-  // Send all takes that wait, until somebody pauses. A take that fails is named, and the next one follows.
+  // Send all takes that wait, until the user pauses. A take that fails is named, and the next one follows.
   async run() {
     if (this.isRunning) return;
     this.isRunning = true;

@@ -326,8 +326,8 @@ class HostState(ResponseModel):
 
     type: Literal["state"] = "state"
     recording: RecordingOut | None = Field(
-        description="The recording with its phones and takes; null: as in the state before. Of a take that nobody "
-        "stops the state changes at `stop_s`."
+        description="The recording with its phones and takes; null: as in the state before. A take that is not "
+        "stopped changes its state at `stop_s`."
     )
     live: tuple[LivePhoneOut, ...] = Field(description="Phones at the moment, in the order of their numbers.")
     relay: Literal["ok", "away"] = Field(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.association.hands.agreement_kernels import Agreement, choose_hands
-from pipeline.association.tracking.observations import NOBODY, Detections2D, observed_by, rows_by_person
+from pipeline.association.tracking.observations import UNASSIGNED, Detections2D, observed_by, rows_by_person
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, People, Track3D
@@ -180,11 +180,11 @@ def owners(people: People, bodies: Detections2D, timebase: Timebase) -> Int[np.n
     """Find the person of each detection: the one whose observations in the camera have the detection's joints.
 
     People and bodies have the same joints, the body's. Returns the person's position in ``people.tracks`` for
-    each detection, ``NOBODY`` if it has nobody's joints.
+    each detection, ``UNASSIGNED`` if it has no person's joints.
     """
     nearest = np.rint((bodies.time_s - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
     size_px = _sizes_px(bodies.seen_px)
-    owner = np.full(len(bodies.camera), NOBODY)
+    owner = np.full(len(bodies.camera), UNASSIGNED)
     most_alike = np.full(len(bodies.camera), _LEAST_ALIKE)
     for number, (track, seen) in enumerate(zip(people.tracks, people.observations, strict=True)):
         for camera in range(seen.score.shape[1]):

@@ -26,7 +26,7 @@ _LONGEST_S, _LONGEST_GAP_S = 1.0, 0.2
 _RECENT_S, _GOES_ON_S = 0.2, 0.25
 # Largest mean distance of a body's joints from the expected ones, at the person's distance.
 _REACH_M = 0.2
-# Bodies that lie nearer to an observation of somebody, as a share of the diagonal of the box around it, are theirs.
+# Bodies that lie nearer to an observation of a person, as a share of the diagonal of the box around it, are theirs.
 _SAME_SHARE = 0.05
 
 
@@ -35,10 +35,10 @@ def follow_alone(
 ) -> list[Person]:
     """Continue tracks by bodies that one camera sees, for up to a second before and behind.
 
-    ``left`` are bodies that association gave to nobody. Observations with a score below ``min_score`` are not used.
+    ``left`` are bodies without a person after association. Observations with a score below ``min_score`` are not used.
     Joints of the frames that are added have the source ``PREDICTED``.
     """
-    is_free = _belongs_to_nobody(left, persons)
+    is_free = _is_without_person(left, persons)
     rows: dict[int, list[int]] = {}
     for row in np.flatnonzero(is_free).tolist():
         rows.setdefault(int(left.frame[row]), []).append(row)
@@ -175,7 +175,7 @@ def _longer(
     return longer, observed
 
 
-def _belongs_to_nobody(left: Leftovers, persons: Sequence[Person]) -> Bool[np.ndarray, " bodies"]:
+def _is_without_person(left: Leftovers, persons: Sequence[Person]) -> Bool[np.ndarray, " bodies"]:
     """Bodies that are no observation of anybody, nor a second detection of one."""
     is_free = np.ones(len(left.frame), bool)
     for track, seen in persons:

@@ -18,7 +18,7 @@ from pipeline.association.identity.tracklets import Ends, Tracklet, link_scores
 from pipeline.core.data.people import Doubt
 
 Chain = tuple[int, ...]
-# A change that gains less is rounding error. And the logarithm of the odds from which on nobody doubts: 0.99.
+# A change that gains less is rounding error. And the logarithm of the odds from which on there is no doubt: 0.99.
 _LEAST_GAIN = 1e-6
 _CERTAIN = 4.6
 # Limits of the work for a hostile session: ends of tracklets that are assigned, chains that are changed, and changes.

@@ -181,13 +181,13 @@ _BLOCKS, _JOINTS = 0.9, 0.9
 _MAX_MOVED_M, _NUM_SIGMAS, _ERROR_LASTS_S = 0.015, 3.0, 0.1
 # Noise in which no movement would be seen.
 _MAX_NOISE_M = 0.04
-# Way of half of the joints, in any block, after which somebody has moved.
+# Way of half of the joints, in any block, after which a person has moved.
 _GONE_M = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class StillPerson:
-    """Somebody, or something, that never moves."""
+    """Person or thing that never moves."""
 
     number: int  # Position of the track
     # Distance of joints from their usual places that nine tenths of the take do not exceed; the largest of them
@@ -278,7 +278,7 @@ def find_likenesses(
 ) -> Likenesses:
     """Find who never moves, and who is another person's mirror image.
 
-    Tracks are as association located them. The mirror image of somebody who never moves is another one who never moves.
+    Tracks are as association located them. The mirror image of a person who never moves never moves either.
     """
     kept = list(tracks)
     found = (find_still(number, track, joints, frame_rate_hz) for number, track in enumerate(kept))
@@ -328,7 +328,7 @@ _REACH_M, _ABSENT_S = 0.6, 2.0
 def without_likenesses(
     poses: Sequence[Poses3D], cameras: Sequence[Camera], joints: JointSet, timebase: Timebase, step: int
 ) -> list[Poses3D]:
-    """Leave out the poses of those who never move and of mirror images; all stay if nobody else is left.
+    """Leave out the poses of those who never move and of mirror images; all stay if no other person is left.
 
     ``poses`` are parts of a take at every ``step``-th output frame, in any order, such as one a person.
     """

@@ -1,7 +1,7 @@
-"""Recovery of detections that association gave to nobody.
+"""Recovery of detections without a person after association.
 
 Where fewer than two cameras see a person for a while, the person is expected on the way from the last position to the
-next one. A body that belongs to nobody and is at this place in a picture is the person's.
+next one. A body without a person that is at this place in a picture is the person's.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def recover_detections(
 ) -> list[Person]:
     """Give people the bodies that are where they are expected, and locate their joints there.
 
-    ``left`` are bodies of nobody. Observations with a score below ``min_score`` are not used.
+    ``left`` are bodies without a person. Observations with a score below ``min_score`` are not used.
     """
     distance_m = [_distances_m(person, left, cameras, timebase) for person in people]
     claimed = _assign(np.array(distance_m).reshape(len(people), len(left.frame)), left)
@@ -94,7 +94,7 @@ def _expected_m(
 
 
 def _assign(distance_m: Float[np.ndarray, "people bodies"], left: Leftovers) -> Int[np.ndarray, " bodies"]:
-    """Person of each body, -1 for nobody; at most one body of a picture for each person."""
+    """Person of each body, -1 for none; at most one body of a picture for each person."""
     person = np.full(distance_m.shape[1], -1)
     wanted = np.flatnonzero(np.isfinite(distance_m).any(0))
     picture = np.lexsort((left.camera[wanted], left.frame[wanted]))

@@ -4,7 +4,7 @@ The cost of a path, as a negative logarithm of its probability, is the sum over 
 
 - the disagreement of the views;
 - the labels against the detector's: each view counts with its score;
-- the motion of each joint since the moment before, up to a limit, as nobody knows how fast limbs are;
+- the motion of each joint since the moment before, up to a limit, as the speed of limbs is unknown;
 - arms against legs: shoulders that are turned by more than a quarter against the hips, knees that bend backwards.
 
 The path of least cost is found by dynamic programming (Viterbi 1967).

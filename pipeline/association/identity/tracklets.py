@@ -14,7 +14,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 
 _TORSO = "left_shoulder", "right_shoulder", "left_hip", "right_hip"
-# A person who was located in no frame for longer may be somebody else afterwards.
+# A person who was located in no frame for longer may be another person afterwards.
 _LONGEST_GAP_S = 0.2
 # Two people who are nearer to each other than this may have been exchanged.
 _REACH_M = 0.4
@@ -62,7 +62,7 @@ class Tracklet:
 
 
 def cut_at_gaps(paths: Sequence[Path], frame_rate_hz: float) -> list[Tracklet]:
-    """Cut tracks where nobody was located for a while, and where the body jumped."""
+    """Cut tracks where the person was not located for a while, and where the body jumped."""
     return [
         Tracklet(number, path.start_frame + first, path.start_frame + last + 1)
         for number, path in enumerate(paths)
@@ -168,7 +168,7 @@ _NOISE_M, _WANDER_M_S, _FARTHEST_M = 0.15, 1.2, 3.0
 _CHANGE_M_S, _ACCELERATION_M_S2, _UNRELATED_M_S = 0.6, 2.0, 1.2
 # Longest absence of a person who is known again. Tracks hold every frame in between.
 _LONGEST_ABSENCE_S = 600.0
-# Nobody is faster on average, beside the noise of both ends.
+# No person is faster on average, beside the noise of both ends.
 _FASTEST_LINK_M_S, _FASTEST_NOISE_M = 6.0, 0.6
 # Time after which the place says little of the person, and share of bodies that are anywhere even at once.
 _FORGOTTEN_S, _ANYWHERE = 2.0, 1e-3
@@ -261,8 +261,8 @@ def link_scores(last: Ends, first: Ends, area_m2: float) -> Float[np.ndarray, "*
     """Log-likelihood ratio that a person's tracklet is followed by another one: the same person, or not.
 
     ``last``, ``first``: ends of the earlier and beginnings of the later tracklets; their arrays are broadcast against
-    each other. Returns ratio of each pair; minus infinity where the later tracklet does not come later, or nobody is as
-    fast.
+    each other. Returns ratio of each pair; minus infinity where the later tracklet does not come later, or is too far
+    away for any speed.
     """
     gap_s = first.time_s - last.time_s
     ahead_s = np.clip(gap_s / 2, 0.0, _EXTRAPOLATED_S)[..., None]

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.association.identity.merging import relocate
 from pipeline.association.redetection.expect import BODY, expected_body_m
-from pipeline.association.tracking.observations import NOBODY, Detections2D, gather, observed_by, rows_by_person
+from pipeline.association.tracking.observations import UNASSIGNED, Detections2D, gather, observed_by, rows_by_person
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
@@ -36,7 +36,7 @@ def accept(
     """Give people the bodies that were detected again, and locate their joints again there.
 
     A body belongs to the person who is expected nearest to it, who may stand in front of the one who was looked for;
-    bodies far from everybody are nobody's. Its joints replace the joints of the observation; joints that were not read
+    bodies far from all people are left. Its joints replace the joints of the observation; joints that were not read
     again stay, and so do those that both detections mark alike, of which the first one is more exact.
 
     ``people``: people with the joints of ``joints``, and their observations. ``found``: bodies of each camera, by name.
@@ -70,9 +70,9 @@ def _nearest_person(
     cameras: Sequence[Camera],
     timebase: Timebase,
 ) -> Int[np.ndarray, " bodies"]:
-    """Person whose expected joints are nearest to each body; ``NOBODY`` if all are too far."""
+    """Person whose expected joints are nearest to each body; ``UNASSIGNED`` if all are too far."""
     frame = np.rint((bodies.time_s - timebase.start_time_s) * timebase.frame_rate_hz).astype(np.int64)
-    owner, nearest_m = np.full(len(frame), NOBODY), np.full(len(frame), _REACH_M)
+    owner, nearest_m = np.full(len(frame), UNASSIGNED), np.full(len(frame), _REACH_M)
     for number, (track, places_m) in enumerate(zip(tracks, expected_m, strict=True)):
         lives = (frame >= track.start_frame) & (frame < track.start_frame + track.num_frames)
         for place, camera in enumerate(cameras):

@@ -13,7 +13,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
 from pipeline.geometry.undistortion import undistort_px
 
-NOBODY = -1
+UNASSIGNED = -1
 """Identity of a detection that belongs to no person."""
 
 
@@ -90,13 +90,13 @@ def rows_by_person(
     """Rows of each person's detections in ``bodies``, ascending.
 
     Of several detections of a person in one frame, the row with the highest sum of scores is kept. Rows with the
-    identity ``NOBODY`` are left out.
+    identity ``UNASSIGNED`` are left out.
     """
     # NumPy sorts integers of 16 bits in linear time.
-    is_small = identity.max(initial=NOBODY) <= np.iinfo(np.int16).max
+    is_small = identity.max(initial=UNASSIGNED) <= np.iinfo(np.int16).max
     by_person = np.argsort(identity.astype(np.int16) if is_small else identity, kind="stable")
     for rows in np.split(by_person, np.flatnonzero(np.diff(identity[by_person])) + 1):
-        if len(rows) and identity[rows[0]] != NOBODY:
+        if len(rows) and identity[rows[0]] != UNASSIGNED:
             yield _best_in_frame(bodies, rows)
 
 

@@ -30,7 +30,7 @@ def assign_detections(
     ``cameras``: calibrated cameras, in any order. ``times``, ``detections``: times of the frames in seconds, and bodies
     in distorted pixels, by name of the camera. Joints are NaN where the detector found none. Cameras need not be
     synchronised. ``parameters``: parameters of ``derive_parameters``. Returns identity of each detection by name of the
-    camera; ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
+    camera; ``UNASSIGNED`` if it belongs to no target, or to a target that was never confirmed.
     """
     bodies = observations.gather(cameras, times, detections)
     identity = _identify(cameras, times, bodies, observations.undistorted(cameras, bodies), parameters, ignore, ignore)

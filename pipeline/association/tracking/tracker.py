@@ -20,7 +20,7 @@ from pipeline.association.tracking.kernels.state import (
     make_targets,
     make_workspace,
 )
-from pipeline.association.tracking.observations import NOBODY, Detections2D
+from pipeline.association.tracking.observations import UNASSIGNED, Detections2D
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.progress import OnShare, ignore
@@ -107,7 +107,7 @@ class TrackerState:
             np.full(len(cameras), -np.inf),
         )
         self._outcome = Outcome(
-            np.full(0, NOBODY), np.full(_FIRST_SLOTS, -1), np.zeros(_FIRST_SLOTS, bool), np.full(1, -np.inf)
+            np.full(0, UNASSIGNED), np.full(_FIRST_SLOTS, -1), np.zeros(_FIRST_SLOTS, bool), np.full(1, -np.inf)
         )
         self._num_born = 0
 
@@ -163,12 +163,12 @@ class TrackerState:
         return self._targets.state[self._targets.order[: self._targets.alive[0]]]
 
     def final_identities(self) -> Int[np.ndarray, " targets"]:
-        """Number of each target after the merge of duplicates; ``NOBODY`` if the target was never confirmed."""
+        """Number of each target after the merge of duplicates; ``UNASSIGNED`` if the target was never confirmed."""
         final = np.arange(self._num_born)
         twins = self._outcome.replaced_by[: self._num_born]
         while (moved := twins[final] >= 0).any():
             final[moved] = twins[final[moved]]
-        return np.where(self._outcome.earned[final], final, NOBODY)
+        return np.where(self._outcome.earned[final], final, UNASSIGNED)
 
     def forget_ended(self) -> Int[np.ndarray, " targets"]:
         """Forget targets that ended, and number the living ones from 0; returns their numbers until now, ascending."""
@@ -324,11 +324,11 @@ class Tracker:
         """Process all frames in time order.
 
         See ``TrackerState.advance`` for ``on_share`` and ``on_approximate``. Returns the identity of each detection;
-        ``NOBODY`` if it belongs to no target, or to a target that was never confirmed.
+        ``UNASSIGNED`` if it belongs to no target, or to a target that was never confirmed.
         """
-        identity = np.full(len(self._frames.score), NOBODY)
+        identity = np.full(len(self._frames.score), UNASSIGNED)
         self.state.advance(self._frames, identity, on_share, on_approximate)
-        return np.append(self.state.final_identities(), NOBODY)[identity]
+        return np.append(self.state.final_identities(), UNASSIGNED)[identity]
 
 
 def _points_px(frames: Frames, row: int) -> Float[np.ndarray, "joints 2"]:

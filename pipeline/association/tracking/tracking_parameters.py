@@ -64,7 +64,7 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
     ``alpha_2d`` is 3 m/s and ``alpha_epipolar`` is ``alpha_3d``, both projected at the viewed point. Penalty rates are
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
 
-    A single instant confirms a person where somebody walks farther than ``alpha_3d`` from one frame to the next, as in
+    A single instant confirms a person where people walk farther than ``alpha_3d`` from one frame to the next, as in
     time-lapse and photographs: without a velocity the target can't be matched again. Tracks that may be chance are left
     out afterwards (``identity.spurious_tracks``).
     """

@@ -33,8 +33,8 @@ def correlated_sigma(
     ``problem``, ``adjusted``: an adjustment of free points without deviations, of which some extrinsics hold the world.
     ``levels``: number of the subject of each observation, such as a joint of a person, of nested levels: coarse ones
     first. A camera's observations of a subject have a common error. Returns standard deviations: 0 where a parameter
-    other than extrinsics was not free. Those of extrinsics are of the errors that are left after the similarity that
-    fits the other cameras best.
+    other than extrinsics was not free. Extrinsics have the covariance of the errors that are left after the similarity
+    that fits the other cameras best.
     """
     normal = build(problem, adjusted.state, adjusted.sigma_px)
     eliminated = normal.eliminated()

@@ -154,7 +154,7 @@ def check_cameras(cameras: Sequence[Camera]) -> list[Finding]:
 
 
 def certain_errors(cameras: Sequence[Camera]) -> list[Finding]:
-    """Errors with which nobody can be located, whatever the pictures show."""
+    """Errors with which no person can be located, whatever the pictures show."""
     alone = [*_check_number(cameras), *check_places(cameras)]
     return [finding for finding in alone if finding.severity == "error" and finding.code in CERTAIN]
 

@@ -39,7 +39,7 @@ _BONE_SIGMA_M, _SPEED_SIGMA_M_S = 0.02, 2.0
 # Bodies that an adjustment takes, of a first search and of the last one, and groups whose bones are measured.
 _FEW_BODIES, _MANY_BODIES, _MAX_GROUPS = 120, 500, 24
 _MIN_GROUP = 10
-# Observations farther from the projection than this share of the focal length are of somebody else.
+# Observations farther from the projection than this share of the focal length are of another person.
 _MAX_ERROR = 0.03
 # Time for which an error of a detector lasts, beside those that last for the whole take.
 _LASTING_S = 1.0

@@ -24,7 +24,7 @@ _POOR_FIT = 1.4
 # Share of the observations that fit, over the median camera's share, below which a camera may have taken one person for
 # another one, and stand elsewhere.
 _MIN_FITTING = 0.9
-# Logarithm of the ratio of a person's stature to the stated one above which it is somebody else's: the segments of
+# Logarithm of the ratio of a person's stature to the stated one above which it is another person's: the segments of
 # people of one stature differ by a few percent.
 _STATURE_RATIO = 0.08
 # Cameras that are closer than this share of the mean distance of two cameras may have the same video.

@@ -41,7 +41,7 @@ class PeopleWorld:
 def find_people_world(
     cameras: Sequence[Camera], bodies: MatchedBodies, stature_m: Sequence[float], rate_hz: float
 ) -> PeopleWorld | None:
-    """Put cameras into the world of the people; ``None`` if nobody is seen from shoulders to ankles.
+    """Put cameras into the world of the people; ``None`` if no person is seen from shoulders to ankles.
 
     The cameras are adjusted, in any frame and scale; statures are in any order. ``rate_hz`` is the instants' rate.
     """

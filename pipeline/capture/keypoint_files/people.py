@@ -36,7 +36,7 @@ NUM_HAND_POINTS = 21
 """Points of a hand in all formats, the wrist first, which is the body's."""
 
 People = Float[np.ndarray, "_ _ 3"]
-"""People of a frame, their joints, and x, y and score; no joints either if the file lists nobody."""
+"""People of a frame, their joints, and x, y and score; no joints either if the file lists no person."""
 
 
 def _with_hands(body: JointSet) -> JointSet:
@@ -168,7 +168,7 @@ def read_points(lists: Sequence[Any], num_points: int, field: str) -> Float[np.n
 
 
 def join_hands(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str], str]) -> People | None:
-    """Fingers of the left and of the right hand, without the wrists; ``None`` if nobody has a hand.
+    """Fingers of the left and of the right hand, without the wrists; ``None`` if no person has a hand.
 
     ``lists_of`` gives a list of x, y and score of the points of a side's hand for each person, ``field_of`` the name of
     the field of a side.
@@ -183,10 +183,10 @@ def join_hands(lists_of: Callable[[str], Sequence[Any]], field_of: Callable[[str
 
 
 def joined(body: People, hands: People | None) -> People:
-    """Bodies with their hands; the bodies alone if nobody has a hand."""
+    """Bodies with their hands; the bodies alone if no person has a hand."""
     return body if hands is None else np.concatenate([body, hands], axis=1)
 
 
-def nobody(num_joints: int = 0) -> People:
+def no_people(num_joints: int = 0) -> People:
     """Empty frame."""
     return np.empty((0, num_joints, 3))

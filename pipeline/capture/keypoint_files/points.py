@@ -61,10 +61,10 @@ def layout_of_names(names: Sequence[str], field: str) -> KeypointLayout:
 
 
 def arranged(points: People, layout: KeypointLayout) -> People:
-    """Points of people as the joints of their layout; joints without a point, and hands of nobody, are not detected.
+    """Points of people as the joints of their layout; joints without a point, and hands alone, are not detected.
 
     Axes are people, points of the layout, and x, y and score; axes of the result are people, joints of
-    ``layout.joints`` (without fingers if nobody has a finger), and x, y and score.
+    ``layout.joints`` (without fingers if no person has a finger), and x, y and score.
     """
     joints, taken = _chosen(layout)
     people = np.zeros((len(points), len(layout.joints.names), 3))

@@ -161,7 +161,7 @@ def _positions(frames: _Frames) -> Float[np.ndarray, "_ 2"]:
 
 
 def _is_scored(points: Float[np.ndarray, "*points 3"]) -> Bool[np.ndarray, "*points"]:
-    """Whether points have positions and scores; zeros mean that a joint was not found."""
+    """True where points have positions and scores; zeros mean that a joint was not found."""
     within = np.isfinite(points).all(-1) & (np.abs(points[..., :2]) <= KEYPOINT_PX.high).all(-1)
     return within & points[..., :2].any(-1) & (points[..., 2] != 0)
 

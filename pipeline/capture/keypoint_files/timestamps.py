@@ -128,7 +128,7 @@ def timebase_of(
 
     ``frames`` are the numbers of each camera's frames, and ``file`` the name of the file of the times.
     """
-    # A camera that saw nobody may have no frames: some programs list none without people.
+    # A camera that saw no person may have no frames: some programs list none without people.
     with_frames = [camera_times.time_s for camera_times in times.values() if len(camera_times.time_s)]
     if problems or not with_frames:
         return None

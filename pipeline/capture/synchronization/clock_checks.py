@@ -24,7 +24,7 @@ _MAX_RIVAL, _MAX_FLAT = 0.6, 0.75
 # Distance at which an answer is another one, and rise of the agreement that is noise.
 _FAR_S, _NOISE = 0.2, 0.02
 # Standard deviation up to which clocks are used: this share of a frame, but no less than a time. With half a frame for
-# three standard deviations nobody needs a warning.
+# three standard deviations no warning is needed.
 _MAX_SIGMA_FRAMES, _ALWAYS_FINE_S, _GOOD_SIGMA_FRAMES = 0.5, 0.010, 1.0 / 6.0
 
 

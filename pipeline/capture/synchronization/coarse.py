@@ -125,7 +125,7 @@ def shift_curve(
 
 
 def _tree(curves: Sequence[PairCurve], num_cameras: int) -> list[tuple[int, int, int]]:
-    """Tree of the best pairs, with their lags; a forest if some cameras agree with nobody."""
+    """Tree of the best pairs, with their lags; a forest if some cameras agree with no other."""
     group = np.arange(num_cameras)
     tree = []
     for curve in sorted(curves, key=lambda candidate: -candidate.gain.max(initial=0.0)):

@@ -69,7 +69,7 @@ def remaining_offsets(
 
     Returns
     -------
-        One for each camera, in their order; empty if the clocks can't be measured with certainty, as when nobody moves.
+        One for each camera, in their order; empty if the clocks can't be measured with certainty, as when no one moves.
 
     Examples
     --------

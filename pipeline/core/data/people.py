@@ -104,7 +104,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leftovers:
-    """2D bodies that association gave to nobody, at the nearest output instants."""
+    """2D bodies without a person after association, at the nearest output instants."""
 
     # Output frame and position of the camera of each body
     frame: Int[np.ndarray, " n"]
@@ -119,7 +119,7 @@ class Doubt(NamedTuple):
 
     frame: int  # Output frame from which on the other choice differs
     confidence: float  # Probability of the choice against the most likely other one
-    # Number of the person who would go on as this one, 0 if it is nobody else: the person would end or begin here
+    # Number of the person who would go on as this one, 0 if there is none: the person would end or begin here
     other: int
 
 
@@ -144,6 +144,6 @@ class People(NamedTuple):
     num_approximate_frames: int = 0  # See ``Reconstruction``
     # Doubts about the identity of each person, in the same order; empty before the global pass
     doubts: Sequence[Sequence[Doubt]] = ()
-    # Bodies that belong to nobody; ``None`` after the global pass, and where association takes joints one by one
+    # Bodies without a person; ``None`` after the global pass, and where association takes joints one by one
     leftovers: Leftovers | None = None
     losses: Sequence[PersonLoss] = ()  # Frames in which people are lost or were phantoms; empty before the global pass

@@ -33,7 +33,7 @@ KEYPOINTS_SCALE = FILES.code("keypoints_scale", "finding")
 """Scores of keypoints are not from 0 to 1, or positions are not pixels of the picture, by all values of a camera. |
 Check the scale that `message` names."""
 CAMERA_SAW_NOBODY = FILES.code("camera_saw_nobody", "finding")
-"""Keypoints of a camera show nobody. | Check the detector's output."""
+"""Keypoints of a camera show no person. | Check the detector's output."""
 FRAMES_DROPPED = FILES.code("frames_dropped", "finding")
 """Frames of a video are missing: its times have gaps. Of keypoints: the numbers of the frames do. | Nothing is to be
 done for slow motion; else record with a camera that keeps its rate."""
@@ -92,7 +92,7 @@ NOBODY_DETECTED = PEOPLE.code("nobody_detected", "finding", "warning")
 """The detector found people in no camera, or in one alone. | See that people are in the pictures, upright, bright and
 large enough."""
 CAMERA_SEES_NOBODY = PEOPLE.code("camera_sees_nobody", "finding", "warning")
-"""The detector found nobody in a camera, and people in others. | See that the camera looks at the people."""
+"""The detector found no person in a camera, and people in others. | See that the camera looks at the people."""
 CLOCKS_DISAGREE = PEOPLE.code("clocks_disagree", "finding", "warning")
 """The declared times of a camera are wrong by more than half a frame. | Synchronise by the people with `sync: auto`, or
 correct the offset."""
@@ -143,7 +143,7 @@ backup and retry the job."""
 OUTPUT_DAMAGED = JOBS.code("output_damaged", "job", "attempt")
 """A stored output of a stage was damaged. | The operator checks the disk; then retry the job."""
 SYNC_NO_MOTION = JOBS.code("sync_no_motion", "job", "command")
-"""A camera sees nobody who moves, or too little motion to tell its offset. | Declare the offsets, or film people who
+"""A camera sees no person who moves, or too little motion to tell its offset. | Declare the offsets, or film people who
 move; see [synchronization](../guide/synchronization.md#refusals)."""
 SYNC_AMBIGUOUS = JOBS.code("sync_ambiguous", "job", "command")
 """The motion that a camera sees fits several offsets. | Declare the offsets, or film other motion; see

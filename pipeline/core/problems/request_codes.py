@@ -349,7 +349,7 @@ RECORDING_IDLE = RECORDINGS.code("recording_idle", "recording")
 second."""
 RECORDING_BUSY = RECORDINGS.code("recording_busy", "recording")
 """The recording has as many hosts connected, or as many connections that have not said hello, as it may have. | Close
-pages of the recording that nobody needs; phones connect again after a moment."""
+pages of the recording that are not needed; phones connect again after a moment."""
 RECORDING_LINK_ENDED = RECORDINGS.code("recording_link_ended", "recording")
 """The link or the key of the connection is no longer valid. | Open the newest link, or sign in again."""
 

@@ -49,13 +49,13 @@ PEOPLE_NOT_FOUND = CALIBRATIONS.code("people_not_found", 422, "command")
 """A camera sees people too briefly to be calibrated from them. | Let people walk about for a minute where several
 cameras see them whole."""
 PEOPLE_UNLINKED = CALIBRATIONS.code("people_unlinked", 422, "command")
-"""A camera sees nobody at the same time as another camera, or can't tell who it is. | Let one or two people walk where
-several cameras see them."""
+"""A camera sees no person at the same time as another camera, or can't tell who it is. | Let one or two people walk
+where several cameras see them."""
 PEOPLE_DISAGREE = CALIBRATIONS.code("people_disagree", 422, "command")
 """A camera's view of the people contradicts the other cameras. | Check the synchronisation, that no camera moved,
 and the intrinsics."""
 PEOPLE_NOT_WHOLE = CALIBRATIONS.code("people_not_whole", 422, "command")
-"""Nobody is seen from the shoulders to the ankles, so scale and vertical are unknown. | Film people whole."""
+"""No person is seen from the shoulders to the ankles, so scale and vertical are unknown. | Film people whole."""
 BOARD_UNSYNCHRONISED = CALIBRATIONS.code("board_unsynchronised", "job", "command")
 """Two cameras see the board at poses that contradict each other. | Synchronise the videos; `hint` has the offset if one
 was found."""

@@ -300,7 +300,7 @@ class GltfDocument:
         length = np.linalg.norm(rotation)
         if not 0.1 < length < 10.0:
             raise CharacterFileError("A node has a rotation that is not a unit quaternion.")
-        # Scale 0 hides things; it has no inverse, which nobody needs unless a bone has it.
+        # Scale 0 hides things; it has no inverse, which is needed only if a bone has it.
         if np.abs(translation).max() > MAX_COORDINATE or np.abs(scales).max() > MAX_SCALE:
             raise CharacterFileError("A node is too far away, or too large.")
         return translation, rotation / length, np.where(np.abs(scales) < MIN_SCALE, MIN_SCALE, scales)

@@ -213,7 +213,7 @@ def _markers_m(
                 place_m = positions_m[:, INDEX[joint]] + world_from_segment[segment] @ offset
                 xyz_m[known[segment], number] = place_m[known[segment]]
             case anatomy.SeenMarker(landmark=landmark, segment=segment) if landmark in joints.names:
-                # Fingers that nobody saw rest in a pose of the model.
+                # Fingers that no camera saw rest in a pose of the model.
                 is_known = known[segment] if segment.endswith("_hand") else np.ones(track.num_frames, bool)
                 xyz_m[is_known, number] = track.xyz_m[is_known, joints.index(landmark)]
     return xyz_m, known["pelvis"]

@@ -235,7 +235,7 @@ NEAR_S = 0.2
 # Heads at most so far from the centre of a camera, in radii of their sphere, cover the whole picture.
 _AT_CAMERA = 1.2
 _GROWTH_OF_NEAR = 1.3
-# Ellipses of peaks of heatmaps, which have no size: a share of the longer side of the picture if nobody is tracked.
+# Ellipses of peaks of heatmaps, which have no size: a share of the longer side of the picture if no person is tracked.
 _MIN_OF_PICTURE = 0.05
 # Pixels beyond the picture at which projections of points are cut, in sides of the picture.
 _MAX_BEYOND = 4.0

@@ -65,7 +65,7 @@ def mismeasured_limbs(take: Reconstruction, people: Sequence[int]) -> list[Misme
 
 # With fewer views, a wrong observation can't be detected.
 _MIN_VIEWS = 3
-# Confidence in the identity of a person below which somebody should look.
+# Confidence in the identity of a person below which the user should look.
 _UNCERTAIN = 0.9
 _SHOWN_TIMES = 5
 # A single doubled picture does no harm.
@@ -202,12 +202,12 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
 
 
 def _reasons(check: SessionCheck) -> Iterator[Finding]:
-    """Findings that explain why nobody was found."""
+    """Findings that explain why no person was found."""
     return (finding for finding in check.findings if finding.severity == "error" or finding.code in _OF_NOBODY)
 
 
 def _why_nobody(check: SessionCheck) -> dict[str, Any]:
-    """Reason why nobody was found, and the people who were detected at some instants."""
+    """Reason why no person was found, and the people who were detected at some instants."""
     errors = [finding.code for finding in _reasons(check)]
     not_matched = "not_matched" if any(check.people.values()) else "unknown"
     return {

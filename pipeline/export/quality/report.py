@@ -412,7 +412,7 @@ def join_findings(alone: Sequence[Finding], of_people: Sequence[Finding]) -> lis
     """Join findings about cameras alone with findings about people, who decide what is up and where the floor is.
 
     What is wrong with cameras is seen by the people: errors of the cameras alone become warnings, but for those with
-    which nobody could be located.
+    which no person could be located.
     """
     if not any(finding.code in _UNDECIDED for finding in of_people):
         alone = [finding for finding in alone if finding.code not in _BY_PEOPLE]

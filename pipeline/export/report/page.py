@@ -159,7 +159,7 @@ def _person_row(figures: Mapping[str, Any], person: Mapping[str, Any]) -> tuple[
 
 
 def _gait(contents: ReportContents) -> Markup:
-    """Tables of gait and movements; empty if nobody walks, jumps, squats or sits down."""
+    """Tables of gait and movements; empty if no person walks, jumps, squats or sits down."""
     names = [person["name"] for person in contents.motion["people"]]
     named = list(zip(names, contents.metrics["people"], strict=True))
     tables = [

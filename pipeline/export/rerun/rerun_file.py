@@ -182,7 +182,7 @@ class _Recorder:
                 self._send(f"{_camera(camera)}/{_IMAGE}", self._nearest(time_s), time_s, columns)
 
     def _add_unmatched(self, footage: RecordedFootage, number: int, shown: Camera) -> None:
-        """Add the bodies in a camera's pictures that nobody was given, at the times of the pictures."""
+        """Add the bodies in a camera's pictures that no person was given, at the times of the pictures."""
         take, times = self._take, footage.session.times[shown.name]
         seconds = (take.timebase.time_s(row) for row in (-0.5, take.timebase.num_frames - 0.5))
         frames = frames_in(times, *seconds)
@@ -311,10 +311,10 @@ class _Recorder:
         self._send(entity, frames, self._times_s(frames), columns.partition(known.sum(1)))
 
     def _end(self, entity: str, frames: range, num_joints: int, num_axes: int) -> None:
-        """Write that nobody is there after some frames; what was written last holds otherwise."""
+        """Write that no person is there after some frames; what was written last holds otherwise."""
         if frames.stop < self._take.timebase.num_frames:
-            nobody = np.full((1, num_joints, num_axes), np.nan)
-            self._send_joints(entity, range(frames.stop, frames.stop + 1), nobody)
+            unseen = np.full((1, num_joints, num_axes), np.nan)
+            self._send_joints(entity, range(frames.stop, frames.stop + 1), unseen)
 
     def _send(
         self,

@@ -64,7 +64,7 @@ JOINT_MAP: Mapping[str, tuple[str, str]] = MappingProxyType(
 """Joints of SMPL-X and of MHR by the name of our joint."""
 
 SMPLX_FROM_OURS: Float[np.ndarray, "3 3"] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""Rotation from the axes of our rest pose (Z up, facing -Y) to those of SMPL-X (Y up, facing Z)."""
+"""Rotation from the axes of our rest pose (Z up, facing -Y) to the axes of SMPL-X (Y up, facing Z)."""
 
 
 def smplx_poses(motion: SkeletonMotion) -> Float[np.ndarray, "frames joints 3"]:

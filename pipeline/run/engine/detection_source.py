@@ -87,7 +87,7 @@ class _FileDetections(DetectionSource):
     networks = ()
     finds_fields = False
     measures_colours = False
-    # Nobody knows which program marked the joints.
+    # The program that marked the joints is unknown.
     offsets = MARKED_AT_CENTERS
     turns_deg: Mapping[str, float] = MappingProxyType({})
 

@@ -91,7 +91,7 @@ class _JobFiles(TakeFiles):
 
     @property
     def keeps_pieces(self) -> bool:
-        return bool(self.job.config.edits)  # without edits nobody asks for them again
+        return bool(self.job.config.edits)  # without edits they are not asked for again
 
     def piece(self, key: str) -> bytes | None:
         return self.job.outputs.read(key)

@@ -170,7 +170,7 @@ class Association:
     def follow_by_one_camera(self, people: People, left: Leftovers | None) -> People:
         """Continue people seen by one camera alone; see ``pipeline.association.identity.alone``.
 
-        ``left`` are the bodies that association gave to nobody; ``None`` where it takes joints one by one.
+        ``left`` are the bodies without a person after association; ``None`` where it takes joints one by one.
         """
         if left is None:
             return people

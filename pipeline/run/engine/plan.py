@@ -166,7 +166,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     """Choices as JSON, as far as outputs depend on them: ``None`` for a choice without effect.
 
     ``output`` stands for the kind of the detections, ``edits`` for who is where, and ``names`` for all edits if one of
-    them names somebody: a name changes no stage but those whose files hold names. ``poses`` tells whether the cameras
+    them names a person: a name changes no stage but those whose files hold names. ``poses`` tells whether the cameras
     have poses, which those that people calibrate have not.
     """
     is_clustering = config.method == "clustering"

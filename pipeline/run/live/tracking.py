@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.association.tracking.kernels.state import Frames
-from pipeline.association.tracking.observations import NOBODY
+from pipeline.association.tracking.observations import UNASSIGNED
 from pipeline.association.tracking.tracker import TrackerState
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera
@@ -77,7 +77,7 @@ class LiveTracker:
     def advance(self, frames: Sequence[LiveFrame]) -> Int[np.ndarray, " detections"]:
         """Process frames in time order, none before the frames of earlier calls.
 
-        Returns the number of the person in each of their detections as far as it is known by now; ``NOBODY`` for
+        Returns the number of the person in each of their detections as far as it is known by now; ``UNASSIGNED`` for
         detections of targets that are not confirmed, some of which are confirmed by later frames.
         """
         if not frames:
@@ -91,14 +91,14 @@ class LiveTracker:
         row_camera = np.concatenate([self._carried_camera, np.repeat(camera, counts)])
         row_s = np.concatenate([self._carried_s, np.repeat(time_s, counts)])
         colours = [*self._carried_colours, *(colour for frame in frames for colour in frame.colours)]
-        identity = np.full(len(score), NOBODY)
+        identity = np.full(len(score), UNASSIGNED)
         used = np.where(score >= self._parameters.min_score, score, 0.0)
         flat_px = points_px.reshape(len(points_px), 2 * points_px.shape[1])
         self._state.advance(
             Frames(time_s, camera, borders[:-1].copy(), borders[1:].copy(), points_px, used, flat_px), identity
         )
         self._frame_s[camera] = time_s
-        for row in np.flatnonzero(identity != NOBODY).tolist():
+        for row in np.flatnonzero(identity != UNASSIGNED).tolist():
             self._see(
                 int(identity[row]), int(row_camera[row]), float(row_s[row]), flat_px[row], score[row], colours[row]
             )
@@ -111,7 +111,7 @@ class LiveTracker:
         self._carried_px, self._carried_score = points_px[carried], score[carried]
         self._carried_camera, self._carried_s = row_camera[carried], row_s[carried]
         self._carried_colours = [colours[row] for row in carried.tolist()]
-        return np.array([person or NOBODY for person in number[num_carried:]], np.int64)
+        return np.array([person or UNASSIGNED for person in number[num_carried:]], np.int64)
 
     def _see(
         self,

@@ -153,7 +153,7 @@ def check_detections(session: Session, near: DetectionsNear, joints: JointSet, p
 def with_clocks(
     check: SessionCheck, session: Session, near: DetectionsNear, joints: JointSet, parts: Sequence[range]
 ) -> SessionCheck:
-    """Add the findings about declared times to a check, unless cameras are wrong or nobody is located.
+    """Add the findings about declared times to a check, unless cameras are wrong or no person is located.
 
     Arguments are the same as for ``check_detections``; the detections are whole bodies.
     """

@@ -26,7 +26,7 @@ def session_findings(cameras: Sequence[Camera], of_people: Sequence[Finding]) ->
 
 
 def require_cameras(cameras: Sequence[Camera], config: ReconstructionConfig) -> None:
-    """Refuse cameras with which nobody can be located, before any work.
+    """Refuse cameras with which no person can be located, before any work.
 
     Raises ``SessionRefused`` unless the reconstruction is forced.
     """

@@ -26,7 +26,7 @@ def check(task: Task, context: Context) -> Output:
     session, detections = context.session(), detection_source(context)
     checked = check_with(task, context, session.cameras)
     if measured_clocks(context) is None and not detections.finds_fields:
-        # Nobody has measured the declared times.
+        # The declared times have not been measured.
         near, parts = partial(detections.near, task, session), task.cut(context.facts).parts
         checked = with_clocks(checked, session, near, detections.joints(session), parts)
     checked = replace(checked, findings=(*checked.findings, *hanging_cameras(detections.turns_deg)))

@@ -37,7 +37,7 @@ def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
 
 
 def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
-    """Read the joints of expected bodies in crops; nothing is loaded or decoded where nobody is expected."""
+    """Read the joints of expected bodies in crops; nothing is loaded or decoded where no person is expected."""
     from pipeline.association.redetection.crops import detect_expected
     from pipeline.core.data.detections import Detections
     from pipeline.core.joints import without_hands
@@ -49,7 +49,7 @@ def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
 
     session, camera, networks = captured_videos(context), task.one_camera, context.config.networks
     if networks.again is None:
-        raise ValueError("These networks look for nobody again: the stage is not planned.")
+        raise ValueError("These networks look for no person again: the stage is not planned.")
     detections = detection_source(context)
     (expected,) = context.outputs(stage.EXPECT)
     number = list(context.facts.camera_rates_hz).index(camera)

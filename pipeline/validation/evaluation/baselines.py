@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.association.tracking.initialization import Unmatched, group_unmatched
-from pipeline.association.tracking.observations import NOBODY, gather, undistorted
+from pipeline.association.tracking.observations import UNASSIGNED, gather, undistorted
 from pipeline.association.tracking.tracker import make_rig
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
@@ -168,7 +168,7 @@ def associate_pairwise(
     ideal_px = undistorted(cameras, bodies)
     score = np.where(bodies.score >= parameters.min_score, bodies.score, 0.0)
     fundamental = make_rig(cameras).fundamental
-    identity = np.full(len(bodies.frame), NOBODY)
+    identity = np.full(len(bodies.frame), UNASSIGNED)
     num_groups = 0
     for frame in np.unique(bodies.frame):
         pool = [

@@ -27,8 +27,8 @@ def matched_joints(
     frames = np.arange(simulation.timebase.num_frames)
     truth_m = simulation.truth_m[:, :, simulation.joints.indices(BODY_JOINTS)]
     matched = match_frames(select_joints(tracks, joints, BODY_JOINTS, frames), truth_m)
-    nobody = np.full((1, len(frames), len(names), 3), np.nan)
-    taken_m = np.concatenate([select_joints(tracks, joints, names, frames), nobody])
+    no_person = np.full((1, len(frames), len(names), 3), np.nan)
+    taken_m = np.concatenate([select_joints(tracks, joints, names, frames), no_person])
     measured = np.zeros(taken_m.shape[:3], dtype=bool)
     shared = [k for k, name in enumerate(names) if name in joints.names]
     columns = [joints.index(names[k]) for k in shared]

@@ -84,7 +84,7 @@ def _near(offset_m: Float[np.ndarray, "marks 3"]) -> Float[np.ndarray, "_ 3"]:
 
 
 def learn_offsets(people: Sequence[MarkedPerson], kinds: Sequence[str] = KINDS) -> JointOffsets:
-    """Learn offsets: the mean over people of each one's median; kinds that nobody shows are left out."""
+    """Learn offsets: the mean over people of each one's median; kinds without a person are left out."""
     medians = {kind: [_median(person.offset_m[kind]) for person in people if kind in person.offset_m] for kind in kinds}
     means_m = {kind: np.mean(of_people, axis=0) for kind, of_people in medians.items() if of_people}
     # Of the trunk between the joints, which the marks make longer.

@@ -52,7 +52,7 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
         Share of frames with as many tracks as people.
     hands_kept
         Share of the frames with two touching people in which all four wrists are within 0.15 m of the truth; ``None``
-        if nobody touches.
+        if no person touches another.
     mpjpe_by_joint_mm
         Mean error by kind of joint, left and right together, for the twelve joints, nose and neck.
     """
@@ -84,8 +84,8 @@ def _errors_m(
     matched: Int[np.ndarray, "people frames"],
 ) -> Float[np.ndarray, "people frames joints"]:
     """Distance of each true joint to the matched track's joint, NaN without a match."""
-    nobody = np.full((1, *predicted_m.shape[1:]), np.nan)
-    of_match_m = np.concatenate([predicted_m, nobody])[matched, np.arange(truth_m.shape[1])]
+    no_person = np.full((1, *predicted_m.shape[1:]), np.nan)
+    of_match_m = np.concatenate([predicted_m, no_person])[matched, np.arange(truth_m.shape[1])]
     return np.linalg.norm(of_match_m - truth_m, axis=-1)
 
 

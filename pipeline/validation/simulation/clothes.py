@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from pipeline.detection.appearance import NUM_BINS, PARTS
 from pipeline.validation.simulation.scenes import Simulation
-from pipeline.validation.simulation.views.detector import NOBODY
+from pipeline.validation.simulation.views.detector import UNASSIGNED
 
 # Concentration of the colours of clothes over the bins: most are in a few of them.
 _CONCENTRATION = 0.15
@@ -28,7 +28,7 @@ def dress(simulation: Simulation, measure_clothes: Callable[[int, float], int]) 
     for name, of_camera in simulation.detections.items():
         persons, times_s = simulation.identities[name], simulation.times[name].time_s[of_camera.frame]
         worn = zip(persons.tolist(), times_s.tolist(), strict=True)
-        shares = [_share(None if person == NOBODY else measure_clothes(person, time_s)) for person, time_s in worn]
+        shares = [_share(None if person == UNASSIGNED else measure_clothes(person, time_s)) for person, time_s in worn]
         shown = np.reshape(shares, (-1, len(PARTS), NUM_BINS))
         shown = shown * rng.uniform(_LEAST_SHOWN, 1.0, shown.shape)
         total = shown.sum(-1, keepdims=True)

@@ -75,7 +75,7 @@ class Simulation:
     # Frame times and detections by camera name
     times: Mapping[str, FrameTimes]
     detections: Mapping[str, Detections]
-    # Person (row of ``truth_m``) of each detection by camera name, ``NOBODY`` for false positives
+    # Person (row of ``truth_m``) of each detection by camera name, ``UNASSIGNED`` for false positives
     identities: Mapping[str, Int[np.ndarray, " _"]]
     joints: JointSet  # Joints of the detections and of the truth
     timebase: Timebase  # Frames of the truth

@@ -24,8 +24,8 @@ function ofRun({ revision, edits, run }) {
 export class EditQueue extends EventTarget {
   people = null; // edits of GET /v1/sessions/{id}/edits, with the people of the run, whose frames count from its first one
   problem = null;
-  conflict = null; // changes that were refused because of somebody else's: { words, changes }
-  notice = null; // of somebody else's change
+  conflict = null; // changes that were refused because of another user's: { words, changes }
+  notice = null; // of another user's change
   #etag = null;
   #waiting = []; // changes that the service does not have yet: { words, change }; the first one is being sent
   #undone = []; // lists before each undo, the last one at the end
@@ -71,7 +71,7 @@ export class EditQueue extends EventTarget {
     return !this.isSending && hasEnded(this.job) && this.job.edits_revision !== this.job.newest_edits_revision;
   }
 
-  // Take notice of the job as it is now; somebody else may have changed its people.
+  // Take notice of the job as it is now; another user may have changed its people.
   async follow(job) {
     const before = this.job;
     this.job = job;
@@ -123,7 +123,7 @@ export class EditQueue extends EventTarget {
     return this.#make(PEOPLE.actions.redo, () => list);
   }
 
-  // Make the refused changes on somebody else's edits.
+  // Make the refused changes on another user's edits.
   repeat() {
     const { changes } = this.conflict;
     this.conflict = null;
@@ -179,7 +179,7 @@ export class EditQueue extends EventTarget {
     feed.put(job);
   }
 
-  // Give the change up that was sent. If somebody else has changed the edits, those that wait are given up with it.
+  // Give the change up that was sent. If another user has changed the edits, those that wait are given up with it.
   async #refused(problem, edits) {
     const known = this.people.revision;
     if ([409, 412].includes(problem.status)) {

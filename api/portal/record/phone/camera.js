@@ -115,7 +115,7 @@ export class PreviewFrames {
   #handle = 0;
   #presented = null;
   numFrames = 0; // that were shown
-  numMissing = 0; // that the camera took and nobody saw, by the times of the others
+  numMissing = 0; // that the camera took and the page did not see, by the times of the others
 
   constructor(video) {
     this.#video = video;
@@ -139,7 +139,7 @@ export class PreviewFrames {
 
   /**
    * Promise of the next frame whose facts satisfy `wanted`, as `{ timeS, stdS, lateS }`; null after `timeoutS`, as the browser
-   * tells of no frames while nobody sees the page.
+   * tells of no frames while the page is hidden.
    */
   frame(wanted, timeoutS) {
     return new Promise((resolve) => {

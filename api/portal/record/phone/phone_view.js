@@ -161,7 +161,7 @@ class PhoneView {
       ${isSending ? html`<progress max=${progress.num_bytes} value=${progress.sent_bytes} aria-label=${PHONE.sendingOf(name)}></progress>` : nothing}</li>`;
   }
 
-  // Parts of earlier recordings, which nobody asks for any more.
+  // Parts of earlier recordings, which are asked for no more.
   #leftovers() {
     const phone = this.#phone;
     const others = phone.parts.filter(({ recording }) => recording !== phone.identity.recording);

@@ -46,7 +46,7 @@ export class ClipSender {
     if (this.#running?.key === key) this.#running.stop();
   }
 
-  /** Return whether the service still has the upload of a part that was sent: after some time nobody may have claimed it. */
+  /** Return whether the service still has the upload of a part that was sent: after some time it is removed unless it was claimed. */
   async isKept({ uploadId }) {
     const answer = await fetch(`/v1/uploads/${uploadId}`, { method: "HEAD", headers: { ...this.headers(), "Tus-Resumable": "1.0.0" } }).catch(() => null);
     return answer?.status !== 404;

@@ -93,7 +93,7 @@ export const LIVE = {
     noTime: (camera) => `Frames of ${camera} have no time in the timestamps.`,
     layout: (points) => `A person has ${points} points, and no layout has so many.`,
     layoutHint: (numbers) => `Layouts have ${numbers}.`,
-    nobody: "No frame has a person.",
+    noPerson: "No frame has a person.",
     notZip: "The file is not a zip.",
     zipEntry: (name) => `${name} in the zip is too large, or packed in an unusual way.`,
     zipSize: (name) => `${name} in the zip is larger than it states.`,

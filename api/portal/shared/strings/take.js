@@ -73,7 +73,7 @@ export const SHARING = {
   revokeOf: (number) => `Revoke link ${number}`,
   revoking: {
     title: "Revoke the link?",
-    text: "Nobody can view this job by it any more. You can't restore it, but you can make a new link.",
+    text: "It will not open this job any more. You can't restore it, but you can make a new link.",
     action: "Revoke",
   },
   said: { made: "The link is made.", copied: "The link is copied.", copyByHand: "Copy the selected address with Ctrl+C.", revoked: "The link is revoked." },

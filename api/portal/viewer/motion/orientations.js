@@ -1,6 +1,6 @@
 // Orientations of a skeleton's joints from their positions, and the transforms by which they move a body's skin.
 //
-// Positions tell all but turns about a bone. Those of an upper arm and of a thigh follow from the plane of the elbow or
+// Positions tell all but turns about a bone. The turns of an upper arm and of a thigh follow from the plane of the elbow or
 // the knee, as in the fit (pipeline/motion/skeleton/rotations.py); of a straight leg from the foot; of the head from the face.
 
 const SIDES = [["Left", 1], ["Right", -1]];
@@ -115,7 +115,7 @@ export class BodyPose {
   /**
    * Turn a limb about its own bone so that its hinge bends the next one, whose direction is `lower`.
    *
-   * `bone` and `hinge` are directions at rest. `ahead` points to the front where the limb is straight, null: nobody knows.
+   * `bone` and `hinge` are directions at rest. `ahead` points to the front where the limb is straight, null: unknown.
    */
   #twistLimb(name, bone, hinge, lower, ahead) {
     const joint = this.#joints[name];

@@ -89,7 +89,7 @@ export class PeopleFigures {
     this.stage.invalidate();
   }
 
-  /** Box around all people in a frame; empty if nobody is there. */
+  /** Box around all people in a frame; empty if no person is there. */
   boxAt(frame) {
     const box = new THREE.Box3();
     this.#people.forEach((person, number) => {

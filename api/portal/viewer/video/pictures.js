@@ -1,5 +1,5 @@
 // Pictures of a camera's video that are kept at the size of the page. Without a graphics card, showing a large video costs
-// more than all the rest: a take that loops, or that somebody scrubs through, decodes no picture twice.
+// more than all the rest: a take that loops, or that the user scrubs through, decodes no picture twice.
 
 const KEPT_BYTES = 256 * 2 ** 20;
 

@@ -158,7 +158,7 @@ def _draft(
     limits: work_limits.WorkLimits,
 ) -> list[_Draft]:
     """Draft joints: cluster hypotheses, split clusters by parents, and match candidates across views in each."""
-    nobody = np.full(len(image_from_world), NOWHERE)
+    unseen = np.full(len(image_from_world), NOWHERE)
     drafts: list[_Draft] = []
     joint = candidates.joint[hypotheses.pair[:, 0]]
     parent_of = value.argmax(0) if value.size else np.full(len(joint), NOWHERE)
@@ -176,7 +176,7 @@ def _draft(
             hypotheses.xyz_m, members, int(joint[members[0]]), parent_of, parents, skeleton, lengths, parameters
         )
         for parent, group in (*groups, *shared):
-            own = parents.body[parent] if parent >= 0 else nobody
+            own = parents.body[parent] if parent >= 0 else unseen
             drafts.extend(
                 _Draft(used, seed_m, parent, cluster)
                 for used, seed_m in _extract(image_from_world, candidates, hypotheses, group, own, parameters, limits)

@@ -98,7 +98,7 @@ def match_people(
     parameters: ClusteringParameters,
     limits: WorkLimits,
 ) -> MatchedPeople:
-    """Find people from bodies that agree in several views; nobody for candidates without bodies.
+    """Find people from bodies that agree in several views; no person for candidates without bodies.
 
     A joint counts for the person that it agrees with in space, whatever body it is part of.
     """
@@ -107,8 +107,8 @@ def match_people(
     if not len(matched):
         return MatchedPeople(no_joints(len(image_from_world)), np.empty((0, len(skeleton.names)), int))
     sight = _sight(image_from_world, candidates, skeleton)
-    nobody = np.full((1, len(skeleton.names)), NOWHERE)
-    candidate = np.append(bodies.candidate, nobody, axis=0)[matched].swapaxes(1, 2).copy()
+    unseen = np.full((1, len(skeleton.names)), NOWHERE)
+    candidate = np.append(bodies.candidate, unseen, axis=0)[matched].swapaxes(1, 2).copy()
     _repair(sight, candidate, lengths, parameters, limits)
     xyz_m = _share(sight, _renamed(candidates, candidate), candidate, parameters.eps_m)
     known = np.isfinite(xyz_m[..., 0])

@@ -56,7 +56,7 @@ def _same_place(one, other, duplicate_m):
 @inlined
 @no_type_check
 def _is_better(one, other, time_s, limits):
-    """Whether the first of two duplicates stays: by recent support, then by number of supports, then by age."""
+    """True if the first of two duplicates stays: by recent support, then by number of supports, then by age."""
     one_is_old = time_s - one.supported_s > limits.velocity_window_s
     other_is_old = time_s - other.supported_s > limits.velocity_window_s
     if one_is_old != other_is_old:

@@ -184,7 +184,7 @@ class Pool(NamedTuple):
 class Outcome(NamedTuple):
     """Result of tracking."""
 
-    identity: np.ndarray  # (detections,): target of each detection, NOBODY for none
+    identity: np.ndarray  # (detections,): target of each detection, UNASSIGNED for none
     replaced_by: np.ndarray  # (targets,): target that a duplicate was merged into, else -1
     earned: np.ndarray  # (targets,): whether the target was ever confirmed
     merged_s: np.ndarray  # (1,): time of the last search for duplicates

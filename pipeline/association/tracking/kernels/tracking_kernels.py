@@ -319,7 +319,7 @@ def epipolar_affinity(fundamental, left_px, left_score, right_px, right_score, a
 @inlined
 @no_type_check
 def _may_start_somebody(frames, rig, limits, pool, camera, time_s):
-    """Whether an unmatched detection of this camera has a positive affinity with a recent one of another camera."""
+    """True if an unmatched detection of this camera has a positive affinity with a recent one of another camera."""
     for other in range(len(pool.num_rows)):
         if other == camera or time_s - pool.time_s[other] >= limits.instant_s:
             continue

@@ -22,7 +22,7 @@ from pipeline.capture.keypoint_files.people import (
     check_number,
     first_entry,
     frame_number,
-    nobody,
+    no_people,
     number_in_name,
     read_points,
 )
@@ -72,7 +72,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
         return openpose.read_frame.read(content if "people" in content else bodies, reading)
     check_number(content)
     if not content:
-        return nobody()
+        return no_people()
     people = [person[_POINTS] for person in content]
     layout = reading.layout(len(people[0]) // 3, _POINTS)
     return reading.people(read_points(people, len(layout.points), _POINTS), layout)

@@ -26,7 +26,7 @@ from pipeline.capture.keypoint_files.people import (
     frame_number,
     join_hands,
     joined,
-    nobody,
+    no_people,
     number_in_name,
     read_points,
     with_detected_joints,
@@ -42,12 +42,12 @@ _BODY_FEET = [_WHOLE.points.index(name) for name in BODY_FEET.names]
 
 
 def is_frame(content: Any) -> bool:
-    """Whether a file lists people who do not state their frames: they are in one frame."""
+    """True if a file lists people without their frames: they are in one frame."""
     return isinstance(content, list) and bool(content) and not any({"frame", "image_id"} & set(one) for one in content)
 
 
 def split_frames(content: Any) -> Mapping[int, Any]:
-    """Split the people of all frames by the number of the frame; ``images`` names frames that may show nobody."""
+    """Split the people of all frames by the number of the frame; ``images`` names frames that may show no person."""
     frames: dict[int, list[Any]] = {}
     numbers: Mapping[Any, int] = {}
     if isinstance(content, dict):
@@ -76,7 +76,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
     listed, layout, is_named = content if isinstance(content, _Frame) else _list_people(content)
     check_number(listed)
     if not listed:
-        return nobody()
+        return no_people()
     bodies = [person[_BODY] for person in listed]
     if layout is not None:
         return reading.people(read_points(bodies, len(layout.points), _BODY), layout)

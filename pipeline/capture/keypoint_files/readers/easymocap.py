@@ -21,7 +21,7 @@ from pipeline.capture.keypoint_files.people import (
     first_entry,
     join_hands,
     joined,
-    nobody,
+    no_people,
     read_points,
     with_detected_joints,
 )
@@ -45,7 +45,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
         raise TypeError
     check_number(listed)
     if not listed:
-        return nobody()
+        return no_people()
     if any(_POINTS not in person for person in listed):
         raise KeypointsError("A person has no keypoints: only boxes were found. Detect keypoints in them.", _POINTS)
     bodies = [_flat(person[_POINTS], _POINTS) for person in listed]

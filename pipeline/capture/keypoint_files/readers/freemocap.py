@@ -114,7 +114,7 @@ def split_frames(content: np.ndarray) -> Mapping[int, np.ndarray]:
 
 @reader("FreeMoCap", suffixes=(".npy",), load=opened, split_frames=split_frames)
 def read_frame(content: np.ndarray, reading: KeypointReading) -> People:
-    """Read the person of a frame, or nobody without a detected joint."""
+    """Read the person of a frame, or no person without a detected joint."""
     points = np.ones((1, len(content), 3))
     points[0, :, : content.shape[1]] = content
     found = np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)

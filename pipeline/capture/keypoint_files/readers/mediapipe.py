@@ -31,7 +31,7 @@ from pipeline.capture.keypoint_files.people import (
     frame_number,
     join_hands,
     joined,
-    nobody,
+    no_people,
     read_points,
     with_detected_joints,
 )
@@ -84,7 +84,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
             raise KeypointsError(message, _SIZE)
     check_number(poses)
     if not poses:
-        return nobody()
+        return no_people()
     body = read_points([_flat(pose[_POSE], _POSE) for pose in poses], _NUM_POSE, _POSE)[:, _BODY_FEET]
     hands = join_hands(lambda side: [_flat(pose.get(_hand(side)), _hand(side)) for pose in poses], _hand)
     people = joined(body, hands)

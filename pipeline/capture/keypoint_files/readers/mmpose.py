@@ -58,7 +58,7 @@ def read_frame(content: Any, reading: KeypointReading) -> people.People:
         raise TypeError
     people.check_number(instances)
     if not instances:
-        return people.nobody()
+        return people.no_people()
     num_points = len(instances[0][_POINTS])
     for instance in instances:
         if len(instance[_POINTS]) != num_points:

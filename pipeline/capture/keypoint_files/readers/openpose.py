@@ -24,7 +24,7 @@ from pipeline.capture.keypoint_files.people import (
     check_number,
     join_hands,
     joined,
-    nobody,
+    no_people,
     with_detected_joints,
 )
 from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading, arranged
@@ -42,7 +42,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
     bodies = [person[_BODY] for person in listed]
     check_number(bodies)
     if not bodies:
-        return nobody()
+        return no_people()
     num_points, num_more = divmod(len(bodies[0]), 3)
     if num_more or num_points not in CANDIDATES:
         known = ", ".join(f"{layout.name} has {3 * len(layout.points)}" for layout in FILE_LAYOUTS.values())
@@ -51,7 +51,7 @@ def read_frame(content: Any, reading: KeypointReading) -> People:
     # People of zeros are dropped as lists: converting hundreds of them to arrays would take milliseconds a frame.
     kept = [row for row, body in enumerate(bodies) if len(body) != 3 * len(layout.points) or any(body)]
     if not kept:
-        return nobody(len(without_hands(layout.joints).names))
+        return no_people(len(without_hands(layout.joints).names))
     values = read_numbers([bodies[row] for row in kept])
     if values.shape != (len(kept), 3 * len(layout.points)):
         raise KeypointsError(

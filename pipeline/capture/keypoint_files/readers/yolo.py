@@ -24,7 +24,7 @@ from pipeline.capture.keypoint_files.people import (
     People,
     check_number,
     is_detected,
-    nobody,
+    no_people,
 )
 from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading
 from pipeline.core.joints import COCO_17
@@ -60,7 +60,7 @@ LINES: Mapping[int, _Line] = _lines()
 
 
 def is_labels(beginning: bytes) -> bool:
-    """Whether a text file begins with a line of labels: the class, the box, and more numbers if there are points."""
+    """True if a text file begins with a line of labels: the class, the box, and more numbers if there are points."""
     words = beginning.split(b"\n", 1)[0].split()
     try:
         return len(words) >= _NUM_LEADING and all(np.isfinite(float(word)) for word in words[:_NUM_LEADING])
@@ -85,7 +85,7 @@ def read_frame(content: str, reading: KeypointReading) -> People:
     rows = [line.split() for line in content.splitlines() if not line.isspace() and line]
     check_number(rows)
     if not rows:
-        return nobody()
+        return no_people()
     if reading.size_px is None:
         raise KeypointsError("Labels are shares of an image whose size the calibration must state.")
     counts = sorted({len(row) for row in rows})

@@ -55,7 +55,7 @@ def _frames(frames: Mapping[int, Any]) -> PointTable:
             found.setdefault(name, {})[number] = np.array(person[field], float).reshape(-1, 4)
     counts = {len(points) for by_frame in found.values() for points in by_frame.values()}
     if len(fields) != 1 or len(counts) != 1:
-        raise KeypointsError("The people of the frames have several numbers of points, or there is nobody.")
+        raise KeypointsError("The people of the frames have several numbers of points, or there is no person.")
     (field,), (count,) = fields, counts
     if field != "joints19" and count not in CANDIDATES:
         raise KeypointsError(f"A person has {count} points, which is no layout that is read.")

@@ -26,7 +26,7 @@ _FLOOR_SCALES_M = (0.20, 0.10, 0.05, 0.03, 0.03, 0.03)
 # don't determine a slope.
 _LOWEST_SHARE = 0.2
 _SLOPE_SIGMA, _HEIGHT_SIGMA_M = 0.02, 0.02
-# Shortest time for which a foot carries somebody, and share of the feet that may be below the floor by mistake.
+# Shortest time for which a foot carries a person, and share of the feet that may be below the floor by mistake.
 _CARRIES_S, _BELOW_SHARE = 0.3, 0.02
 # Share of the feet from which on a plane above them is no floor.
 _UNDER_SHARE = 0.05
@@ -64,8 +64,8 @@ def shared_floor(
 ) -> Floor | None:
     """Floor under the feet that carry upright people, see ``estimate_floor``.
 
-    If nobody stands, it is the world's level at z = 0, unless feet were below it. A plane with feet below it is a bar
-    or a box on which somebody stood; then only the lowest feet count. ``carries`` are the frames in which a foot
+    Without standing people it is the world's level at z = 0, unless feet were below it. A plane with feet below it is
+    a bar or a box on which a person stood; then only the lowest feet count. ``carries`` are the frames in which a foot
     may carry its person, ``known`` those in which it was located.
     """
     located_m = np.concatenate(

@@ -5,7 +5,7 @@ The views tell how large it is: the residuals of the rays around the located joi
 posteriori variance of a least squares adjustment). Second differences beyond that are motion. With
 independent accelerations of variance ``u^2`` in each frame, which the fit's prior assumes, the difference over a lag of
 L frames on both sides has the variance ``u^2 L (2 L^2 + 1) / 3``; the noise's variance does not grow with the lag.
-Errors in which the views differ, but which last in time, seem to be noise, and make nobody lively.
+Errors in which the views differ, but which last in time, seem to be noise, and make no person lively.
 """
 
 from collections.abc import Callable

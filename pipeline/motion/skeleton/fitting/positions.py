@@ -51,7 +51,7 @@ _DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 MAX_GAP_S = 1.0
 """Longest gap between two measurements of a joint that is filled, and longest time in which a body is followed."""
-# Rate from which on a body is near its place in the frames before and behind; below it somebody walks 15 cm in a frame.
+# Rate from which on a body is near its place in the frames before and behind; below it a person walks 15 cm in a frame.
 _FOLLOWED_HZ = 9.3
 
 
@@ -104,7 +104,7 @@ def fit_positions(
 
 
 def stretches(is_seen: Bool[np.ndarray, " frames"], longest_gap: int) -> list[slice]:
-    """Ranges of frames between pauses, which are gaps of more than ``longest_gap`` frames in which nobody is seen.
+    """Ranges of frames between pauses, which are gaps of more than ``longest_gap`` frames without sight of the person.
 
     A body may be anywhere after a pause. Without any seen frame, all frames are one range. Pauses belong to none,
     except those at the beginning and at the end.
@@ -153,7 +153,7 @@ def _fit_stretch(
         for joint in located.tolist():
             normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
             for other, length_m in limbs[joint] if step > 0 else ():
-                # In frames that are far apart, a joint that nobody saw is anywhere, and pulls none that was seen.
+                # In frames that are far apart, a joint that no camera saw is anywhere, and pulls none that was seen.
                 pulls = is_followed[other] | is_known[:, other] | ~is_known[:, joint]
                 _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
             step_m = _solve(normal, right, xyz_m[:, joint], usual_m[:, joint]) - xyz_m[:, joint]

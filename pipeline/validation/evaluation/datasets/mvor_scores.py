@@ -6,7 +6,7 @@ Eight joints are scored in 3D: shoulders, hips, elbows and wrists. Their truth i
 - *Cameras of a person*: those in which a detection with more than two of the eight joints is the person's, as in
   the data set's evaluation of 3D poses. In each picture detections and people are paired one to one by the mean
   distance of joints, at most a quarter of the person's larger side.
-- *False people*: share of the poses that are matched with nobody, and that are nobody else in the pictures: fewer than
+- *False people*: share of the poses that match no person and show no other person in the pictures: fewer than
   two cameras have a box of any person with at least half of the pose's joints.
 - *PCK in 2D*: the data set's own. A joint is right within a fifth of the larger side of the person's joints; of the
   detections whose joints cover three tenths of the person's box, the one of the highest score counts. Joints that
@@ -143,8 +143,8 @@ def _errors_m(
     truth_m: Float[np.ndarray, "people instants joints 3"],
     matched: Int[np.ndarray, "people instants"],
 ) -> Float[np.ndarray, "people instants joints"]:
-    nobody = np.full((1, *truth_m.shape[1:]), np.nan)
-    of_match_m = np.concatenate([predicted_m, nobody])[matched, np.arange(truth_m.shape[1])]
+    no_person = np.full((1, *truth_m.shape[1:]), np.nan)
+    of_match_m = np.concatenate([predicted_m, no_person])[matched, np.arange(truth_m.shape[1])]
     return np.linalg.norm(of_match_m - truth_m, axis=-1)
 
 
@@ -195,7 +195,7 @@ def _sizes_px(points_px: Float[np.ndarray, "people joints 2"]) -> Float[np.ndarr
 def _num_false(
     poses_m: Float[np.ndarray, "poses joints 3"], matched: set[int], instant: MvorInstant, cameras: Sequence[Camera]
 ) -> int:
-    """Number of the poses of an instant that are nobody."""
+    """Number of the poses of an instant that are no person."""
     free_m = poses_m[[row for row in range(len(poses_m)) if row not in matched]]
     in_boxes = np.zeros(len(free_m), int)
     for camera, picture in zip(cameras, instant.pictures, strict=True):

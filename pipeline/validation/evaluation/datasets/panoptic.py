@@ -130,7 +130,7 @@ def score_panoptic(
     mean_ap, ap, recall_500, mpjpe_500_mm
         See ``evaluation.average_precision``.
     mpjpe_mm, pck150, recall, switches, ghost_rate
-        See ``evaluation.mpjpe``; the data set's numbers of people change where it lost somebody.
+        See ``evaluation.mpjpe``; the data set's numbers of people change where it lost a person.
     """
     placed = [
         (row, round((time_s[number] - timebase.start_time_s) * timebase.frame_rate_hz))
@@ -252,7 +252,7 @@ def _poses(
         message = f"The poses number {num_everybody:,} people; at most {_MAX_EVERYBODY:,} are allowed."
         problems.append(_problem(message, _POSES, "Compare with fewer of them: a larger --every."))
     if files and not found and not unreadable:
-        problems.append(_problem("Nobody is in the files of poses.", _POSES, "Compare with more of them: --every 1."))
+        problems.append(_problem("The files of poses have no person.", _POSES, "Compare with more of them: --every 1."))
     return (
         np.array(list(found), int),
         tuple(people_m for people_m, _ in found.values()),

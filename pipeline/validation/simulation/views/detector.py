@@ -22,7 +22,7 @@ from pipeline.validation.simulation.views.faults import (
 )
 from pipeline.validation.simulation.views.occlusion import Box, hidden_by_bodies, hidden_by_boxes
 
-NOBODY = -1
+UNASSIGNED = -1
 """Identity of a false positive."""
 
 # Difficulty of each joint relative to the mean: standard deviations of COCO's annotators (keypoint evaluation, OKS).
@@ -86,7 +86,7 @@ class Found:
     confusion: Confusion
     bodies: SimulatedBodies
     copies: SimulatedBodies
-    nobody: SimulatedBodies
+    false_positives: SimulatedBodies
 
 
 def detect(
@@ -101,11 +101,11 @@ def detect(
 
     ``period_s``: time between two frames. ``people_m``: true joints of ``COCO_17`` in the world at the camera's frames,
     NaN for absent people. ``boxes``: furniture that hides joints. Returns detections, in random order within a frame,
-    and the person of each detection, ``NOBODY`` for false positives. A body with limbs of another person keeps its
+    and the person of each detection, ``UNASSIGNED`` for false positives. A body with limbs of another person keeps its
     identity.
     """
     found = find_bodies(camera, period_s, people_m, boxes, detector, rng)
-    return collect(camera.name, (found.bodies, found.copies, found.nobody), rng)
+    return collect(camera.name, (found.bodies, found.copies, found.false_positives), rng)
 
 
 def find_bodies(
@@ -127,7 +127,8 @@ def find_bodies(
     copies = _mark(view, confusion, twice, detector, noise_frames, rng)
     copies = _keep(copies, rng.random(copies.score.shape) >= _DUPLICATE_MISSING, _DUPLICATE_SCORE)
     frame, keypoints_px, score = false_positives(camera.size_px, people_m.shape[1], faults, memory_frames, rng)
-    return Found(confusion, bodies, copies, SimulatedBodies(frame, keypoints_px, score, np.full(len(frame), NOBODY)))
+    unassigned = np.full(len(frame), UNASSIGNED)
+    return Found(confusion, bodies, copies, SimulatedBodies(frame, keypoints_px, score, unassigned))
 
 
 def look(

@@ -53,7 +53,7 @@ def detect_extremities(
         _extend(bodies, view, palm_px, found.confusion, detector, period_s, joints, own)
         for bodies in (found.bodies, found.copies)
     ]
-    return collect(camera.name, (*kinds, _without(found.nobody, len(joints.names))), rng)
+    return collect(camera.name, (*kinds, _without(found.false_positives, len(joints.names))), rng)
 
 
 def _look(
@@ -123,7 +123,7 @@ def _extend(
     points_px = np.where(score[..., None] > 0, view.points_px[source] + error_px, np.nan)
 
     rows = bodies.identity, bodies.frame
-    # Without a wrist nobody looks for a hand, and without any joint there is no body.
+    # Without a wrist no hand is searched, and without any joint there is no body.
     carried = np.where(_is_finger(joints), bodies.score[:, _carriers(joints)], bodies.score.max(1, keepdims=True)) > 0
     return SimulatedBodies(
         bodies.frame,

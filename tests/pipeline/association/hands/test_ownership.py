@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.association.hands.attach import owners
-from pipeline.association.tracking.observations import NOBODY, Detections2D
+from pipeline.association.tracking.observations import UNASSIGNED, Detections2D
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Observations, People, Track3D
 
@@ -40,10 +40,10 @@ def test_detections_belong_to_whoever_has_their_joints() -> None:
         (0, 1, 1.2, right + 1.0, 1),
         (0, 1, 1.2, left - 1.0, 0),
         (0, 2, 1.26, left + 4.0, 0),  # between two output frames
-        (0, 3, 1.9, left, NOBODY),  # after the person has gone
-        (1, 0, 1.3, other, NOBODY),  # nobody was seen by this camera then
+        (0, 3, 1.9, left, UNASSIGNED),  # after the person has gone
+        (1, 0, 1.3, other, UNASSIGNED),  # nobody was seen by this camera then
         (1, 1, 1.4, other, 0),
-        (1, 2, 1.4, body_px(300.0), NOBODY),
+        (1, 2, 1.4, body_px(300.0), UNASSIGNED),
     ]
     bodies = Detections2D(
         np.array([row[0] for row in rows]),

@@ -28,7 +28,7 @@ from pipeline.association.tracking.initialization import (
     spread_m,
 )
 from pipeline.association.tracking.kernels.state import NUM_RECENT, Frames, RigGeometry
-from pipeline.association.tracking.observations import NOBODY
+from pipeline.association.tracking.observations import UNASSIGNED
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import rays_in_world
@@ -233,13 +233,13 @@ class ReferenceTracker:
         self._replaced: dict[int, int] = {}
         self._earned: set[int] = set()
         self._num_born = 0
-        self._identity = np.full(len(frames.score), NOBODY)
+        self._identity = np.full(len(frames.score), UNASSIGNED)
         self.targets: list[Target] = []
 
     def run(self) -> Int[np.ndarray, " detections"]:
         """Process all frames in time order.
 
-        Returns the identity of each detection; ``NOBODY`` if it belongs to no target, or to a target that was never
+        Returns the identity of each detection; ``UNASSIGNED`` if it belongs to no target, or to a target that was never
         confirmed.
         """
         merged_s = -np.inf
@@ -254,7 +254,7 @@ class ReferenceTracker:
     def _final(self, identity: int) -> int:
         while identity in self._replaced:
             identity = self._replaced[identity]
-        return identity if identity in self._earned else NOBODY
+        return identity if identity in self._earned else UNASSIGNED
 
     def _step(self, camera: int, time_s: float, rows: range) -> None:
         bodies = [

@@ -260,7 +260,7 @@ def test_netcdf_of_movement_has_its_people(take: Path, tmp_path: Path) -> None:
         ("a.csv", "a,b\n1,2\n", "no columns such as left_knee_x"),
         ("a.csv", "time,a_x,a_y,a_z\n0,1,2,3\n0.1,1,2,3\n", "No person has shoulders and hips; the points are a"),
         ("a.bvh", "HIERARCHY", "do not fit the joints' channels"),
-        ("a.json", '{"people": []}', "there is nobody"),
+        ("a.json", '{"people": []}', "there is no person"),
         ("a.c3d", "x", "damaged, or not in the format C3D"),
         ("a.nc", "x", "damaged, or not in the format NetCDF"),
     ],

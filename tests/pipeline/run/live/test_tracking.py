@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.association.tracking.kernels.state import Frames
-from pipeline.association.tracking.observations import NOBODY, gather, undistorted
+from pipeline.association.tracking.observations import UNASSIGNED, gather, undistorted
 from pipeline.association.tracking.tracker import Tracker, TrackerState, make_frames
 from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
@@ -37,7 +37,7 @@ def identities_in_pieces(simulation: Simulation, frames: Frames, lengths: list[i
     """Identities when the tracker gets pieces of the frames; each piece has the detections of its frames alone."""
     parameters = derive_parameters(simulation.cameras, simulation.timebase.frame_rate_hz)
     state = TrackerState(simulation.cameras, frames.score.shape[1], parameters, most_detections=1)
-    identity, carried, start, number = np.full(len(frames.score), NOBODY), np.empty(0, int), 0, 0
+    identity, carried, start, number = np.full(len(frames.score), UNASSIGNED), np.empty(0, int), 0, 0
     while start < len(frames.time_s):
         piece = slice(start, start + lengths[number % len(lengths)])
         counts = frames.last[piece] - frames.first[piece]
@@ -54,7 +54,7 @@ def identities_in_pieces(simulation: Simulation, frames: Frames, lengths: list[i
         )  # fmt: skip
         identity[rows] = of_piece
         carried, start, number = rows[state.carry()], piece.stop, number + 1
-    return np.append(state.final_identities(), NOBODY)[identity]
+    return np.append(state.final_identities(), UNASSIGNED)[identity]
 
 
 @LAWFUL
@@ -78,7 +78,7 @@ def live_numbers(simulation: Simulation, frames: Frames) -> np.ndarray:
     rate_hz = simulation.timebase.frame_rate_hz
     parameters = derive_parameters(simulation.cameras, rate_hz)
     tracker = LiveTracker(simulation.cameras, len(simulation.joints.names), parameters, rate_hz)
-    number = np.full(len(frames.score), NOBODY)
+    number = np.full(len(frames.score), UNASSIGNED)
     for frame, first, last in zip(sent_frames(simulation), frames.first, frames.last, strict=True):
         sent = make_frame(simulation.cameras[frame.camera], *frame)
         number[first:last] = tracker.advance([sent])
@@ -100,13 +100,13 @@ def test_confirmed_people_are_those_of_finished_session(scene: str, seed: int, m
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tracking, "_MOST_NUMBERED", most)
         number = live_numbers(simulation, frames)
-    is_known = number != NOBODY
+    is_known = number != UNASSIGNED
     pairs = np.unique(np.stack([number[is_known], whole[is_known]]), axis=1)
     assert len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == pairs.shape[1]
-    assert NOBODY not in pairs[1]
+    assert UNASSIGNED not in pairs[1]
     # Left open live are detections before the third instant of a person, and of targets without one.
-    assert scene != "room" or is_known.sum() > 0.9 * (whole != NOBODY).sum() - 60
-    assert not (is_known & (whole == NOBODY)).any()
+    assert scene != "room" or is_known.sum() > 0.9 * (whole != UNASSIGNED).sum() - 60
+    assert not (is_known & (whole == UNASSIGNED)).any()
 
 
 def test_people_who_come_and_go_leave_nothing_behind(ring: tuple[Camera, ...]) -> None:

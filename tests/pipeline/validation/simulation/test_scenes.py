@@ -14,7 +14,7 @@ from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, frame_times
 from pipeline.validation.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
-from pipeline.validation.simulation.views.detector import NOBODY, PERFECT
+from pipeline.validation.simulation.views.detector import PERFECT, UNASSIGNED
 from tests.cases import slow_but
 
 NAMES = (
@@ -63,7 +63,7 @@ def test_records_fit_together(name: str) -> None:
         assert detections.camera == camera
         assert len(identity) == len(detections.frame)
         assert detections.frame.max(initial=0) < len(simulation.times[camera].time_s)
-        assert NOBODY <= identity.min(initial=0) <= identity.max(initial=0) < num_people
+        assert UNASSIGNED <= identity.min(initial=0) <= identity.max(initial=0) < num_people
         np.testing.assert_array_equal(np.isnan(detections.keypoints_px).any(-1), detections.score == 0)
 
 
@@ -253,7 +253,7 @@ def test_everybody_is_seen_by_two_cameras_most_of_time(name: str) -> None:
     for camera in simulation.cameras:
         identity, frame = simulation.identities[camera.name], simulation.detections[camera.name].frame
         seen = np.zeros(views.shape, dtype=bool)
-        seen[identity[identity != NOBODY], frame[identity != NOBODY]] = True
+        seen[identity[identity != UNASSIGNED], frame[identity != UNASSIGNED]] = True
         views += seen
     assert (views[simulation.present] >= 2).mean() > 0.95
 

@@ -12,7 +12,7 @@ from pipeline.geometry.camera import center_in_world, project
 from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
-from pipeline.validation.simulation.views.detector import NOBODY, PERFECT, DetectorAccuracy, detect
+from pipeline.validation.simulation.views.detector import PERFECT, UNASSIGNED, DetectorAccuracy, detect
 from pipeline.validation.simulation.views.faults import (
     NO_FAULTS,
     Faults,
@@ -182,7 +182,7 @@ def test_duplicates() -> None:
 
 def test_false_positives_are_nobody_and_score_low() -> None:
     detections, identity = run(SIDE_BY_SIDE, with_faults(false_positives=0.3, memory_s=0.2))
-    ghosts = identity == NOBODY
+    ghosts = identity == UNASSIGNED
     assert ghosts.sum() / NUM_FRAMES == pytest.approx(0.3, abs=0.06)
     assert detections.score[ghosts].max() <= 0.5
     assert ((detections.score[ghosts] > 0).sum(1) >= 1).all()
