@@ -52,6 +52,16 @@ Item = TypeVar("Item")
 console = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
+def shows_help() -> bool:
+    """Return whether this process shows the help of a command, or completes its words for a shell, and runs none.
+
+    Modules of commands then leave out the libraries that take a second to load; declarations of options need none.
+    """
+    *words, last = sys.argv
+    is_help = last == "--help" and "--" not in words and not words[-1].startswith("-")
+    return is_help or "_MULTICAP_COMPLETE" in os.environ
+
+
 def emit(value: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout."""
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=False) + "\n")

@@ -6,20 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
-import numpy as np
 import typer
 
-from api.cli.console import warn
-from pipeline.calibration.contents import UNITS_M, Units, Up
+from api.cli.console import shows_help, warn
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.layouts import FILE_LAYOUTS
 from pipeline.core.options.choices import Choice
 from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.job_choices import UNITS_M, Units, Up
 from pipeline.core.options.providers import ProviderChoice, choose_provider
 from pipeline.core.options.requirements import requirement
 from pipeline.core.options.rules import CONFIG_CHOICES, collecting, require, value_problems
-from pipeline.core.parsing import SIDE_PX
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import (
     PARAMETER_UNREADABLE,
@@ -30,6 +28,11 @@ from pipeline.core.problems.finding_codes import (
 )
 from pipeline.core.problems.request_codes import FRAME_RANGE
 from pipeline.detection.providers.find import current_provider
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.core.parsing import SIDE_PX
 
 
 def _option(choice: Choice) -> Any:
@@ -105,6 +108,14 @@ LayoutOption = Annotated[
         metavar="|".join(FILE_LAYOUTS),
         help="Layout of keypoints whose files do not name them. Default: the number of points and the people tell it.",
         show_default=False,
+    ),
+]
+SceneOption = Annotated[
+    str,
+    typer.Option(
+        help="One of room, store, store-large, outdoor, unsynchronised, crowd, crowd-2, crowd-3, crowd-5, exchange, "
+        "contact, handshake, walk, hands, sports, noisy, comings-and-goings, lying, crawl, cartwheel, handstand, "
+        "kneel, pull-up, roll, squat, kick, grappling."
     ),
 ]
 KeypointRateOption = Annotated[

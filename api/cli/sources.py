@@ -8,6 +8,7 @@ from typing import Annotated, get_args, get_type_hints
 
 import typer
 
+from api.cli.console import shows_help
 from api.cli.options import (
     KeypointRateOption,
     KeypointsOption,
@@ -20,15 +21,17 @@ from api.cli.options import (
     known_up,
     with_options,
 )
-from pipeline.capture.camera_files import Recording
-from pipeline.capture.keypoints import KeypointSession, open_keypoints
 from pipeline.capture.preflight_record import Clock
-from pipeline.capture.session import CaptureSession, Session, open_session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.finding_codes import PARAMETER_UNREADABLE, SOURCES
 from pipeline.core.problems.session_codes import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
+
+if not shows_help():
+    from pipeline.capture.camera_files import Recording
+    from pipeline.capture.keypoints import KeypointSession, open_keypoints
+    from pipeline.capture.session import CaptureSession, Session, open_session
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +106,11 @@ class SourceOptions:
             message = "Rates of single cameras belong to videos; keypoints have one rate, or timestamps."
             yield Problem(SOURCES, message, hint="State it by --frame-rate, and omit --rate.")
 
-    def open(self, calibration: Path) -> Session:
+    def open(self, calibration: Path) -> "Session":
         """Open keypoints if they are given, else videos; raises ``InputError`` as the functions of both."""
         return self.open_videos(calibration) if self.keypoints is None else self.open_keypoints(calibration)
 
-    def open_keypoints(self, calibration: Path, *, keeps_poses: bool = True) -> KeypointSession:
+    def open_keypoints(self, calibration: Path, *, keeps_poses: bool = True) -> "KeypointSession":
         """Open keypoints; raises ``InputError`` if options can't be read, and as ``pipeline.capture.keypoints``."""
         return open_keypoints(
             _keypoint_folder(self.keypoints or ()),
@@ -121,7 +124,7 @@ class SourceOptions:
             layout=self.layout,
         )
 
-    def open_videos(self, calibration: Path | None, *, keeps_poses: bool = True) -> CaptureSession:
+    def open_videos(self, calibration: Path | None, *, keeps_poses: bool = True) -> "CaptureSession":
         """Open videos, or images; raises ``InputError`` if options can't be read, and as ``open_session``."""
         paths, recordings = _footage(self.videos or (), self.offset, self.rate)
         session = open_session(
@@ -187,7 +190,7 @@ def stated_camera(video: Path) -> tuple[str | None, Path]:
 
 def _footage(
     videos: Sequence[Path], offset: Sequence[str] | None, rate: Sequence[str] | None
-) -> tuple[list[Path], list[Recording]]:
+) -> "tuple[list[Path], list[Recording]]":
     """Files, and what is stated of the cameras."""
     paths: list[Path] = []
     stated: dict[str, list[str]] = {}

@@ -9,11 +9,11 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from api.cli.sources import SourceOptions, stated_camera
-from pipeline.calibration.contents import Units, Up
 from pipeline.capture.names import natural_key
 from pipeline.capture.session import Session
 from pipeline.capture.video_files import footage_in
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import Units, Up
 from pipeline.core.problems.finding_codes import TAKE_EMPTY, TAKE_UNCALIBRATED, TAKES_UNREADABLE
 
 _KEYPOINTS, _TIMESTAMPS, _CALIBRATION = "keypoints", "timestamps.csv", "calibration.*"

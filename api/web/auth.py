@@ -23,10 +23,9 @@ from api.web.http.browser_cookie import NAME, cookie_name, deletion
 from api.web.http.keys_in_use import Credential
 from api.web.http.rates import client_network
 from pipeline.core.problems import request_codes
-from worker.store.database.tables import DEFAULT_TENANT
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import JoinLink, UploadingPhone
-from worker.store.model.rights import Actor, Key, Link, LinkScope, Scope
+from worker.store.model.rights import DEFAULT_TENANT, Actor, Key, Link, LinkScope, Scope
 from worker.store.repositories.links import LINK_PREFIX
 from worker.store.tenant_records import TenantRecords
 

@@ -1,21 +1,15 @@
 """Contents of a calibration file: cameras, and what the format says of lengths and axes; the unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
+from pipeline.core.options.job_choices import UNITS_M, Units
 from pipeline.geometry.camera import center_in_world
-
-Units = Literal["m", "cm", "mm"]
-Up = Literal["x", "-x", "y", "-y", "z", "-z"]
-"""Axis of a file's world that points up."""
-
-UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 UNKNOWN_SIZE = (0, 0)
 """Size of a camera's picture in formats that don't contain it; the video's size takes its place."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Up
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
 from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
 from pipeline.calibration.registry import read_contents, read_intrinsics
@@ -22,7 +22,7 @@ from pipeline.calibration.room_plan import plan_document, plan_room, plan_svg, p
 from pipeline.calibration.write import encode
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.options.job_choices import KnownPoint, Up
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import INVALID_SIZE
 from pipeline.core.runtime.checking import print_answer

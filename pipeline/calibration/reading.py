@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration.advice import SUPPORTED
-from pipeline.calibration.contents import UNITS_M, UNKNOWN_SIZE, CameraFile, Units, scaled
+from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile, scaled
 from pipeline.calibration.unread_fields import lens_fields, size_fields
 from pipeline.calibration.validate import MAX_CAMERAS, RawCamera, build_camera
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
+from pipeline.core.options.job_choices import UNITS_M, Units
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.code_group import Code
 

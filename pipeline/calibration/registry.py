@@ -10,13 +10,14 @@ from defusedxml.ElementTree import fromstring
 
 from pipeline.calibration import readers
 from pipeline.calibration.advice import COMMA_HINT, SUPPORTED, comma_in, comma_message, other_format, with_points
-from pipeline.calibration.contents import UNITS_M, CameraFile, Units, Up, possible_units, question, scaled
+from pipeline.calibration.contents import CameraFile, possible_units, question, scaled
 from pipeline.calibration.formats import CalibrationReader
 from pipeline.calibration.readers import colmap, qca
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.arguments import checked
+from pipeline.core.options.job_choices import UNITS_M, Units, Up
 from pipeline.core.parsing import UnreadableError, in_utf_8, parse
 from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import CameraFile, Up
+from pipeline.calibration.contents import CameraFile
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
+from pipeline.core.options.job_choices import Up
 
 AXES: Mapping[str, Float[np.ndarray, " 3"]] = {
     f"{sign}{name}": side * unit

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.capture.camera_files import Recording, find_input, known_recordings
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
@@ -35,6 +35,7 @@ from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
 from pipeline.core.layouts import FILE_LAYOUTS, KeypointLayout
 from pipeline.core.options.arguments import checked
+from pipeline.core.options.job_choices import Units, Up
 from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM

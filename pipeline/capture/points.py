@@ -8,7 +8,6 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import UNITS_M, Units, Up
 from pipeline.calibration.vertical import AXES
 from pipeline.capture.keypoint_arrays import from_arrays
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
@@ -24,6 +23,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES
+from pipeline.core.options.job_choices import UNITS_M, Units, Up
 from pipeline.core.parsing import FRAME_RATE_HZ, TRANSLATION, Quantity, UnreadableError, read_unique_json
 from pipeline.core.parsing import FRAME_RATE_TOLERANCE as _TOLERANCE
 from pipeline.core.paths import StrPath

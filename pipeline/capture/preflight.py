@@ -29,7 +29,6 @@ from typing import Any, TypeVar, get_args
 from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.camera_checks import check_cameras
 from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
-from pipeline.calibration.contents import UNITS_M, Up
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode
 from pipeline.capture import preflight_record
@@ -43,6 +42,7 @@ from pipeline.capture.preflight_npz import encode_keypoints, encode_points, enco
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
+from pipeline.core.options.job_choices import UNITS_M, Up
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE

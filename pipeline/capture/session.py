@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.calibration.camera_names import name_problem
-from pipeline.calibration.contents import UNKNOWN_SIZE, Units, Up
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
 from pipeline.capture.camera_files import Recording, SortedFiles, known_recordings, left_out_parts, sort_files
@@ -25,6 +25,7 @@ from pipeline.core.data.laboratory import Laboratory
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding, Severity
 from pipeline.core.options.arguments import checked
+from pipeline.core.options.job_choices import Units, Up
 from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, OFFSET_S
 from pipeline.core.paths import StrPath
 from pipeline.core.problems import finding_codes

@@ -19,7 +19,7 @@ from standardwebhooks import Webhook
 from pipeline.core.runtime.kernel_cache import cache_folder
 from pipeline.run.engine.code import digests_of_stages, stage_codes
 from tests.e2e.serving import Served, serving
-from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.model.rights import DEFAULT_TENANT
 from worker.store.store import JobStore
 
 ROOT = Path(__file__).parents[2]

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from pipeline.calibration.contents import Units
 from pipeline.calibration.registry import read_calibration, read_contents
 from pipeline.capture import preflight
 from pipeline.core.errors import InputError, listed
+from pipeline.core.options.job_choices import Units
 from pipeline.validation.simulation.scenes import Simulation
 from tests.hostile.calibrations import in_every_format, spoilt_calibrations
 from tests.hostile.keypoints import keypoint_files, simulate, spoilt_keypoints

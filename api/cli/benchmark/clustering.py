@@ -4,19 +4,21 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from api.cli.console import JsonOption, reporting, show_sizes
-from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
-from pipeline.association.clustering.clustering_parameters import derive_parameters
-from pipeline.association.clustering.instant.candidates import FieldEvidence
+from api.cli.console import JsonOption, reporting, show_sizes, shows_help
 from pipeline.association.clustering.instant.work_limits import WorkLimits
-from pipeline.association.clustering.skeleton import clustering_skeleton
 from pipeline.core.joints import COCO_18
-from pipeline.geometry.camera import image_from_world
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.simulation.scenes import SCENES, Simulation, record
-from pipeline.validation.simulation.views.fields import GRID, render
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
+    from pipeline.association.clustering.clustering_parameters import derive_parameters
+    from pipeline.association.clustering.instant.candidates import FieldEvidence
+    from pipeline.association.clustering.skeleton import clustering_skeleton
+    from pipeline.geometry.camera import image_from_world
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.simulation.scenes import SCENES, Simulation, record
+    from pipeline.validation.simulation.views.fields import GRID, render
 
 # Scenes (of 4 and of 7 people) and numbers of cameras.
 _SIZES = (("noisy", 5), ("crowd", 12))
@@ -24,7 +26,7 @@ _DURATION_S = 2.0
 _REPEATS = 3
 
 
-def _poses_s(simulation: Simulation) -> float:
+def _poses_s(simulation: "Simulation") -> float:
     """Shortest of several times for all frames, with known bone lengths of all people."""
     cameras, timebase = simulation.cameras, simulation.timebase
     parameters = derive_parameters(cameras, GRID.tau2)

@@ -14,30 +14,33 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 
 from api.cli.benchmark.cost_tables import MINUTE_CAMERA_FRAMES, SCHEMA_VERSION, cost_tables
-from api.cli.benchmark.long_takes import peak_rss_mib
 from api.cli.benchmark.profiles import looped_sample
 from api.cli.benchmark.providers import sample_pictures
 from api.cli.benchmark.tracking import crowd
-from api.cli.console import JsonOption, console, emit, print_table, reporting
-from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import Session, open_session
+from api.cli.console import JsonOption, console, emit, print_table, reporting, shows_help
 from pipeline.core.options.config import PROFILES, Profile, ReconstructionConfig
 from pipeline.core.options.providers import PACKAGES, ProviderName, choose_provider
 from pipeline.core.progress import Progress
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.core.runtime.packages import samples
-from pipeline.core.runtime.packages.samples import Sample
-from pipeline.detection import models
-from pipeline.detection.network import NETWORK_CLOCK
-from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.detection.providers.find import find_provider
-from pipeline.run.engine.local import reconstruct_to_files
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.simulation.scenes import Simulation
+
+if not shows_help():
+    import numpy as np
+
+    from api.cli.benchmark.long_takes import peak_rss_mib
+    from pipeline.capture.keypoints import KeypointSession
+    from pipeline.capture.session import Session, open_session
+    from pipeline.core.runtime.packages import samples
+    from pipeline.core.runtime.packages.samples import Sample
+    from pipeline.detection import models
+    from pipeline.detection.network import NETWORK_CLOCK
+    from pipeline.detection.profiles.profile_detector import open_detection
+    from pipeline.run.engine.local import reconstruct_to_files
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.simulation.scenes import Simulation
 
 # Repetitions of the sample in its videos.
 _LOOPS = (1, 2)
@@ -61,7 +64,7 @@ def all_costs(as_json: JsonOption = False) -> None:
         print_table(table.columns, table.rows, table.title)
 
 
-def measure_all(sample: Sample, folder: Path) -> dict[str, Any]:
+def measure_all(sample: "Sample", folder: Path) -> dict[str, Any]:
     """Measure all costs; docs/lab/benchmarks.md has the keys. ``folder`` is for videos."""
     machine = describe_machine()
     footage = _Footage(sample, folder)
@@ -89,7 +92,7 @@ def _other_providers() -> list[ProviderName]:
 class _Footage:
     """Videos of the sample, repeated, and the jobs that were measured on them."""
 
-    def __init__(self, sample: Sample, folder: Path) -> None:
+    def __init__(self, sample: "Sample", folder: Path) -> None:
         self._sample, self._folder = sample, folder
         self._jobs: dict[tuple[object, ...], dict[str, Any]] = {}
 
@@ -216,7 +219,7 @@ def _measure(size: Mapping[str, float]) -> dict[str, Any]:
     return {**cost.as_dict(), "simulated_people": int(size["people"]), "duration_s": size["duration_s"]}
 
 
-def simulated_session(simulation: Simulation) -> KeypointSession:
+def simulated_session(simulation: "Simulation") -> "KeypointSession":
     """Session of the detections of a simulation, as if they were read from keypoint files."""
     return KeypointSession(
         cameras=simulation.cameras,
@@ -252,7 +255,7 @@ class JobCost:
         return asdict(self) | {"camera_frame_core_ms": 1e3 * self.core_s / self.camera_frames}
 
 
-def measure_job(open_input: Callable[[], Session], config: ReconstructionConfig, provider: ProviderName) -> JobCost:
+def measure_job(open_input: "Callable[[], Session]", config: ReconstructionConfig, provider: ProviderName) -> JobCost:
     """Measure a job, from opening its session to its result files, in a process of its own.
 
     ``open_input``: opens the session; a function that can be pickled. ``config``: what to do. ``provider``: provider of
@@ -263,7 +266,7 @@ def measure_job(open_input: Callable[[], Session], config: ReconstructionConfig,
     return cost
 
 
-def _measure_here(open_input: Callable[[], Session], config: ReconstructionConfig) -> JobCost:
+def _measure_here(open_input: "Callable[[], Session]", config: ReconstructionConfig) -> JobCost:
     warm_up()
     stages = _StageClock()
     own_s, children_s = _core_s()

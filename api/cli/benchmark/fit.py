@@ -5,20 +5,23 @@ import tracemalloc
 from dataclasses import fields, replace
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from api.cli.benchmark.long_takes import longer_observations, longer_track
-from api.cli.console import JsonOption, emit, reporting, show_sizes
-from pipeline.association.tracking.track_people import reconstruct_tracks
-from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.core.data.animation import SkeletonMotion
-from pipeline.core.data.cameras import Timebase
-from pipeline.core.data.people import Observations, Track3D
+from api.cli.console import JsonOption, emit, reporting, show_sizes, shows_help
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.motion.skeleton.animate import animate
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.simulation.scenes import SCENES, record
+
+if not shows_help():
+    import numpy as np
+
+    from api.cli.benchmark.long_takes import longer_observations, longer_track
+    from pipeline.association.tracking.track_people import reconstruct_tracks
+    from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.core.data.animation import SkeletonMotion
+    from pipeline.core.data.cameras import Timebase
+    from pipeline.core.data.people import Observations, Track3D
+    from pipeline.motion.skeleton.animate import animate
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.simulation.scenes import SCENES, record
 
 # Scenes, of 3 and of 4 people, and numbers of cameras.
 _SIZES = (("room", 4), ("store", 12))
@@ -73,7 +76,7 @@ def measure_memory() -> list[dict[str, float]]:
     return figures
 
 
-def _arrays(*records: Track3D | Observations | SkeletonMotion) -> dict[int, np.ndarray]:
+def _arrays(*records: "Track3D | Observations | SkeletonMotion") -> "dict[int, np.ndarray]":
     values = (getattr(record, field.name) for record in records for field in fields(record))
     return {id(value): value for value in values if isinstance(value, np.ndarray)}
 

@@ -6,23 +6,26 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any
 
-import numpy as np
 import psutil
 import typer
 
-from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
 from api.cli.benchmark.tracking import crowd
-from api.cli.console import JsonOption, emit, print_table, reporting
-from pipeline.association.tracking.track_people import reconstruct_tracks
-from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.core.data.people import Track3D
+from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.motion.skeleton.animate import animate
-from pipeline.run.live.capture import LiveCapture
-from pipeline.run.live.records import LiveInstant, RecordedFrame, recorded_frames
-from pipeline.run.live.settings import LiveSettings
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.simulation.scenes import Simulation, record
+
+if not shows_help():
+    import numpy as np
+
+    from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
+    from pipeline.association.tracking.track_people import reconstruct_tracks
+    from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.core.data.people import Track3D
+    from pipeline.motion.skeleton.animate import animate
+    from pipeline.run.live.capture import LiveCapture
+    from pipeline.run.live.records import LiveInstant, RecordedFrame, recorded_frames
+    from pipeline.run.live.settings import LiveSettings
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.simulation.scenes import Simulation, record
 
 # Cameras, people and rate.
 _SIZES = ((5, 4, 60.0), (12, 4, 60.0), (28, 16, 25.0))
@@ -36,7 +39,7 @@ _LOOP_S = 60.0
 _SAME_PERSON_M = 0.5
 
 
-def latencies_ms(simulation: Simulation, learn_s: float, slowness: float = 1.0) -> tuple[np.ndarray, int]:
+def latencies_ms(simulation: "Simulation", learn_s: float, slowness: float = 1.0) -> "tuple[np.ndarray, int]":
     """Time from the arrival of the frame that makes an instant final to the instant, and the number of dropped frames.
 
     Frames arrive at their times, and one core processes them in turn. Its processor time counts, so that other programs
@@ -73,7 +76,7 @@ def measure_sizes(duration_s: float, slowness: float = 1.0) -> list[dict[str, An
     return sizes
 
 
-def compare_with_finished(simulation: Simulation) -> dict[str, Any]:
+def compare_with_finished(simulation: "Simulation") -> dict[str, Any]:
     """Mean errors of live skeletons and of the finished fit at the same joints and instants, and identity switches.
 
     A switch is a change of the live number of a person of the finished session.
@@ -105,8 +108,8 @@ def compare_with_finished(simulation: Simulation) -> dict[str, Any]:
 
 
 def _paired(
-    instant: LiveInstant, finished: tuple[Track3D, ...], frame: int
-) -> list[tuple[np.ndarray, int, bool, Track3D]]:
+    instant: "LiveInstant", finished: "tuple[Track3D, ...]", frame: int
+) -> "list[tuple[np.ndarray, int, bool, Track3D]]":
     """People of an instant with the nearest person of the finished session: positions, number, has skeleton, track."""
     paired = []
     there = [track for track in finished if frame in track.frames]
@@ -141,7 +144,7 @@ def memory_mib(minutes: Sequence[int], num_people: int = 4, rate_hz: float = _SI
     return {"minutes": by_minute, "kept": capture.num_kept, "numbers": len(numbers), "dropped": capture.counts.dropped}
 
 
-def _turned(frames: Sequence[RecordedFrame], loop: int) -> Iterator[RecordedFrame]:
+def _turned(frames: "Sequence[RecordedFrame]", loop: int) -> "Iterator[RecordedFrame]":
     """Frames of a loop of a minute: every second one runs backwards."""
     if loop % 2 == 0:
         yield from (frame._replace(time_s=frame.time_s + loop * _LOOP_S) for frame in frames)

@@ -8,17 +8,19 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.benchmark.long_takes import loop_video
-from api.cli.console import JsonOption, console, emit, print_table, reporting
-from pipeline.capture.session import open_session
+from api.cli.console import JsonOption, console, emit, print_table, reporting, shows_help
 from pipeline.core.options.config import JOINTS, PROFILES, Detector, ReconstructionConfig
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.core.runtime.packages import samples
-from pipeline.core.runtime.packages.samples import Sample
-from pipeline.detection import models
-from pipeline.detection.network import NETWORK_CLOCK
-from pipeline.run.engine.local import reconstruct_to_files
-from pipeline.run.warm_up import warm_up
+
+if not shows_help():
+    from api.cli.benchmark.long_takes import loop_video
+    from pipeline.capture.session import open_session
+    from pipeline.core.runtime.packages import samples
+    from pipeline.core.runtime.packages.samples import Sample
+    from pipeline.detection import models
+    from pipeline.detection.network import NETWORK_CLOCK
+    from pipeline.run.engine.local import reconstruct_to_files
+    from pipeline.run.warm_up import warm_up
 
 _REFERENCE: Detector = "movenet-multipose"
 
@@ -65,7 +67,7 @@ def profiles(
     print_table(("profile", *names), ((name, *(f"{row[key]:.2f}" for key in names)) for name, row in result.items()))
 
 
-def looped_sample(sample: Sample, loops: int, folder: Path) -> list[Path]:
+def looped_sample(sample: "Sample", loops: int, folder: Path) -> list[Path]:
     """Videos of the sample, repeated; made in a child process, so that its memory does not count."""
     videos = list(sample.videos.values())
     if loops == 1:

@@ -5,21 +5,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import av
-import numpy as np
-from jaxtyping import Float, UInt8
-
-from api.cli.console import JsonOption, emit, print_table, reporting
+from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
 from api.cli.options import ProviderOption, take_provider
 from pipeline.core.options.config import PROFILES, Networks, ReconstructionConfig
 from pipeline.core.options.providers import ProviderName, choose_provider
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.core.runtime.packages import samples
-from pipeline.detection import models
-from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.entries import find_entry
-from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.detection.providers.find import current_provider
+
+if not shows_help():
+    import av
+    import numpy as np
+    from jaxtyping import Float, UInt8
+
+    from pipeline.core.runtime.packages import samples
+    from pipeline.detection import models
+    from pipeline.detection.bodies import ImageBodies
+    from pipeline.detection.entries import find_entry
+    from pipeline.detection.profiles.profile_detector import open_detection
 
 # One frame in so many, of each camera, up to a number.
 _STEP, _NUM_FRAMES = 10, 12
@@ -30,7 +32,7 @@ _MIN_SCORE = 0.2
 class _Detected:
     """Bodies of the pictures, and the time that they took."""
 
-    bodies: list[ImageBodies]
+    bodies: "list[ImageBodies]"
     frame_ms: float
 
 
@@ -73,7 +75,7 @@ def _detect_here(networks: Networks, config: ReconstructionConfig, videos: list[
     return _Detected(bodies, (time.perf_counter() - started_s) / len(pictures) * 1000)
 
 
-def sample_pictures(video: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
+def sample_pictures(video: Path) -> 'list[UInt8[np.ndarray, "height width 3"]]':
     """Pictures of a video, evenly spread over its beginning."""
     with av.open(str(video)) as container:
         decoded = (frame for number, frame in enumerate(container.decode(video=0)) if number % _STEP == 0)
@@ -97,6 +99,6 @@ def _compared(on_cpu: _Detected, by_provider: _Detected) -> dict[str, Any]:
     }
 
 
-def _distances_px(first: ImageBodies, second: ImageBodies) -> Float[np.ndarray, " joints"]:
+def _distances_px(first: "ImageBodies", second: "ImageBodies") -> 'Float[np.ndarray, " joints"]':
     distances_px = np.linalg.norm(first.keypoints_px - second.keypoints_px, axis=-1)
     return distances_px[(first.score >= _MIN_SCORE) & np.isfinite(distances_px)]

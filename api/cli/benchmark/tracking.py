@@ -5,19 +5,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from api.cli.console import JsonOption, emit, print_table, reporting, require_writable
-from pipeline.association.tracking.track_people import reconstruct_tracks
-from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.evaluation.baselines import associate_pairwise
-from pipeline.validation.simulation.motion.director import Cast
-from pipeline.validation.simulation.rigs import Clock, Layout, Rig
-from pipeline.validation.simulation.scenes import Scene, Simulation, record
-from pipeline.validation.simulation.views.detector import DetectorAccuracy
-from pipeline.validation.simulation.views.faults import NO_FAULTS
+from api.cli.console import JsonOption, emit, print_table, reporting, require_writable, shows_help
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.association.tracking.track_people import reconstruct_tracks
+    from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.evaluation.baselines import associate_pairwise
+    from pipeline.validation.simulation.motion.director import Cast
+    from pipeline.validation.simulation.rigs import Clock, Layout, Rig
+    from pipeline.validation.simulation.scenes import Scene, Simulation, record
+    from pipeline.validation.simulation.views.detector import DetectorAccuracy
+    from pipeline.validation.simulation.views.faults import NO_FAULTS
+
+    # Detector with 3 px of noise and no other faults.
+    _DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 
 RATE_HZ = 25.0
 # Cameras, people and seconds.
@@ -29,12 +35,10 @@ _REPEATS = 15
 # The time of the baseline grows so fast that it is not measured with more cameras once a frame takes this long.
 _PAIRWISE_FRAMES = 4
 _PAIRWISE_LIMIT_MS = 2000.0
-# Detector with 3 px of noise and no other faults.
-_DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def crowd(num_cameras: int, num_people: int, duration_s: float, rate_hz: float = RATE_HZ) -> Simulation:
+def crowd(num_cameras: int, num_people: int, duration_s: float, rate_hz: float = RATE_HZ) -> "Simulation":
     """Simulate people who improvise on 4 m^2 each, with cameras around them and ideal lenses."""
     side_m = 2.0 * np.sqrt(num_people)
     around_m = (side_m / 2 + 3.0, side_m / 2 + 3.0)
@@ -44,7 +48,7 @@ def crowd(num_cameras: int, num_people: int, duration_s: float, rate_hz: float =
     return record(Scene(rig, cast, Clock(rate_hz), _DETECTOR, duration_s=duration_s), seed=0)
 
 
-def _dome(num_cameras: int, duration_s: float) -> Simulation:
+def _dome(num_cameras: int, duration_s: float) -> "Simulation":
     """Simulate the same people for any number of cameras; all cameras see all of them."""
     rig = Rig(Layout.DOME, 31, (4.5, 4.5), 0.9, (1920, 1080), 1000.0, distortion=_NO_DISTORTION)
     cast = Cast(_NUM_DOME_PEOPLE, (3.0, 3.0), gap_m=0.5, walking=0.25)
@@ -61,7 +65,7 @@ def _seconds(work: Callable[[], object], repeats: int) -> float:
     return best_s
 
 
-def _track_s(simulation: Simulation, repeats: int = _REPEATS) -> float:
+def _track_s(simulation: "Simulation", repeats: int = _REPEATS) -> float:
     """Time from keypoints in memory to tracks in memory."""
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
     views = (simulation.cameras, simulation.times, simulation.detections)

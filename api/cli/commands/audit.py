@@ -6,9 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, show_list
-from api.cli.store import store_in
+from api.cli.console import JsonOption, show_list, shows_help
 from worker.store.model.rights import AuditEvent
+
+if not shows_help():
+    from api.cli.store import store_in
 
 
 def command(

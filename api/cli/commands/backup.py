@@ -8,16 +8,18 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit
-from api.cli.store import settings_in
-from api.web.settings import Settings
+from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit, shows_help
 from pipeline.core.problems.finding_codes import BACKUP_FAILED, BAD_USAGE
 from pipeline.core.problems.request_codes import DATABASE_DAMAGED
-from worker.store.backup.archive import BackupError, BackupUsageError
-from worker.store.backup.contents import BackupReport
-from worker.store.backup.create import create_backup
-from worker.store.backup.restore import restore_backup, verify_backup
-from worker.store.errors import DamagedDatabase, UnknownSchema
+
+if not shows_help():
+    from api.cli.store import settings_in
+    from api.web.settings import Settings
+    from worker.store.backup.archive import BackupError, BackupUsageError
+    from worker.store.backup.contents import BackupReport
+    from worker.store.backup.create import create_backup
+    from worker.store.backup.restore import restore_backup, verify_backup
+    from worker.store.errors import DamagedDatabase, UnknownSchema
 
 app = typer.Typer(help="Backups of the service: create, restore, verify.", no_args_is_help=True)
 Archive = Annotated[Path, typer.Argument(metavar="FILE", help="Backup file.")]
@@ -79,7 +81,7 @@ def _reported(as_json: bool) -> Iterator[None]:
         raise typer.Exit(EXIT_BAD_INPUT if is_usage else EXIT_FAILED) from error
 
 
-def _code_and_faults(error: BackupError | DamagedDatabase | UnknownSchema) -> tuple[str, tuple[str, ...]]:
+def _code_and_faults(error: "BackupError | DamagedDatabase | UnknownSchema") -> tuple[str, tuple[str, ...]]:
     match error:
         case BackupUsageError():
             return BAD_USAGE, error.faults
@@ -91,7 +93,7 @@ def _code_and_faults(error: BackupError | DamagedDatabase | UnknownSchema) -> tu
             return BACKUP_FAILED, (str(error),)
 
 
-def _finish(report: BackupReport, sentence: str, archive: Path, as_json: bool) -> None:
+def _finish(report: "BackupReport", sentence: str, archive: Path, as_json: bool) -> None:
     """Report the contents of a backup; exit with 1 if it has faults or lacks files."""
     if as_json:
         emit(
@@ -109,7 +111,7 @@ def _finish(report: BackupReport, sentence: str, archive: Path, as_json: bool) -
         raise typer.Exit(EXIT_FAILED)
 
 
-def _describe(report: BackupReport, sentence: str) -> None:
+def _describe(report: "BackupReport", sentence: str) -> None:
     manifest = report.manifest
     jobs = ", ".join(f"{number} {state}" for state, number in manifest.rows.jobs.items())
     console.print(

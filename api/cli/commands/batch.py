@@ -13,15 +13,27 @@ from typing import Annotated, Any
 import typer
 
 from api.cli import options
-from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, users_cache
-from api.cli.takes import TakeSource, find_takes
-from pipeline.calibration.contents import Units, Up
+from api.cli.console import (
+    EXIT_FAILED,
+    JsonOption,
+    StageBars,
+    console,
+    emit,
+    print_table,
+    reporting,
+    shows_help,
+    users_cache,
+)
 from pipeline.core.errors import InputError, PipelineError, SessionRefused
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.export.person_files import replacing
-from pipeline.export.quality.report import all_checks
-from pipeline.export.results import not_written
-from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.core.options.job_choices import Units, Up
+
+if not shows_help():
+    from api.cli.takes import TakeSource, find_takes
+    from pipeline.export.person_files import replacing
+    from pipeline.export.quality.report import all_checks
+    from pipeline.export.results import not_written
+    from pipeline.run.engine.local import reconstruct_to_files
 
 _TABLE = "batch.csv"
 # Kept in the folder of a take's results: what they were made of, and the take's row of the table.
@@ -41,7 +53,7 @@ class _Choices:
     layout: str | None
     cache: Path | None
 
-    def fingerprint(self, take: TakeSource) -> str:
+    def fingerprint(self, take: "TakeSource") -> str:
         """Digest of the files of a take and of all choices."""
         typed = {name: value for name, value in self.typed.items() if name != "processes"}
         facts = [take.fingerprint(), typed, self.units, self.up, self.pair_by_order, self.layout]
@@ -98,7 +110,7 @@ def command(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _row(take: TakeSource, choices: _Choices, folder: Path, *, show_bars: bool) -> dict[str, Any]:
+def _row(take: "TakeSource", choices: _Choices, folder: Path, *, show_bars: bool) -> dict[str, Any]:
     """Row of a take, which is reconstructed unless its results are there."""
     fingerprint, record = choices.fingerprint(take), folder / _RECORD
     kept = _kept(record, fingerprint)
@@ -148,7 +160,7 @@ def _kept(record: Path, fingerprint: str) -> dict[str, Any] | None:
     return row if is_same and is_whole else None
 
 
-def _failed(take: TakeSource, message: str) -> dict[str, Any]:
+def _failed(take: "TakeSource", message: str) -> dict[str, Any]:
     return dict.fromkeys(_COLUMNS) | {"take": take.name, "state": "failed", "message": message}
 
 

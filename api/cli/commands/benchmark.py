@@ -17,24 +17,26 @@ from api.cli.benchmark.clustering import clustering
 from api.cli.benchmark.cost import all_costs
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.live_latency import live
-from api.cli.benchmark.long_takes import loop_video, peak_rss_mib
 from api.cli.benchmark.profiles import profiles
 from api.cli.benchmark.providers import providers
 from api.cli.benchmark.tracking import tracking
-from api.cli.client import Json
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
-from api.cli.served import served
-from pipeline.capture.session import open_session
 from pipeline.core.runtime.child_processes import ProcessPool
-from pipeline.core.runtime.packages import samples
-from pipeline.core.runtime.packages.samples import Sample
-from pipeline.detection import models
-from pipeline.detection.network import NETWORK_CLOCK
-from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.run.engine.stage import DETECT
-from pipeline.run.warm_up import warm_up
 from worker.store.spec import JobSpec
+
+if not shows_help():
+    from api.cli.benchmark.long_takes import loop_video, peak_rss_mib
+    from api.cli.client import Json
+    from api.cli.served import served
+    from pipeline.capture.session import open_session
+    from pipeline.core.runtime.packages import samples
+    from pipeline.core.runtime.packages.samples import Sample
+    from pipeline.detection import models
+    from pipeline.detection.network import NETWORK_CLOCK
+    from pipeline.run.engine.local import reconstruct_to_files
+    from pipeline.run.warm_up import warm_up
 
 app = typer.Typer(help="Speed and memory.", no_args_is_help=True)
 app.command("all")(all_costs)
@@ -102,7 +104,7 @@ def pipeline(
     )
 
 
-def stage_seconds(job: Json) -> dict[str, float]:
+def stage_seconds(job: "Json") -> dict[str, float]:
     """Seconds from the start of each stage's first chunk to the end of its last chunk."""
     return {
         stage["name"]: (
@@ -112,7 +114,7 @@ def stage_seconds(job: Json) -> dict[str, float]:
     }
 
 
-def time_service(sample: Sample, workers: int, folder: Path) -> dict[str, Any]:
+def time_service(sample: "Sample", workers: int, folder: Path) -> dict[str, Any]:
     """Time a session in a new service, from the first byte of the upload to the last byte of the downloads."""
     with served(folder / "service", workers) as client:
         started_s = time.perf_counter()
@@ -145,7 +147,7 @@ def on_one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, usable)
 
 
-def time_library(sample: Sample, folder: Path) -> float:
+def time_library(sample: "Sample", folder: Path) -> float:
     """Time the library in one process, from the videos to the result files."""
     started_s = time.perf_counter()
     session = open_session(list(sample.videos.values()), sample.calibration)

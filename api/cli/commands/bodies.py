@@ -3,16 +3,19 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting
+from api.cli.console import JsonOption, console, emit, reporting, shows_help
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.request_codes import INVALID_VALUE
-from pipeline.core.runtime.npz import encode_arrays, open_archive
-from pipeline.motion.body import installed
-from pipeline.motion.body.smplx_fit import fit_body
-from pipeline.motion.body.smplx_model import read_model
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.core.runtime.npz import encode_arrays, open_archive
+    from pipeline.motion.body import installed
+    from pipeline.motion.body.smplx_fit import fit_body
+    from pipeline.motion.body.smplx_model import read_model
 
 app = typer.Typer(help="The human body of exports, and body models of your own.", no_args_is_help=True)
 _KEPT = ("gender", "surface_model_type", "mocap_frame_rate", "frame", "is_present", "pose_names")

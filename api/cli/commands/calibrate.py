@@ -19,40 +19,49 @@ from api.cli.console import (
     reporting,
     require_writable,
     show_session,
+    shows_help,
     warn,
     writing,
 )
 from api.cli.options import SizeOption, UpOption, checked, known_up, stated_sizes, with_choices
 from api.cli.sources import SourceOptions, with_source
-from pipeline.calibration.board.calibrate_board import calibrate_board
-from pipeline.calibration.board.source import (
-    find_photographs,
-    frames_to_look_at,
-    look_in_photographs,
-    look_in_video,
-)
-from pipeline.calibration.board.spec import FORMS, Board, parse_board
-from pipeline.calibration.board.views import BoardViews
-from pipeline.calibration.known_points.fit import COLUMNS, read_known_points
-from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
-from pipeline.calibration.people.calibrate_people import calibrate_people
-from pipeline.calibration.registry import read_intrinsics
-from pipeline.calibration.report import CalibrationResult, report_document
-from pipeline.calibration.write import ENCODERS
-from pipeline.capture.keypoint_files.timestamps import times_from_file
-from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import CaptureSession
-from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
+from pipeline.core.options.job_choices import (
+    BOARD_FORM,
+    MAX_STATURE_M,
+    MAX_STATURES,
+    MIN_STATURE_M,
+    POINT_COLUMNS,
+)
 from pipeline.core.problems.finding_codes import SOURCES
 from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN
 from pipeline.core.progress import Progress
-from pipeline.detection.profiles.profile_detector import detection_joints
-from pipeline.run.engine.local import detect_people
 from pipeline.run.engine.stage import CALIBRATE
 
-POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(COLUMNS)}, a line for each view."
+if not shows_help():
+    from pipeline.calibration.board.calibrate_board import calibrate_board
+    from pipeline.calibration.board.source import (
+        find_photographs,
+        frames_to_look_at,
+        look_in_photographs,
+        look_in_video,
+    )
+    from pipeline.calibration.board.spec import Board, parse_board
+    from pipeline.calibration.board.views import BoardViews
+    from pipeline.calibration.known_points.fit import read_known_points
+    from pipeline.calibration.known_points.scene import calibrate_scene, scene_cameras
+    from pipeline.calibration.people.calibrate_people import calibrate_people
+    from pipeline.calibration.registry import read_intrinsics
+    from pipeline.calibration.report import CalibrationResult, report_document
+    from pipeline.calibration.write import ENCODERS
+    from pipeline.capture.keypoint_files.timestamps import times_from_file
+    from pipeline.capture.keypoints import KeypointSession
+    from pipeline.capture.session import CaptureSession
+    from pipeline.core.data.cameras import Camera
+    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.run.engine.local import detect_people
+
+POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(POINT_COLUMNS)}, a line for each view."
 """Help of the option that names a table of known points."""
 
 _REPORT = "report.json"
@@ -72,7 +81,7 @@ def from_board(
     *,
     board: Annotated[
         str,
-        typer.Option(metavar="BOARD", help=f"{FORMS}. Of a chessboard COLSxROWS are inner corners, else squares."),
+        typer.Option(metavar="BOARD", help=f"{BOARD_FORM}. Of a chessboard COLSxROWS are inner corners, else squares."),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
     source: SourceOptions,
@@ -135,7 +144,7 @@ def from_board(
     show_made(made, out, as_json)
 
 
-def timed(session: CaptureSession, timestamps: Path) -> CaptureSession:
+def timed(session: "CaptureSession", timestamps: Path) -> "CaptureSession":
     """Session with the times of a file for the frames of its videos; raises ``InputError`` if they don't serve."""
     problems: list[Problem] = []
     frames = {camera: range(len(times.time_s)) for camera, times in session.times.items()}
@@ -145,7 +154,7 @@ def timed(session: CaptureSession, timestamps: Path) -> CaptureSession:
     return replace(session, times=times)
 
 
-def in_videos(session: CaptureSession, board: Board, progress: rich_progress.Progress) -> Iterator[BoardViews]:
+def in_videos(session: "CaptureSession", board: "Board", progress: rich_progress.Progress) -> "Iterator[BoardViews]":
     """Views of the board in the videos of a session, camera by camera."""
     times_s = [times.time_s for times in session.times.values()]
     span_s = (
@@ -160,13 +169,13 @@ def in_videos(session: CaptureSession, board: Board, progress: rich_progress.Pro
         yield look_in_video(video, camera.name, own_s, frames, board, partial(progress.advance, task))
 
 
-def _in_photographs(folder: Path, board: Board, progress: rich_progress.Progress) -> Iterator[BoardViews]:
+def _in_photographs(folder: Path, board: "Board", progress: rich_progress.Progress) -> "Iterator[BoardViews]":
     for camera, paths in find_photographs(folder).items():
         task = progress.add_task(f"Finding the board: {camera}", total=len(paths))
         yield look_in_photographs(camera, paths, board, partial(progress.advance, task))
 
 
-def _named(intrinsics: Path, views: list[BoardViews]) -> dict[str, Camera]:
+def _named(intrinsics: Path, views: "list[BoardViews]") -> "dict[str, Camera]":
     """Cameras of a calibration file by name, which must be the cameras of the photographs."""
     cameras = {camera.name: camera for camera in read_intrinsics(intrinsics).cameras}
     problems = [
@@ -249,7 +258,8 @@ def from_people(
 def from_scene(
     *,
     points: Annotated[
-        Path, typer.Option(help=f"Known points: CSV with the columns {', '.join(COLUMNS)}, a line for each mark.")
+        Path,
+        typer.Option(help=f"Known points: CSV with the columns {', '.join(POINT_COLUMNS)}, a line for each mark."),
     ],
     out: Annotated[Path, typer.Option(help="Calibration to write: .json, .toml or .yml.")],
     source: SourceOptions,
@@ -302,7 +312,7 @@ def require_outputs(out: Path, report: Path | None) -> None:
     require_writable(out, report and report / _REPORT)
 
 
-def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
+def write_made(made: "CalibrationResult", out: Path, report: Path | None) -> None:
     """Write a calibration, and its report with its pictures if a folder is given.
 
     Raises ``PipelineError`` if a file can't be written.
@@ -317,7 +327,7 @@ def write_made(made: CalibrationResult, out: Path, report: Path | None) -> None:
             path.write_bytes(content)
 
 
-def show_made(made: CalibrationResult, out: Path, as_json: bool) -> None:
+def show_made(made: "CalibrationResult", out: Path, as_json: bool) -> None:
     """Show the report of a calibration."""
     document = report_document(made)
     if as_json:

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from api.cli.console import (
@@ -20,6 +19,7 @@ from api.cli.console import (
     reporting,
     show_findings,
     show_session,
+    shows_help,
     warn,
     writing,
 )
@@ -34,22 +34,26 @@ from api.cli.options import (
     with_choices,
 )
 from api.cli.sources import SourceOptions, with_source
-from pipeline.calibration.checks.camera_checks import check_cameras
-from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
-from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
-from pipeline.calibration.registry import read_contents
-from pipeline.calibration.room_plan import plan_document, plan_room, plan_svg, planned_cameras
-from pipeline.capture.session import Session
-from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.core.parsing import SIDE_PX, Quantity
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, PARAMETER_UNREADABLE
 from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
-from pipeline.export.quality.report import join_findings, people_findings, quality_report
-from pipeline.geometry.camera import center_in_world
-from pipeline.run.engine.local import reconstruct
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.calibration.checks.camera_checks import check_cameras
+    from pipeline.calibration.contents import UNKNOWN_SIZE, CameraFile
+    from pipeline.calibration.program_files import PROGRAM_FORMATS, refusals
+    from pipeline.calibration.registry import read_contents
+    from pipeline.calibration.room_plan import plan_document, plan_room, plan_svg, planned_cameras
+    from pipeline.capture.session import Session
+    from pipeline.core.data.cameras import Camera
+    from pipeline.core.parsing import SIDE_PX, Quantity
+    from pipeline.export.quality.report import join_findings, people_findings, quality_report
+    from pipeline.geometry.camera import center_in_world
+    from pipeline.run.engine.local import reconstruct
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration in any supported format.")]
 
@@ -84,7 +88,8 @@ def convert(
         str | None,
         typer.Option(
             metavar="FORMAT",
-            help=f"Format: {', '.join(PROGRAM_FORMATS)}. Default: by the ending of TARGET.",
+            help="Format: multicap, anipose, caliscope, opencv, freemocap, qca, opencap, easymocap, colmap, kalibr, "
+            "mamma. Default: by the ending of TARGET.",
         ),
     ] = None,
     units: UnitsOption = None,
@@ -128,7 +133,7 @@ def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[P
     return None, [Problem(CALIBRATION_FORMAT, message, file=target.name, hint=hint)]
 
 
-def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[CameraFile, list[Problem]]:
+def _sized(file: Path, contents: "CameraFile", stated: Sequence[str]) -> "tuple[CameraFile, list[Problem]]":
     """Give cameras the stated sizes; report wrong statements, and cameras without a size."""
     sizes_px, problems = stated_sizes(stated)
     names = {camera.name for camera in contents.cameras}
@@ -149,7 +154,7 @@ def _sized(file: Path, contents: CameraFile, stated: Sequence[str]) -> tuple[Cam
     return replace(contents, cameras=tuple(cameras)), problems
 
 
-def _show_statement(contents: CameraFile, units: str | None) -> None:
+def _show_statement(contents: "CameraFile", units: str | None) -> None:
     stated = f"{units}, as stated by --units" if units else "m, as neither the format nor --units states"
     unit = f"{contents.unit}, by the format" if contents.unit else stated
     console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
@@ -157,7 +162,7 @@ def _show_statement(contents: CameraFile, units: str | None) -> None:
         warn(note)
 
 
-def _cells(camera: Camera) -> list[str]:
+def _cells(camera: "Camera") -> list[str]:
     width, height = camera.size_px
     (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
     position = ", ".join(f"{value:.3f}" for value in center_in_world(camera))
@@ -171,7 +176,7 @@ def _cells(camera: Camera) -> list[str]:
     ]
 
 
-def _document(contents: CameraFile, units: str | None) -> dict[str, Any]:
+def _document(contents: "CameraFile", units: str | None) -> dict[str, Any]:
     return {
         "format": contents.format,
         "units": contents.unit or units or "m",
@@ -181,7 +186,7 @@ def _document(contents: CameraFile, units: str | None) -> dict[str, Any]:
     }
 
 
-def _notes(contents: CameraFile) -> list[Finding]:
+def _notes(contents: "CameraFile") -> list[Finding]:
     return [Finding(CALIBRATION_NOTE, note, severity="info") for note in contents.notes]
 
 
@@ -221,7 +226,7 @@ def check(
 
 
 def _check(
-    cameras: Sequence[Camera], session: Session | None, config: ReconstructionConfig, bars: StageBars
+    cameras: "Sequence[Camera]", session: "Session | None", config: ReconstructionConfig, bars: StageBars
 ) -> list[Finding]:
     if session is None:
         return check_cameras(cameras)
@@ -233,11 +238,6 @@ def _check(
         return alone
     reconstruction = reconstruct(session, replace(config, appearance="off", force=True), bars.update)
     return join_findings(alone, people_findings(quality_report(reconstruction)))
-
-
-# Limits of a plan: words of an option, with the number of each and the range that is plausible.
-_ROOM_M, _HEIGHT_M, _FIELD_DEG = Quantity(1, 100, "m"), Quantity(0.1, 50, "m"), Quantity(10, 150, "degrees")
-_NUM_CAMERAS, _NUM_PEOPLE = Quantity(2, 128, "cameras"), Quantity(1, 100, "people")
 
 
 @app.command()
@@ -258,12 +258,12 @@ def plan(
     with reporting(as_json):
         room_m, size_px = (tuple(map(float, re.findall(r"\d+(?:\.\d+)?", text))) for text in (room, size))
         stated = {
-            "room": (room_m if len(room_m) == 2 else (), _ROOM_M),
-            "cameras": ((cameras,), _NUM_CAMERAS),
-            "height": ((height,), _HEIGHT_M),
-            "fov": ((fov,), _FIELD_DEG),
+            "room": (room_m if len(room_m) == 2 else (), Quantity(1, 100, "m")),
+            "cameras": ((cameras,), Quantity(2, 128, "cameras")),
+            "height": ((height,), Quantity(0.1, 50, "m")),
+            "fov": ((fov,), Quantity(10, 150, "degrees")),
             "size": (size_px if len(size_px) == 2 else (), SIDE_PX),
-            "people": ((people,), _NUM_PEOPLE),
+            "people": ((people,), Quantity(1, 100, "people")),
         }
         if problems := [
             Problem(PARAMETER_UNREADABLE, f"--{name} must be {allowed}.", field=name)
@@ -293,7 +293,7 @@ def plan(
     console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
 
 
-def read(file: Path, units: str | None, up: str = "z") -> CameraFile:
+def read(file: Path, units: str | None, up: str = "z") -> "CameraFile":
     """Read a calibration in a unit, and with an axis that points up, as they were typed.
 
     Raises ``InputError`` if there is no such unit or axis, or with all problems of the file.
@@ -301,7 +301,7 @@ def read(file: Path, units: str | None, up: str = "z") -> CameraFile:
     return read_contents(file, known_units(units), known_up(up))
 
 
-def camera_documents(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
+def camera_documents(cameras: "Sequence[Camera]") -> list[dict[str, Any]]:
     """Cameras as JSON objects; lengths in metres."""
     return [
         {

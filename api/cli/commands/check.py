@@ -18,23 +18,26 @@ from api.cli.console import (
     reporting,
     show_findings,
     show_layout,
+    shows_help,
     writing,
 )
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
-from api.cli.space import document, sentence, session_space
-from pipeline.capture.pictures.sample_pictures import look_at_pictures
-from pipeline.capture.session import CaptureSession, Session
-from pipeline.capture.synchronization.session_clocks import clock_findings, on_measured_clocks
 from pipeline.core.errors import InputError
 from pipeline.core.findings import Finding, documents, from_problem, has_error
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress, Progress
 from pipeline.run.engine.stage import CHECK
-from pipeline.run.session_check.check_session import check_bodies, check_detections, with_clocks
-from pipeline.run.session_check.instants import check_at_instants
-from pipeline.run.session_check.sightings import NUM_INSTANTS
-from pipeline.run.session_check.verdict import session_findings
+
+if not shows_help():
+    from api.cli.space import document, sentence, session_space
+    from pipeline.capture.pictures.sample_pictures import look_at_pictures
+    from pipeline.capture.session import CaptureSession, Session
+    from pipeline.capture.synchronization.session_clocks import clock_findings, on_measured_clocks
+    from pipeline.run.session_check.check_session import check_bodies, check_detections, with_clocks
+    from pipeline.run.session_check.instants import check_at_instants
+    from pipeline.run.session_check.sightings import NUM_INSTANTS
+    from pipeline.run.session_check.verdict import session_findings
 
 
 @with_choices("profile", "detector", "sync")
@@ -91,7 +94,7 @@ def command(
         raise typer.Exit(EXIT_BAD_INPUT)
 
 
-def _as_declared(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
+def _as_declared(session: "Session", config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
     """Findings about people at a few instants of a session on its declared clocks."""
     if isinstance(session, CaptureSession):
         looked, total = itertools.count(1), NUM_INSTANTS * len(session.cameras)
@@ -100,7 +103,7 @@ def _as_declared(session: Session, config: ReconstructionConfig, on_progress: On
     return with_clocks(check_detections(*known), *known).findings
 
 
-def _on_measured_clocks(session: Session, config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
+def _on_measured_clocks(session: "Session", config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
     """Findings about the clocks, and about people at a few instants if the clocks are certain."""
     detections, joints = all_bodies(session, config, on_progress)
     clocks = measured_clocks(session, detections, joints, on_progress)[0]
@@ -111,7 +114,7 @@ def _on_measured_clocks(session: Session, config: ReconstructionConfig, on_progr
     return findings
 
 
-def _look(session: CaptureSession, thumbnails: Path | None) -> Sequence[Finding]:
+def _look(session: "CaptureSession", thumbnails: Path | None) -> Sequence[Finding]:
     """Check a few pictures of each camera, and write small copies of them."""
     with console.status("Look at pictures"):
         looked = look_at_pictures(session)

@@ -10,25 +10,28 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
-from jaxtyping import Float
 
 from api.cli.commands.reconstruct import print_summary
-from api.cli.console import StageBars, console, reporting, writing
-from api.cli.served import served
-from pipeline.capture.session import CaptureSession, open_session
+from api.cli.console import StageBars, console, reporting, shows_help, writing
 from pipeline.core.joints import JointSet
-from pipeline.core.runtime.packages import samples
-from pipeline.detection import models
-from pipeline.export.overlay import draw_skeletons, encode_png
-from pipeline.motion.body import installed as bodies
-from pipeline.video.decode import decode
-from pipeline.video.timeline import frames_in
 from worker.store.spec import JobSpec
 
+if not shows_help():
+    import numpy as np
+    from jaxtyping import Float
 
-def people_at(skeletons: Mapping[str, Any], frame: int) -> dict[int, Float[np.ndarray, "joints 3"]]:
+    from api.cli.served import served
+    from pipeline.capture.session import CaptureSession, open_session
+    from pipeline.core.runtime.packages import samples
+    from pipeline.detection import models
+    from pipeline.export.overlay import draw_skeletons, encode_png
+    from pipeline.motion.body import installed as bodies
+    from pipeline.video.decode import decode
+    from pipeline.video.timeline import frames_in
+
+
+def people_at(skeletons: Mapping[str, Any], frame: int) -> 'dict[int, Float[np.ndarray, "joints 3"]]':
     """Joint positions of an output frame by person, from a parsed ``skeletons.json``."""
     unseen = [np.nan] * 3
     return {
@@ -38,7 +41,7 @@ def people_at(skeletons: Mapping[str, Any], frame: int) -> dict[int, Float[np.nd
     }
 
 
-def write_overlays(session: CaptureSession, skeletons: Mapping[str, Any], folder: Path) -> list[Path]:
+def write_overlays(session: "CaptureSession", skeletons: Mapping[str, Any], folder: Path) -> list[Path]:
     """Draw all people over the middle frame of every camera."""
     frame = skeletons["num_frames"] // 2
     people_m = people_at(skeletons, frame)

@@ -5,11 +5,13 @@ from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, emit
-from api.cli.store import opened_store, settings_in
-from worker.store.files.artifacts import open_artifacts
-from worker.store.files.disk import DiskSpace
-from worker.store.files.unneeded import orphaned_prefixes
+from api.cli.console import JsonOption, emit, shows_help
+
+if not shows_help():
+    from api.cli.store import opened_store, settings_in
+    from worker.store.files.artifacts import open_artifacts
+    from worker.store.files.disk import DiskSpace
+    from worker.store.files.unneeded import orphaned_prefixes
 
 _GIB = 2**30
 

@@ -7,8 +7,10 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from api.cli.console import print_table, refusal
-from api.web.help import FOLDER, read_topics
+from api.cli.console import print_table, refusal, shows_help
+
+if not shows_help():
+    from api.web.help import FOLDER, read_topics
 
 
 def command(

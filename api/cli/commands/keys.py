@@ -7,12 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, console, refusal, show_list, show_secret, shown_time
-from api.cli.store import opened_store, settings_in, store_in
-from worker.store.database.tables import DEFAULT_TENANT
-from worker.store.errors import NotFound
-from worker.store.files.disk import DiskSpace
-from worker.store.model.rights import Key, Scope
+from api.cli.console import JsonOption, console, refusal, show_list, show_secret, shown_time, shows_help
+from worker.store.model.rights import DEFAULT_TENANT, Key, Scope
+
+if not shows_help():
+    from api.cli.store import opened_store, settings_in, store_in
+    from worker.store.errors import NotFound
+    from worker.store.files.disk import DiskSpace
 
 app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]

@@ -10,25 +10,27 @@ from typing import Annotated, Any
 import typer
 
 from api.cli import options
-from api.cli.console import JsonOption, console, print_table, reporting
-from api.cli.live.outputs import (
-    JsonLines,
-    KeptKeypoints,
-    LiveOutputs,
-    Terminal,
-    opened_output,
-    summary_line,
-)
-from api.cli.live.preview import PreviewPage
-from pipeline.calibration.registry import read_calibration
+from api.cli.console import JsonOption, console, print_table, reporting, shows_help
 from pipeline.core.errors import Problem
 from pipeline.core.options.config import PROFILES
 from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.finding_codes import OUTPUT_EXISTS
-from pipeline.run.live.cameras.listeners import capture, vmc_receivers
-from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import read_sources
-from pipeline.run.live.cameras.totals import LiveTotals
+
+if not shows_help():
+    from api.cli.live.outputs import (
+        JsonLines,
+        KeptKeypoints,
+        LiveOutputs,
+        Terminal,
+        opened_output,
+        summary_line,
+    )
+    from api.cli.live.preview import PreviewPage
+    from pipeline.calibration.registry import read_calibration
+    from pipeline.run.live.cameras.listeners import capture, vmc_receivers
+    from pipeline.run.live.cameras.run import CameraRun, LiveListener
+    from pipeline.run.live.cameras.totals import LiveTotals
 
 
 @options.with_choices("joints", "appearance")
@@ -150,7 +152,7 @@ def _stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
         restore()
 
 
-def _print_summary(totals: LiveTotals) -> None:
+def _print_summary(totals: "LiveTotals") -> None:
     """Frames of each camera, then rate, people and latency."""
     print_table(
         ("camera", "frames", "detected", "dropped", "times lost"),

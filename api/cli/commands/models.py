@@ -8,13 +8,15 @@ from typing import Annotated, cast
 
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting, show_list
+from api.cli.console import JsonOption, console, emit, reporting, show_list, shows_help
 from pipeline.core.errors import ModelError
 from pipeline.core.layouts import LAYOUTS
 from pipeline.core.options.config import NETWORKS_OF_PROFILES
-from pipeline.detection import models
-from pipeline.detection.own.files import add_own
 from pipeline.detection.own_network import HEADS, Channels, usual_network
+
+if not shows_help():
+    from pipeline.detection import models
+    from pipeline.detection.own.files import add_own
 
 app = typer.Typer(help="Detector networks: list, install, add from a file, verify.", no_args_is_help=True)
 
@@ -24,7 +26,7 @@ def list_(as_json: JsonOption = False) -> None:
     """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
-    cells: dict[str, Callable[[models.ModelStatus], str]] = {
+    cells: "dict[str, Callable[[models.ModelStatus], str]]" = {
         "name": lambda model: model.name,
         "installed": lambda model: "yes" if model.installed else "no",
         "licence": lambda model: model.licence,

@@ -2,9 +2,11 @@
 
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting
+from api.cli.console import JsonOption, console, emit, reporting, shows_help
 from pipeline.core.options.file_formats import installed_formats
-from pipeline.export.opensim import installed
+
+if not shows_help():
+    from pipeline.export.opensim import installed
 
 app = typer.Typer(help="The generic model of OpenSim.", no_args_is_help=True)
 

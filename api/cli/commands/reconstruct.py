@@ -10,12 +10,19 @@ from typing import Annotated, Any, cast, get_args
 import typer
 from pydantic import Field, TypeAdapter
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, users_cache, warn
+from api.cli.console import (
+    JsonOption,
+    StageBars,
+    emit,
+    print_table,
+    reporting,
+    show_session,
+    shows_help,
+    users_cache,
+    warn,
+)
 from api.cli.options import ProviderOption, checked, known_up, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
-from api.cli.space import document, require_space, session_space
-from pipeline.capture.laboratory.laboratory_files import WantedClock, is_place, with_laboratory
-from pipeline.capture.session import Session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import method_warnings
@@ -24,12 +31,17 @@ from pipeline.core.options.rules import config_problems, require
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import EDITS_UNREADABLE, NOTHING_BLURRED, PARAMETER_UNREADABLE
 from pipeline.core.problems.session_codes import BONES_INVALID
-from pipeline.export.character.character_files import DESCRIPTION
-from pipeline.export.character.mapping import read_bone_table
-from pipeline.export.character.source import CharacterSource
-from pipeline.export.quality.report import all_checks
-from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.run.engine.plan import STAGE_BY_NAME
+
+if not shows_help():
+    from api.cli.space import document, require_space, session_space
+    from pipeline.capture.laboratory.laboratory_files import WantedClock, is_place, with_laboratory
+    from pipeline.capture.session import Session
+    from pipeline.export.character.character_files import DESCRIPTION
+    from pipeline.export.character.mapping import read_bone_table
+    from pipeline.export.character.source import CharacterSource
+    from pipeline.export.quality.report import all_checks
+    from pipeline.run.engine.local import reconstruct_to_files
 
 
 def _what_is_left(paths: Sequence[Path], folder: Path) -> str:
@@ -80,7 +92,7 @@ def print_summary(metrics: Mapping[str, Any], notes: Mapping[Code, str] | None =
         warn(" ".join(filter(None, (check.message, (notes or {}).get(check.code)))))
 
 
-def _character(path: Path | None, bones: Path | None) -> CharacterSource | None:
+def _character(path: Path | None, bones: Path | None) -> "CharacterSource | None":
     """Character of the options, whose bones are known; raises ``InputError`` before any work."""
     if path is None:
         if bones is not None:
@@ -109,7 +121,7 @@ def _edits(path: Path | None) -> tuple[PeopleEdit, ...]:
         ) from error
 
 
-def _with_laboratory(session: Session, path: Path, clock: str, place: str | None, up: str) -> Session:
+def _with_laboratory(session: "Session", path: Path, clock: str, place: str | None, up: str) -> "Session":
     """Session with the C3D file of the options; raises ``InputError``."""
     kind, _, channel = clock.partition(":")
     problems, numbers = [], None

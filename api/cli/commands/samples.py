@@ -2,8 +2,10 @@
 
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting
-from pipeline.core.runtime.packages import samples
+from api.cli.console import JsonOption, console, emit, reporting, shows_help
+
+if not shows_help():
+    from pipeline.core.runtime.packages import samples
 
 app = typer.Typer(help="A real four-camera capture of two people.", no_args_is_help=True)
 

@@ -7,26 +7,29 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import httpx2
 import typer
 from rich.text import Text
 
-from api.cli.certificates import CertificateError, Encryption, given_encryption, own_encryption
-from api.cli.console import console, refusal, reporting
+from api.cli.console import console, refusal, reporting, shows_help
 from api.cli.options import ProviderOption, take_provider
-from api.cli.served import READY
-from api.cli.store import opened_store
-from api.web.settings import Settings
-from api.web.startup import ExposedError, require_keys_if_exposed
 from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.resources import raise_descriptor_limit
-from pipeline.detection import models
-from worker.run import embedded
-from worker.run.presence import remove_killed
 from worker.run.supervisor import Program, Supervisor
-from worker.store.files.disk import keep_files_private
-from worker.store.repositories.keys import Keys
 from worker.store.spec import JobSpec
+
+if not shows_help():
+    import httpx2
+
+    from api.cli.certificates import CertificateError, Encryption, given_encryption, own_encryption
+    from api.cli.served import READY
+    from api.cli.store import opened_store
+    from api.web.settings import Settings
+    from api.web.startup import ExposedError, require_keys_if_exposed
+    from pipeline.detection import models
+    from worker.run import embedded
+    from worker.run.presence import remove_killed
+    from worker.store.files.disk import keep_files_private
+    from worker.store.repositories.keys import Keys
 
 _POLL_S = 0.2
 # A usual start takes less; a longer start is explained.
@@ -55,7 +58,7 @@ def _url(host: str, port: int, scheme: str) -> str:
 
 
 def _api(
-    directory: embedded.DataDirectory, settings: Settings, listening: socket.socket, encryption: Encryption | None
+    directory: "embedded.DataDirectory", settings: "Settings", listening: socket.socket, encryption: "Encryption | None"
 ) -> Program:
     fd, port = listening.fileno(), listening.getsockname()[1]
     command = module_command("api", "--fd", str(fd))
@@ -65,7 +68,7 @@ def _api(
     return Program("api", command, environment, pass_fds=[fd])
 
 
-def _announce(url: str, encryption: Encryption | None, public_url: str | None) -> None:
+def _announce(url: str, encryption: "Encryption | None", public_url: str | None) -> None:
     """Print the address as soon as the service is ready; until then, explain every few seconds what is missing."""
     explain_at_s, explained = time.monotonic() + _QUIET_S, ""
     trusted = True if encryption is None else encryption.client_context()
@@ -83,7 +86,7 @@ def _announce(url: str, encryption: Encryption | None, public_url: str | None) -
     console.print("Ctrl-C stops it.")
 
 
-def _missing(client: httpx2.Client) -> str | None:
+def _missing(client: "httpx2.Client") -> str | None:
     """Sentences about what the service is waiting for; empty if it is ready, ``None`` if it does not respond."""
     try:
         answer = client.get("/readyz")
@@ -155,13 +158,13 @@ def command(
     console.print("Stopped.")
 
 
-def _default_workers(keys: Keys) -> int:
+def _default_workers(keys: "Keys") -> int:
     # One worker stays free for the other tenants, see `worker.store.repositories.work.next_chunk`.
     return (os.cpu_count() or 1) + (keys.count_tenants() > 1)
 
 
 def _serve(
-    settings: Settings, directory: embedded.DataDirectory, port: int, workers: int, encryption: Encryption | None
+    settings: "Settings", directory: "embedded.DataDirectory", port: int, workers: int, encryption: "Encryption | None"
 ) -> None:
     with _listen(settings.host, port) as listening:
         api = _api(directory, settings, listening, encryption)

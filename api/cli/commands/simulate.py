@@ -5,13 +5,16 @@ from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, console, emit, reporting, writing
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import SCENES, known_joints, simulate
+from api.cli.console import JsonOption, console, emit, reporting, shows_help, writing
+from api.cli.options import SceneOption
+
+if not shows_help():
+    from pipeline.validation.simulation.files import simulation_files
+    from pipeline.validation.simulation.scenes import known_joints, simulate
 
 
 def command(
-    scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
+    scene: SceneOption,
     out: Annotated[Path, typer.Option(help="Folder for the files; created if it is missing.")],
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same bytes.")] = 0,
     views: Annotated[int | None, typer.Option(help="Number of cameras of the scene. Default: all.")] = None,

@@ -7,12 +7,14 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.reconstruct import print_summary
-from api.cli.console import JsonOption, StageBars, emit, reporting, show_session
+from api.cli.console import JsonOption, StageBars, emit, reporting, show_session, shows_help
 from api.cli.options import UnitsOption, checked, known_units, known_up, with_choices
-from pipeline.capture.points import open_points, read_names
 from pipeline.core.options.rules import config_problems, require
-from pipeline.export.character.source import CharacterSource
-from pipeline.run.engine.local import reconstruct_to_files
+
+if not shows_help():
+    from pipeline.capture.points import open_points, read_names
+    from pipeline.export.character.source import CharacterSource
+    from pipeline.run.engine.local import reconstruct_to_files
 
 
 @with_choices(

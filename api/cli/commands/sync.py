@@ -11,20 +11,22 @@ import typer
 from api.cli import console
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
-from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.session import Session
-from pipeline.capture.synchronization.motions import excerpt
-from pipeline.capture.synchronization.report import error_pictures, sound_document, sync_document
-from pipeline.capture.synchronization.session_clocks import listen
-from pipeline.capture.synchronization.sound_offsets import SoundOffsets, synchronize_with_sound
-from pipeline.core.data.cameras import Synchronization
-from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress, Progress
-from pipeline.detection.profiles.profile_detector import detection_joints
-from pipeline.run.engine.local import detect_people
 from pipeline.run.engine.stage import SYNCHRONIZE
+
+if not console.shows_help():
+    from pipeline.capture.keypoints import KeypointSession
+    from pipeline.capture.session import Session
+    from pipeline.capture.synchronization.motions import excerpt
+    from pipeline.capture.synchronization.report import error_pictures, sound_document, sync_document
+    from pipeline.capture.synchronization.session_clocks import listen
+    from pipeline.capture.synchronization.sound_offsets import SoundOffsets, synchronize_with_sound
+    from pipeline.core.data.cameras import Synchronization
+    from pipeline.core.data.detections import Detections
+    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.run.engine.local import detect_people
 
 _REPORT = "sync.json"
 _PERCENT = 100
@@ -91,8 +93,8 @@ def _show(document: Mapping[str, Any]) -> None:
 
 
 def all_bodies(
-    session: Session, config: ReconstructionConfig, on_progress: OnProgress
-) -> tuple[Mapping[str, Detections], JointSet]:
+    session: "Session", config: ReconstructionConfig, on_progress: OnProgress
+) -> "tuple[Mapping[str, Detections], JointSet]":
     """Bodies in all frames of a session by camera, and their joints; those in videos are detected."""
     if isinstance(session, KeypointSession):
         return session.detections, session.joints
@@ -100,8 +102,8 @@ def all_bodies(
 
 
 def measured_clocks(
-    session: Session, detections: Mapping[str, Detections], joints: JointSet, on_progress: OnProgress
-) -> tuple[Synchronization, SoundOffsets]:
+    session: "Session", detections: "Mapping[str, Detections]", joints: JointSet, on_progress: OnProgress
+) -> "tuple[Synchronization, SoundOffsets]":
     """Clocks from the motion of the bodies and the sound of the videos, and what the sound alone told."""
     sound = listen(session, lambda camera: nullcontext())
     found = synchronize_with_sound(

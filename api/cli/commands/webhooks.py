@@ -6,10 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, refusal, show_list, show_secret, shown_time
-from api.cli.store import store_in
-from worker.store.database.tables import DEFAULT_TENANT
+from api.cli.console import JsonOption, refusal, show_list, show_secret, shown_time, shows_help
 from worker.store.model.job_records import Delivery
+from worker.store.model.rights import DEFAULT_TENANT
+
+if not shows_help():
+    from api.cli.store import store_in
 
 app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]

@@ -12,9 +12,9 @@ from jaxtyping import Float, UInt8
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import BOARD_FORM
 from pipeline.core.problems.session_codes import BOARD_INVALID
 
-FORMS = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
 _SPEC = re.compile(
     r"(?P<kind>chessboard|charuco):(?P<cols>\d{1,3})x(?P<rows>\d{1,3}):(?P<square>[0-9.eE-]+)"
     r"(:(?P<marker>[0-9.eE-]+):(?P<dictionary>[A-Za-z0-9_]+))?"
@@ -116,12 +116,12 @@ def parse_board(text: str) -> Board:
     """
     match = _SPEC.fullmatch(text)
     if match is None:
-        raise InputError([_problem(f"{text!r} is not a board.", f"Write {FORMS}.")])
+        raise InputError([_problem(f"{text!r} is not a board.", f"Write {BOARD_FORM}.")])
     kind: Literal["chessboard", "charuco"] = "charuco" if match["kind"] == "charuco" else "chessboard"
     problems = []
     if (kind == "charuco") != (match["marker"] is not None):
         fault = "needs the side of a marker and a dictionary" if kind == "charuco" else "has no markers"
-        raise InputError([_problem(f"A {kind} board {fault}.", f"Write {FORMS}.")])
+        raise InputError([_problem(f"A {kind} board {fault}.", f"Write {BOARD_FORM}.")])
     cols, rows = int(match["cols"]), int(match["rows"])
     if min(cols, rows) not in _SIDE_RANGE or (kind == "charuco" and min(cols, rows) < _SIDE_RANGE.start + 1):
         counted = "squares, at least 3" if kind == "charuco" else "inner corners, at least 2"

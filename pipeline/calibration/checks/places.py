@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import UNITS_M
 from pipeline.calibration.vertical import AXES, cameras_lean_deg, nearest_axis, possible_up_axes, up_of_cameras
 from pipeline.core.data.cameras import Camera
 from pipeline.core.findings import Finding, Severity
+from pipeline.core.options.job_choices import UNITS_M
 from pipeline.core.problems import finding_codes
 from pipeline.core.problems.request_codes import CALIBRATION_UNPOSED
 from pipeline.geometry.camera import center_in_world

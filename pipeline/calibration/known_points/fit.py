@@ -15,7 +15,7 @@ from pipeline.calibration.known_points.point_checks import MIN_POINTS, point_pro
 from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, KnownPoint
+from pipeline.core.options.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, POINT_COLUMNS, KnownPoint
 from pipeline.core.problems.finding_codes import KNOWN_POINTS_DOUBTFUL
 from pipeline.core.problems.session_codes import KNOWN_POINTS_FEW, KNOWN_POINTS_INVALID, KNOWN_POINTS_MISFIT
 from pipeline.core.tables import open_table
@@ -23,9 +23,8 @@ from pipeline.geometry.camera import center_in_world, project, projection_matric
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
 
-COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 _MAX_BYTES = 4 << 20
-_HINT = f"The first line names the columns {','.join(COLUMNS)}; each further line is a view of a point."
+_HINT = f"The first line names the columns {','.join(POINT_COLUMNS)}; each further line is a view of a point."
 
 
 def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
@@ -40,7 +39,7 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError([Problem(KNOWN_POINTS_INVALID, "The table is too large.", file=path.name)])
         with open_table(path) as table:
-            if missing := table.missing(COLUMNS):
+            if missing := table.missing(POINT_COLUMNS):
                 invalid(f"The table lacks the columns {', '.join(missing)}.")
             for line, row in () if missing else table.rows:
                 _add(points, row, line, invalid)
@@ -56,7 +55,7 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
 def _add(points: dict[str, KnownPoint], row: Mapping[str, str], line: int, invalid: Callable[..., None]) -> None:
     name, camera = row["name"], row["camera"]
     try:
-        x_m, y_m, z_m, x_px, y_px = (float(row[column]) for column in COLUMNS if column not in {"name", "camera"})
+        x_m, y_m, z_m, x_px, y_px = (float(row[column]) for column in POINT_COLUMNS if column not in {"name", "camera"})
     except ValueError:
         invalid(f"Line {line} has a coordinate that is not a number.")
         return

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.calibration.checks.places import check_places
-from pipeline.calibration.contents import UNKNOWN_SIZE, Up
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.known_points.point_checks import Size, scene_problems
 from pipeline.calibration.known_points.scene_pose import Marks, PoseFit, locate, locate_by_all
 from pipeline.calibration.report import CalibrationResult, CameraReport, PointReport
@@ -19,7 +19,7 @@ from pipeline.calibration.validate import MAX_CAMERAS
 from pipeline.calibration.vertical import AXES, turned_upright
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem, listed_names
-from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.options.job_choices import KnownPoint, Up
 from pipeline.core.problems.finding_codes import KNOWN_POINTS_DOUBTFUL
 from pipeline.core.problems.session_codes import (
     CAMERA_UNKNOWN,

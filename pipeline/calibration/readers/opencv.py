@@ -19,7 +19,7 @@ from itertools import islice
 from typing import Any
 
 from pipeline.calibration.advice import other_keys
-from pipeline.calibration.contents import UNITS_M, CameraFile, possible_units, scaled
+from pipeline.calibration.contents import CameraFile, possible_units, scaled
 from pipeline.calibration.formats import reader
 from pipeline.calibration.readers import camchain, easymocap
 from pipeline.calibration.readers.fields import has_matrix, is_camera, read_camera, size_names
@@ -27,6 +27,7 @@ from pipeline.calibration.readers.file_storage import read_xml, read_yaml
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS
 from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.job_choices import UNITS_M
 from pipeline.core.parsing import UnreadableError
 from pipeline.core.problems.session_codes import CALIBRATION_EMPTY, CALIBRATION_UNREADABLE
 

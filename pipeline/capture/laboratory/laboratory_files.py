@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.contents import Up
 from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.capture.laboratory.c3d_content import C3dContent, C3dError, read_content
 from pipeline.capture.session import Session
@@ -18,6 +17,7 @@ from pipeline.core.data.laboratory import Laboratory, LaboratoryStart
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
+from pipeline.core.options.job_choices import Up
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import LABORATORY_READ
 from pipeline.core.problems.session_codes import LABORATORY_CLOCK, LABORATORY_UNREADABLE

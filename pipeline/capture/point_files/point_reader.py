@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.calibration.contents import Up
+from pipeline.core.options.job_choices import Up
 from pipeline.core.runtime.plugins import FormatReader
 
 MAX_NUMBERS = 2**27

@@ -1,6 +1,17 @@
-"""Products of jobs beside reconstructions: calibrations, proxies, visuals. Standard library only."""
+"""Calibrations as requests state them, and other products of jobs: proxies, visuals. Standard library only."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
+
+Units = Literal["m", "cm", "mm"]
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+"""Axis of a file's world that points up."""
+
+UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+BOARD_FORM = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
+"""Specification of a board."""
 
 BOARD_FRAMES = 600
 """Largest number of frames of a camera in which a board is looked for."""
@@ -10,8 +21,9 @@ MIN_STATURE_M, MAX_STATURE_M = 0.5, 2.6
 MAX_STATURES = 20
 """Largest number of people whose statures are given."""
 
+POINT_COLUMNS = ("name", "x_m", "y_m", "z_m", "camera", "x_px", "y_px")
 MAX_KNOWN_POINTS, MAX_POINT_M = 200, 10_000.0
-"""Largest number of points with known coordinates, and largest coordinate."""
+"""Columns of the table of points with known coordinates; their largest number, and largest coordinate."""
 
 PROXY_KIND = "proxy"
 """Kind of the result files that are proxies."""

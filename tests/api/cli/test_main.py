@@ -1,6 +1,5 @@
 """Command line for programs: exit codes, one JSON object on stdout, every problem at once."""
 
-import ast
 import contextlib
 import importlib.metadata
 import json
@@ -19,8 +18,9 @@ from typer.testing import CliRunner
 
 from api.cli.commands import keys
 from api.cli.commands.reconstruct import print_summary
-from api.cli.console import print_table, reporting
+from api.cli.console import print_table, reporting, shows_help
 from api.cli.main import COMMANDS, app
+from pipeline.calibration.program_files import PROGRAM_FORMATS
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.reconstruction import Reconstruction
@@ -28,7 +28,7 @@ from pipeline.core.joints import COCO_17
 from pipeline.core.problems.finding_codes import NOBODY_FOUND
 from pipeline.detection import models
 from pipeline.export.results import write_results
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import SCENES, find_scene, record
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import write_video
 from tests.pipeline.simulations import write_simulation
@@ -70,15 +70,61 @@ def test_bad_input_lists_problems_line_for_person(tmp_path: Path) -> None:
     assert "Traceback" not in result.stderr
 
 
-def test_help_imports_no_command() -> None:
-    """The sentence of each command is the beginning of the command's own help."""
-    code = "import sys; sys.argv = ['multicap', '--help']; import atexit; from api.cli.main import main\n"
-    code += "atexit.register(lambda: print(sorted({name.partition('.')[0] for name in sys.modules}))); main()"
-    result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
-    assert all(name in result.stdout for name in COMMANDS)
-    assert not {"numpy", "scipy", "av", "onnxruntime", "numba", "sqlalchemy", "fastapi"} & set(
-        ast.literal_eval(result.stdout.splitlines()[-1])
-    )
+HELP_OF_ALL = """
+import contextlib, io, sys
+sys.argv = ["multicap", "--help"]
+from api.cli.main import COMMANDS, app, load
+words = [(name, each) for name in COMMANDS for each in getattr(load(name), "commands", ())]
+for each in [(), *((name,) for name in COMMANDS), *words]:
+    with contextlib.redirect_stdout(io.StringIO()) as shown:
+        app([*each, "--help"], standalone_mode=False)
+    assert "Usage: multicap" in shown.getvalue(), each
+    print(*each, ":", *{name.partition(".")[0] for name in sys.modules})
+"""
+
+
+def test_help_of_every_command_loads_no_science() -> None:
+    """Libraries of a command are loaded when it runs."""
+    command = [sys.executable, "-P", "-c", HELP_OF_ALL]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    heavy = {"numpy", "scipy", "numba", "jaxtyping", "cv2", "av", "onnxruntime", "sqlalchemy", "fastapi", "httpx2"}
+    lines = (line.split(":") for line in result.stdout.splitlines())
+    loaded = {words: heavy & set(names.split()) for words, names in lines}
+    assert len(loaded) > 50
+    assert not any(loaded.values()), loaded
+
+
+@pytest.mark.parametrize(
+    ("words", "is_help"),
+    [
+        ("multicap --help", True),
+        ("multicap calibrate board --videos a b --help", True),
+        ("multicap reconstruct --out --help", False),
+        ("multicap reconstruct --out results -- --help", False),
+        ("multicap reconstruct", False),
+    ],
+)
+def test_help_is_told_by_the_last_word(words: str, is_help: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", words.split())
+    assert shows_help() == is_help
+
+
+def test_completion_in_shell_loads_no_science() -> None:
+    words = {"_MULTICAP_COMPLETE": "complete_bash", "COMP_WORDS": "multicap simulate --se", "COMP_CWORD": "2"}
+    code = f"import os, sys; os.environ |= {words}; from api.cli.main import app\n"
+    code += "try: app(prog_name='multicap')\nexcept SystemExit: print(*sys.modules)"
+    command = [sys.executable, "-P", "-c", code]
+    completed, loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert completed == "--seed"
+    assert not {"numpy", "scipy", "numba"} & set(loaded.split())
+
+
+def test_names_in_help_are_complete() -> None:
+    """The help has them without the modules that they name."""
+    shown = " ".join(runner.invoke(app, ["simulate", "--help"], env={"COLUMNS": "500"}).stdout.split())
+    assert f"One of {', '.join(SCENES)}." in shown
+    shown = " ".join(runner.invoke(app, ["calibration", "convert", "--help"], env={"COLUMNS": "500"}).stdout.split())
+    assert f"Format: {', '.join(PROGRAM_FORMATS)}." in shown
 
 
 @pytest.mark.parametrize("name", COMMANDS)

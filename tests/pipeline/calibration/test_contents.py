@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration.contents import Units, possible_units, question, scaled
+from pipeline.calibration.contents import possible_units, question, scaled
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
+from pipeline.core.options.job_choices import Units
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
 
 RING = build_cameras(Rig(Layout.RING, 4, (4.0, 3.0), 2.2), np.random.default_rng(1))

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pipeline.association.tracking.tracking_parameters import viewed_point_m
-from pipeline.calibration.contents import UNKNOWN_SIZE, Units
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import MAX_BYTES, read_calibration, read_contents
 from pipeline.calibration.write import encode
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
+from pipeline.core.options.job_choices import Units
 from pipeline.core.runtime.packages import samples
 from pipeline.geometry.camera import center_in_world, project
 from pipeline.geometry.undistortion import undistort_px

@@ -13,10 +13,9 @@ from sqlalchemy import ColumnElement, Connection, Select, Table, true
 
 from worker.store.database.connection import lock
 from worker.store.database.quotas import NO_QUOTAS, Quotas, read_unfinished, read_usage, require_room
-from worker.store.database.tables import DEFAULT_TENANT
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import UploadingPhone
-from worker.store.model.rights import Actor
+from worker.store.model.rights import DEFAULT_TENANT, Actor
 
 T = TypeVar("T")
 

@@ -21,6 +21,8 @@ from sqlalchemy import (
     true,
 )
 
+from worker.store.model.rights import DEFAULT_TENANT
+
 
 class UtcTimestamp(TypeDecorator[datetime]):
     """Time: a number in the database, so that seconds can be added to it, and a ``datetime`` in UTC when it is read."""
@@ -41,9 +43,6 @@ metadata = MetaData(
         "pk": "pk_%(table_name)s",
     }
 )
-
-# Tenant of everything as long as there are no keys.
-DEFAULT_TENANT = "default"
 
 sessions = Table(
     "sessions",

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+DEFAULT_TENANT = "default"
+"""Tenant of everything as long as there are no keys."""
+
 
 class Scope(StrEnum):
     """Permission of a key; no scope includes another one."""

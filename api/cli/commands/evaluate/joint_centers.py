@@ -8,14 +8,26 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, users_cache, writing
+from api.cli.console import (
+    JsonOption,
+    StageBars,
+    emit,
+    print_table,
+    reporting,
+    require_writable,
+    shows_help,
+    users_cache,
+    writing,
+)
 from api.cli.options import checked, with_choices
-from pipeline.capture.session import open_session
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE
-from pipeline.run.engine.local import reconstruct
-from pipeline.validation.evaluation.datasets.rendered import load_rendered
-from pipeline.validation.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
+
+if not shows_help():
+    from pipeline.capture.session import open_session
+    from pipeline.run.engine.local import reconstruct
+    from pipeline.validation.evaluation.datasets.rendered import load_rendered
+    from pipeline.validation.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
 
 
 @with_choices("profile", "joints", "detector")

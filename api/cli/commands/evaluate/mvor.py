@@ -5,23 +5,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from api.cli.commands.evaluate.shared import shown
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
-from pipeline.capture.session import open_session
-from pipeline.core.data.detections import Detections
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress
-from pipeline.detection.chunk import concatenate
-from pipeline.detection.profiles.profile_detector import detection_joints
-from pipeline.run.engine.local import detect_people, reconstruct
-from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
-from pipeline.validation.evaluation.datasets import mvor
-from pipeline.validation.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.capture.session import open_session
+    from pipeline.core.data.detections import Detections
+    from pipeline.detection.chunk import concatenate
+    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.run.engine.local import detect_people, reconstruct
+    from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
+    from pipeline.validation.evaluation.datasets import mvor
+    from pipeline.validation.evaluation.datasets.mvor_scores import SCORED_JOINTS, score_joints_2d, score_mvor
 
 _RATE_HZ = 1.0
 
@@ -59,11 +62,11 @@ def command(
 
 
 def _from_pictures(
-    data: Path, benchmark: mvor.MvorBenchmark, config: ReconstructionConfig, on_progress: OnProgress
-) -> tuple[list[InstantPoses], Mapping[str, Detections]]:
+    data: Path, benchmark: "mvor.MvorBenchmark", config: ReconstructionConfig, on_progress: OnProgress
+) -> "tuple[list[InstantPoses], Mapping[str, Detections]]":
     """Poses at all instants, and detections with the numbers of the instants as frames. A day is a session."""
-    poses: list[InstantPoses] = []
-    bodies: list[Detections] = []
+    poses: "list[InstantPoses]" = []
+    bodies: "list[Detections]" = []
     joints = detection_joints(replace(config, method="tracking"))
     for day in mvor.load_days(data, benchmark):
         session = open_session(day.folders, benchmark.annotations, images_rate_hz=_RATE_HZ)

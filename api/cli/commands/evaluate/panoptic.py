@@ -8,11 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.evaluate.shared import shown
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import KeypointsOption, checked, with_choices
 from api.cli.sources import SourceOptions
-from pipeline.run.engine.local import reconstruct
-from pipeline.validation.evaluation.datasets import panoptic
+
+if not shows_help():
+    from pipeline.run.engine.local import reconstruct
+    from pipeline.validation.evaluation.datasets import panoptic
 
 
 @with_choices("frame_range", "profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
@@ -21,10 +23,11 @@ def command(
     data: Annotated[Path, typer.Option(help="The folder of a sequence as the data set's toolbox makes it.")],
     cameras: Annotated[
         str, typer.Option(metavar="LIST", help="HD cameras, such as 00_03,00_06. Default: the five of VoxelPose.")
-    ] = ",".join(panoptic.CAMERAS),
+    ] = "",
     every: Annotated[
-        int, typer.Option(min=1, max=10_000, help="Compare with every n-th file of poses. Default: as VoxelPose.")
-    ] = panoptic.EVERY,
+        int | None,
+        typer.Option(min=1, max=10_000, help="Compare with every n-th file of poses. Default: as VoxelPose."),
+    ] = None,
     keypoints: KeypointsOption = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
@@ -32,8 +35,8 @@ def command(
     """A sequence of CMU Panoptic: errors of 15 joints, AP at 25 to 150 mm and recall by VoxelPose's protocol."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), force=True)
-        names = tuple(name.strip() for name in cameras.split(",") if name.strip())
-        sequence = panoptic.load_panoptic(data, names, every, has_footage=keypoints is None)
+        names = tuple(name.strip() for name in cameras.split(",") if name.strip()) or panoptic.CAMERAS
+        sequence = panoptic.load_panoptic(data, names, every or panoptic.EVERY, has_footage=keypoints is None)
         rate_hz = panoptic.FRAME_RATE_HZ if keypoints or sequence.has_images else None
         source = SourceOptions(list(sequence.footage), keypoints=keypoints, frame_rate=rate_hz)
         session = source.open(sequence.calibration)

@@ -8,14 +8,16 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.evaluate.shared import StatureOption, refinement_scores, shown
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
-from pipeline.capture.session import open_session
-from pipeline.detection.profiles.profile_detector import detection_joints
-from pipeline.run.engine.local import detect_people, reconstruct
-from pipeline.validation.evaluation.camera_errors import without_extrinsics
-from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_covered_heads, score_rendered
-from pipeline.validation.evaluation.extremity_errors import score_foot_directions
+
+if not shows_help():
+    from pipeline.capture.session import open_session
+    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.run.engine.local import detect_people, reconstruct
+    from pipeline.validation.evaluation.camera_errors import without_extrinsics
+    from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_covered_heads, score_rendered
+    from pipeline.validation.evaluation.extremity_errors import score_foot_directions
 
 
 @with_choices("profile", "joints", "detector", "follow_s", "method", "smoothing", "joint_centers", "refine_calibration")

@@ -5,14 +5,17 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.core.data.cameras import Camera, FrameTimes, Refinement, Timebase
-from pipeline.core.data.detections import Detections
-from pipeline.core.data.people import People
+from api.cli.console import shows_help
 from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import MAX_STATURE_M, MIN_STATURE_M
-from pipeline.run.engine.methods import Association
-from pipeline.run.engine.recalibration import refine_from_bodies
+
+if not shows_help():
+    from pipeline.core.data.cameras import Camera, FrameTimes, Refinement, Timebase
+    from pipeline.core.data.detections import Detections
+    from pipeline.core.data.people import People
+    from pipeline.run.engine.methods import Association
+    from pipeline.run.engine.recalibration import refine_from_bodies
 
 StatureOption = Annotated[
     list[float] | None,
@@ -27,13 +30,13 @@ StatureOption = Annotated[
 
 
 def refined(
-    cameras: tuple[Camera, ...],
-    times: Mapping[str, FrameTimes],
-    detections: Mapping[str, Detections],
-    timebase: Timebase,
+    cameras: "tuple[Camera, ...]",
+    times: "Mapping[str, FrameTimes]",
+    detections: "Mapping[str, Detections]",
+    timebase: "Timebase",
     joints: JointSet,
     config: ReconstructionConfig,
-) -> tuple[tuple[Camera, ...], Refinement | None]:
+) -> "tuple[tuple[Camera, ...], Refinement | None]":
     """Cameras of an evaluation, refined if requested, and the report."""
     if config.refine_calibration == "off":
         return cameras, None
@@ -41,7 +44,7 @@ def refined(
     return refine_from_bodies(association, detections, joints)
 
 
-def refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
+def refinement_scores(refinement: "Refinement | None") -> dict[str, Any]:
     """Figures of a refinement; none without a refinement."""
     if refinement is None:
         return {}
@@ -54,13 +57,13 @@ def refinement_scores(refinement: Refinement | None) -> dict[str, Any]:
 
 
 def identified(
-    people: People,
-    cameras: tuple[Camera, ...],
-    times: Mapping[str, FrameTimes],
-    timebase: Timebase,
+    people: "People",
+    cameras: "tuple[Camera, ...]",
+    times: "Mapping[str, FrameTimes]",
+    timebase: "Timebase",
     joints: JointSet,
     config: ReconstructionConfig,
-) -> People:
+) -> "People":
     """People after the global pass, with one person and one side for each limb, like the stage ``identify``."""
     association = Association(cameras, times, timebase, joints, config)
     return association.assign_limbs(association.assign_identities(people))

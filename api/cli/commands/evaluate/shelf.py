@@ -9,24 +9,26 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores
-from api.cli.console import JsonOption, emit, print_table, reporting
+from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
-from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
-from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
-from pipeline.association.tracking.track_people import assign_detections, locate_people
-from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.core.data.people import People
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import Method
 from pipeline.core.problems.finding_codes import NO_ABLATION
-from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
-from pipeline.motion.skeleton.animate import animate
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.evaluation.baselines import live_tracks
-from pipeline.validation.evaluation.camera_errors import without_extrinsics
-from pipeline.validation.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
-from pipeline.validation.evaluation.datasets.shelf_tracking import ablate, association_accuracy, score_tracking
+
+if not shows_help():
+    from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
+    from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
+    from pipeline.association.tracking.track_people import assign_detections, locate_people
+    from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.core.data.people import People
+    from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
+    from pipeline.motion.skeleton.animate import animate
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.evaluation.baselines import live_tracks
+    from pipeline.validation.evaluation.camera_errors import without_extrinsics
+    from pipeline.validation.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
+    from pipeline.validation.evaluation.datasets.shelf_tracking import ablate, association_accuracy, score_tracking
 
 
 @with_choices("method", "smoothing", "refine_calibration")

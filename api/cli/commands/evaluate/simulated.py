@@ -8,26 +8,33 @@ from typing import Annotated, Any
 import typer
 
 from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores, shown
-from api.cli.console import JsonOption, emit, print_table, reporting
-from api.cli.options import checked, with_choices
-from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
-from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
-from pipeline.association.tracking.observations import gather
-from pipeline.association.tracking.track_people import track_bodies
-from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.core.data.animation import Animation
-from pipeline.core.data.cameras import Camera
-from pipeline.core.data.people import People
+from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
+from api.cli.options import SceneOption, checked, with_choices
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_18, FINGER_JOINTS, JointSet
 from pipeline.core.options.config import Method, ReconstructionConfig
 from pipeline.core.problems.finding_codes import NO_ABLATION, NO_REFINEMENT, UNKNOWN_EVIDENCE, WRONG_NUMBER_OF_VIEWS
-from pipeline.motion.skeleton.animate import animate
-from pipeline.run.warm_up import warm_up
-from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
-from pipeline.validation.evaluation.extremity_errors import score_feet, score_hands, score_heels_and_toes
-from pipeline.validation.evaluation.simulated import ablate_clustering, cluster_fields, drawn_fields, score_simulated
-from pipeline.validation.simulation.scenes import SCENES, Simulation, find_scene, known_joints, record
+
+if not shows_help():
+    from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
+    from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
+    from pipeline.association.tracking.observations import gather
+    from pipeline.association.tracking.track_people import track_bodies
+    from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.core.data.animation import Animation
+    from pipeline.core.data.cameras import Camera
+    from pipeline.core.data.people import People
+    from pipeline.motion.skeleton.animate import animate
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
+    from pipeline.validation.evaluation.extremity_errors import score_feet, score_hands, score_heels_and_toes
+    from pipeline.validation.evaluation.simulated import (
+        ablate_clustering,
+        cluster_fields,
+        drawn_fields,
+        score_simulated,
+    )
+    from pipeline.validation.simulation.scenes import Simulation, find_scene, known_joints, record
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
 _ABLATION_VIEWS = 12
@@ -36,7 +43,7 @@ _ABLATION_VIEWS = 12
 @with_choices("method", "smoothing", "feet", "refine_calibration")
 def command(
     *,
-    scene: Annotated[str, typer.Option(help=f"One of {', '.join(SCENES)}.")],
+    scene: SceneOption,
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives the same scene.")] = 0,
     chosen: Mapping[str, Any],
     turn: Annotated[
@@ -140,7 +147,7 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
     return chosen
 
 
-def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> dict[str, Any]:
+def _score(animation: "Animation", simulation: "Simulation", joints: JointSet) -> dict[str, Any]:
     scores = score_simulated(animation.tracks, simulation, joints)
     scores |= score_feet(animation.tracks, animation.motions, simulation, joints)
     if "left_heel" in simulation.joints.names:
@@ -151,7 +158,7 @@ def _score(animation: Animation, simulation: Simulation, joints: JointSet) -> di
 
 
 def _score_bodies(
-    simulation: Simulation, true: Sequence[Camera], config: ReconstructionConfig, stature_m: Sequence[float]
+    simulation: "Simulation", true: "Sequence[Camera]", config: ReconstructionConfig, stature_m: Sequence[float]
 ) -> dict[str, Any]:
     """Score a simulation with bodies; its calibration may be disturbed, or made from people of given statures."""
     started_s = time.perf_counter()
@@ -186,7 +193,7 @@ def _score_bodies(
     return scores
 
 
-def _score_fields(simulation: Simulation, config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
+def _score_fields(simulation: "Simulation", config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
     with drawn_fields(simulation) as files:
         started_s = time.perf_counter()
         people = People(*cluster_fields(simulation, files))

@@ -6,7 +6,7 @@ import pytest
 
 from api.web.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running
-from worker.store.database.tables import DEFAULT_TENANT
+from worker.store.model.rights import DEFAULT_TENANT
 
 HOOK = "https://portal.example/hooks/multicap?x=1"
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pipeline.calibration.contents import CameraFile, Units
+from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.registry import read_contents
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
+from pipeline.core.options.job_choices import Units
 from pipeline.geometry.camera import project
 
 POINTS_M = np.array([[0.0, 0.0, 1.0], [0.5, -0.3, 1.7], [-0.4, 0.6, 0.2]])
