@@ -6,7 +6,7 @@ import sys
 
 import structlog
 
-from pipeline.core.runtime.resources import raise_descriptor_limit
+from pipeline.core.runtime.resources import collect_seldom, raise_descriptor_limit
 from pipeline.detection.providers.find import current_provider
 from pipeline.run.engine.code import stage_codes
 from worker.run import tasks
@@ -21,6 +21,7 @@ from worker.store.store import JobStore
 
 def main() -> None:
     """Work until SIGTERM."""
+    collect_seldom()
     keep_files_private()
     raise_descriptor_limit()
     parser = argparse.ArgumentParser(prog=f"python -m {__package__}", description="Work on jobs.")

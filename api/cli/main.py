@@ -15,7 +15,7 @@ from typer.main import get_command, get_group
 
 from api.cli.interruption import end_interrupted
 from pipeline.core.runtime.plugins import PluginWarning
-from pipeline.core.runtime.resources import keep_freed_memory
+from pipeline.core.runtime.resources import collect_seldom, keep_freed_memory
 
 # Names of the commands' modules with their sentences in the help: `multicap --help` imports no module.
 COMMANDS: Mapping[str, str] = {
@@ -104,6 +104,7 @@ def root(
 
 def main() -> None:
     """Run the command line."""
+    collect_seldom()
     keep_freed_memory()
     # Skip the collection of garbage at exit: among all loaded libraries it takes two seconds.
     atexit.register(gc.freeze)

@@ -48,11 +48,6 @@ app.command()(providers)
 app.command()(tracking)
 
 
-@app.callback()
-def _group() -> None:
-    """Speed and memory."""
-
-
 @app.command()
 @with_choices("profile", "joints", "detector")
 def pipeline(

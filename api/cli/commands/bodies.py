@@ -21,11 +21,6 @@ app = typer.Typer(help="The human body of exports, and body models of your own."
 _KEPT = ("gender", "surface_model_type", "mocap_frame_rate", "frame", "is_present", "pose_names")
 
 
-@app.callback()
-def _group() -> None:
-    """The human body of exports, and body models of your own."""
-
-
 @app.command()
 def install(as_json: JsonOption = False) -> None:
     """Download the human body and check it."""

@@ -70,11 +70,6 @@ _PERCENT = 100
 app = typer.Typer(help="Calibrations: make one from a board, from people, or from known points.", no_args_is_help=True)
 
 
-@app.callback()
-def _group() -> None:
-    """Make a calibration."""
-
-
 @app.command("board")
 @with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up"))
 def from_board(

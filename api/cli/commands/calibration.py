@@ -60,11 +60,6 @@ FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Calibration 
 app = typer.Typer(help="Calibration files: show, check, convert; plan of a rig.", no_args_is_help=True)
 
 
-@app.callback()
-def _group() -> None:
-    """Calibration files: show, check, convert; plan of a rig."""
-
-
 @app.command()
 def show(file: FileArgument, units: UnitsOption = None, as_json: JsonOption = False) -> None:
     """Show the format, the unit and the cameras of a calibration."""

@@ -11,11 +11,6 @@ if not shows_help():
 app = typer.Typer(help="The generic model of OpenSim.", no_args_is_help=True)
 
 
-@app.callback()
-def _group() -> None:
-    """The generic model of OpenSim."""
-
-
 @app.command()
 def install(as_json: JsonOption = False) -> None:
     """Download the generic model that is scaled to people, and check it."""

@@ -10,11 +10,6 @@ if not shows_help():
 app = typer.Typer(help="A real four-camera capture of two people.", no_args_is_help=True)
 
 
-@app.callback()
-def _group() -> None:
-    """A real four-camera capture of two people."""
-
-
 @app.command()
 def install(as_json: JsonOption = False) -> None:
     """Download the sample capture and check it."""

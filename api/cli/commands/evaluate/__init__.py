@@ -7,11 +7,6 @@ from api.cli.commands.evaluate import joint_centers, mvor, panoptic, rendered, s
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
 
-@app.callback()
-def _group() -> None:
-    """Accuracy against a known truth."""
-
-
 app.command("rendered")(rendered.command)
 app.command("joint-centers")(joint_centers.command)
 app.command("shelf")(shelf.command)
