@@ -8,22 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import (
-    JsonOption,
-    StageBars,
-    emit,
-    print_table,
-    reporting,
-    require_writable,
-    shows_help,
-    users_cache,
-    writing,
-)
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, shows_help, writing
 from api.cli.options import checked, with_choices
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE
 
 if not shows_help():
+    from api.cli.console import users_cache
     from pipeline.capture.session import open_session
     from pipeline.run.engine.local import reconstruct
     from pipeline.validation.evaluation.datasets.rendered import load_rendered
