@@ -243,7 +243,7 @@ check: setup linter  ## Run everything that CI runs: format, lint, types, import
 benchmark: setup  ## Measure speed and memory of the pipeline and the service (on a quiet machine)
 	$(BIN)/multicap benchmark all
 	$(BIN)/multicap benchmark pipeline
-	$(BIN)/multicap benchmark service
+	$(BIN)/python -P -m tests.benchmarks service
 	$(BIN)/python -P -m pytest -m benchmark
 
 format: setup  ## Format the code and apply automatic fixes

@@ -10,11 +10,11 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from api.cli.benchmark.long_takes import longer_motion, longer_observations, longer_track, peak_rss_mib
+from api.cli.benchmark.long_takes import longer_observations, longer_track, peak_rss_mib, to_and_fro
 from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracking_parameters import derive_parameters
-from pipeline.core.data.animation import Animation
+from pipeline.core.data.animation import Animation, SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
@@ -29,6 +29,26 @@ from pipeline.run.warm_up import warm_up
 from pipeline.validation.simulation.scenes import SCENES, record
 
 _SCENE, _NUM_CAMERAS, _DURATION_S = "room", 4, 20.0
+
+
+def longer_motion(motion: SkeletonMotion, track_id: int, num_frames: int) -> SkeletonMotion:
+    """Motion of a person that goes forwards and backwards, with its contacts, up to a number of frames."""
+    period = len(motion.root_m)
+    contacts = []
+    for number, start in enumerate(range(0, num_frames, period)):
+        for contact in motion.contacts if number % 2 == 0 else motion.contacts[::-1]:
+            first = contact.start_frame if number % 2 == 0 else period - contact.start_frame - contact.num_frames
+            if start + first + contact.num_frames <= num_frames:
+                contacts.append(replace(contact, start_frame=start + first))
+    return replace(
+        motion,
+        track_id=track_id,
+        name=f"person-{track_id}",
+        start_frame=0,
+        root_m=to_and_fro(motion.root_m, num_frames),
+        parent_from_joint=to_and_fro(motion.parent_from_joint, num_frames),
+        contacts=tuple(contacts),
+    )
 
 
 def long_take(num_people: int, num_frames: int) -> Reconstruction:

@@ -16,7 +16,6 @@ from pipeline.core.options.config import ReconstructionConfig
 if not shows_help():
     import numpy as np
 
-    from api.cli.benchmark.live_people import ROOM, measure_all_feet, measure_returns
     from pipeline.association.tracking.track_people import reconstruct_tracks
     from pipeline.association.tracking.tracking_parameters import derive_parameters
     from pipeline.core.data.people import Track3D
@@ -25,7 +24,7 @@ if not shows_help():
     from pipeline.run.live.records import LiveInstant, RecordedFrame, recorded_frames
     from pipeline.run.live.settings import LiveSettings
     from pipeline.run.warm_up import warm_up
-    from pipeline.validation.simulation.scenes import Simulation, record
+    from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
 # Cameras, people and rate.
 _SIZES = ((5, 4, 60.0), (12, 4, 60.0), (28, 16, 25.0))
@@ -163,22 +162,16 @@ def live(
         list[int] | None,
         typer.Option("--memory", min=1, max=600, help="Measure the memory after so many minutes of a capture instead."),
     ] = None,
-    people: Annotated[
-        bool, typer.Option("--people", help="Measure feet that stand, and people who come back, instead.")
-    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Time people and skeletons from a frame's arrival on one core, and compare them with a finished session."""
     if minutes:
         _report_memory(minutes, as_json)
         return
-    if people:
-        _report_people(as_json)
-        return
     with reporting(as_json):
         warm_up()
         sizes = measure_sizes(duration_s, slowness)
-        room = compare_with_finished(record(replace(ROOM, duration_s=_ROOM_S), 0))
+        room = compare_with_finished(record(replace(SCENES["room"], duration_s=_ROOM_S), 0))
     if as_json:
         emit({"sizes": sizes, "room": room})
         return
@@ -202,23 +195,3 @@ def _report_memory(minutes: Sequence[int], as_json: bool) -> None:
     typer.echo(
         f"{memory['numbers']} numbers of people, {memory['kept']} records kept, {memory['dropped']} frames dropped"
     )
-
-
-def _report_people(as_json: bool) -> None:
-    with reporting(as_json):
-        warm_up()
-        feet = measure_all_feet()
-        returns = {kind: measure_returns(have_clothes=kind == "clothes") for kind in ("keypoints", "clothes")}
-    if as_json:
-        emit({"feet": feet, "returns": returns})
-        return
-    columns = [name.replace("_", " ") for name in feet[0]]
-    rows = ([value if isinstance(value, str) else f"{value:.1f}" for value in row.values()] for row in feet)
-    print_table(columns, rows, "Joints of feet that stand, live and of the finished fit")
-    for kind, figures in returns.items():
-        typer.echo(
-            f"With {kind}, {figures['back']} of {figures['people']} people who came back got their numbers again, half "
-            f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got numbers of others. "
-            f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of a person who had "
-            "left."
-        )

@@ -7,7 +7,6 @@ from pathlib import Path
 import av
 import numpy as np
 
-from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.errors import ModelError
 
@@ -16,26 +15,6 @@ def to_and_fro(values: np.ndarray, num_frames: int) -> np.ndarray:
     """Repeat values forwards and backwards along the first axis, up to a number of frames."""
     period = np.concatenate([values, values[::-1]])
     return np.concatenate([period] * -(-num_frames // len(period)))[:num_frames]
-
-
-def longer_motion(motion: SkeletonMotion, track_id: int, num_frames: int) -> SkeletonMotion:
-    """Motion of a person that goes forwards and backwards, with its contacts, up to a number of frames."""
-    period = len(motion.root_m)
-    contacts = []
-    for number, start in enumerate(range(0, num_frames, period)):
-        for contact in motion.contacts if number % 2 == 0 else motion.contacts[::-1]:
-            first = contact.start_frame if number % 2 == 0 else period - contact.start_frame - contact.num_frames
-            if start + first + contact.num_frames <= num_frames:
-                contacts.append(replace(contact, start_frame=start + first))
-    return replace(
-        motion,
-        track_id=track_id,
-        name=f"person-{track_id}",
-        start_frame=0,
-        root_m=to_and_fro(motion.root_m, num_frames),
-        parent_from_joint=to_and_fro(motion.parent_from_joint, num_frames),
-        contacts=tuple(contacts),
-    )
 
 
 def longer_track(track: Track3D, num_frames: int) -> Track3D:

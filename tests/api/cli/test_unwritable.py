@@ -29,7 +29,6 @@ def test_results_that_cannot_be_written_are_no_stack_trace(tmp_path: Path) -> No
         ["demo", "--out"],
         ["simulate", "--scene", "room", "--out"],
         ["benchmark", "tracking", "--plot"],
-        ["evaluate", "joint-centers", "--data", "capture", "--out"],
         ["check", "--calibration", "cameras.toml", "--videos", "videos", "--thumbnails"],
         ["sync", "--calibration", "cameras.toml", "--videos", "videos", "--report"],
         ["calibrate", "board", "--board", "chessboard:9x6:0.03", "--videos", "videos", "--out"],

@@ -18,8 +18,8 @@ from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.records import detected_frames
 from pipeline.run.live.settings import LiveSettings
-from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.scenes import SCENES, Joints, record
+from tests.pipeline.clothes import dress
 from tests.small_disk import fill, small_disk
 
 RATE_HZ = 25.0

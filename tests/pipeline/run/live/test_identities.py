@@ -21,12 +21,12 @@ from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.run.live.settings import LiveSettings, read_bodies
 from pipeline.run.live.skeleton import LearntBones, learn_bones
 from pipeline.validation.evaluation.datasets.rendered import load_rendered
-from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.motion import performance
 from pipeline.validation.simulation.motion.body import Proportions, random_proportions
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.e2e.datasets import folder_of, needs
+from tests.pipeline.clothes import dress
 from tests.pipeline.run.live.streams import play, sent_frames
 
 SHIRTS = (0, 16)

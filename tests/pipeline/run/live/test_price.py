@@ -22,10 +22,10 @@ from pipeline.run.live.frames import LiveFrame
 from pipeline.run.live.identities import Identities
 from pipeline.run.live.settings import LiveSettings
 from pipeline.run.live.skeleton import PoseFilter
-from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.e2e.datasets import folder_of, needs
+from tests.pipeline.clothes import dress
 from tests.pipeline.run.live.streams import sent_frames
 
 pytestmark = pytest.mark.benchmark

@@ -1,12 +1,14 @@
-"""`multicap benchmark live --people`: feet that stand, and numbers of people who come back, against the truth."""
+"""Benchmark `live-people`: feet that stand, and numbers of people who come back, against the truth."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import typer
 from jaxtyping import Bool, Float
 
+from api.cli.console import JsonOption, emit, print_table, reporting
 from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.detections import Detections
@@ -15,9 +17,10 @@ from pipeline.motion.skeleton.animate import animate
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.records import DetectedFrame, LiveInstant, detected_frames
 from pipeline.run.live.settings import LiveSettings
-from pipeline.validation.simulation.clothes import dress
+from pipeline.run.warm_up import warm_up
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
+from tests.pipeline.clothes import dress
 
 ROOM = SCENES["room"]
 # Scenes in which people stand and walk, and their length.
@@ -179,3 +182,24 @@ def _by_person(
         int(np.argmin(np.nanmean(np.linalg.norm(truth_m - person.xyz_m, axis=-1), axis=-1))): person.id
         for person in instant.people
     }
+
+
+def live_people(as_json: JsonOption = False) -> None:
+    """Measure feet that stand, and the numbers of people who come back."""
+    with reporting(as_json):
+        warm_up()
+        feet = measure_all_feet()
+        returns = {kind: measure_returns(have_clothes=kind == "clothes") for kind in ("keypoints", "clothes")}
+    if as_json:
+        emit({"feet": feet, "returns": returns})
+        return
+    columns = [name.replace("_", " ") for name in feet[0]]
+    rows = ([value if isinstance(value, str) else f"{value:.1f}" for value in row.values()] for row in feet)
+    print_table(columns, rows, "Joints of feet that stand, live and of the finished fit")
+    for kind, figures in returns.items():
+        typer.echo(
+            f"With {kind}, {figures['back']} of {figures['people']} people who came back got their numbers again, half "
+            f"of them within {figures['back_after_s']:.1f} s; {figures['mistaken']} got numbers of others. "
+            f"{figures['strangers_mistaken']} of {figures['strangers']} strangers got the number of a person who had "
+            "left."
+        )

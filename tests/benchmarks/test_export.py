@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from api.cli.benchmark.long_takes import longer_motion
 from pipeline.core.data.animation import FootContact, SkeletonMotion
 from pipeline.motion.skeleton.model import SKELETON
+from tests.benchmarks.export import longer_motion
 
 
 def test_contacts_of_long_motion_are_where_feet_stand() -> None:

@@ -11,7 +11,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import COCO_17, JointOffset
 from pipeline.motion.skeleton.model import INDEX, SKELETON, TRUNK
 from pipeline.validation.evaluation.datasets.rendered import RenderedTruth
-from pipeline.validation.evaluation.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
+from tests.benchmarks.joint_centers import MarkedPerson, cross_validate, learn_offsets, marked_people
 
 NUM_FRAMES = 20
 RATE_HZ = 25.0

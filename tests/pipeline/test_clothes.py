@@ -6,8 +6,8 @@ import numpy as np
 
 from pipeline.association.identity.clothes import mean_clothes
 from pipeline.detection.appearance import NUM_BINS, PARTS
-from pipeline.validation.simulation.clothes import dress
 from pipeline.validation.simulation.scenes import SCENES, record
+from tests.pipeline.clothes import dress
 
 
 def test_detections_have_colours_of_their_person() -> None:

@@ -1,20 +1,30 @@
-"""Offsets of a detector's marks from the centres of joints, learnt from captures with exact truth.
+"""Benchmark `joint-centers`: offsets of a detector's marks from the centres of joints, from captures with exact truth.
 
 See ``pipeline.motion.skeleton.marks`` for the offsets: in the axes of the part of the body that carries a mark,
 for each metre of the trunk. They are cross-validated over people: each person is corrected by what the other ones tell.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from jaxtyping import Float
 
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, users_cache, writing
+from api.cli.options import checked, with_choices
+from pipeline.capture.session import open_session
 from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointOffset, JointOffsets
+from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE
 from pipeline.motion.skeleton.marks import part_of_mark, trunk_length_m
 from pipeline.motion.skeleton.model import joint_pose
-from pipeline.validation.evaluation.datasets.rendered import RenderedTruth
+from pipeline.run.engine.local import reconstruct
+from pipeline.validation.evaluation.datasets.rendered import RenderedTruth, load_rendered
 from pipeline.validation.evaluation.mpjpe import GATE_M
 
 KINDS = ("shoulder", "hip", "ear", "nose")
@@ -113,3 +123,54 @@ def cross_validate(people: Sequence[MarkedPerson], kinds: Sequence[str] = KINDS)
 
 def _mean_mm(offset_m: Float[np.ndarray, "marks 3"]) -> float:
     return 1000.0 * float(np.linalg.norm(offset_m, axis=-1).mean())
+
+
+@with_choices("profile", "joints", "detector")
+def joint_centers(
+    *,
+    data: Annotated[list[Path], typer.Option(help="A folder with videos/, calibration.toml and gt.npz; repeatable.")],
+    chosen: Mapping[str, Any],
+    out: Annotated[Path | None, typer.Option(help="JSON file of the offsets and of what they were learnt on.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Offsets of a detector's marks from true joint centres, cross-validated over people: each one left out in turn."""
+    with reporting(as_json), StageBars(visible=not as_json) as bars:
+        config = replace(checked(chosen), joint_centers="off", force=True)
+        require_writable(out)
+        captures = [(folder, load_rendered(folder)) for folder in data]
+        people: list[MarkedPerson] = []
+        learnt_on = []
+        for folder, truth in captures:
+            session = open_session(folder / "videos", folder / "calibration.toml")
+            marked = marked_people(reconstruct(session, config, bars.update, cache=users_cache()), truth)
+            people += marked
+            learnt_on.append({"data": folder.name, "people": len(marked), "instants": len(truth.time_s)})
+        if len(people) < 2:
+            message = f"Offsets are cross-validated over people, but {len(people)} of the truth was found."
+            raise InputError([Problem(DATASET_INCOMPLETE, message, hint="Add captures with more people.")])
+        held_out = cross_validate(people)
+        offsets = {kind: asdict(offset) for kind, offset in learn_offsets(people).items()}
+        report = {
+            "networks": config.networks.names,
+            "unit": "metres for each metre of the trunk",
+            "offsets": offsets,
+            "learnt_on": learnt_on,
+            "held_out": [asdict(person) for person in held_out],
+        }
+        if out is not None:
+            with writing(out):
+                out.write_text(json.dumps(report, indent=2) + "\n")
+    if as_json:
+        emit(report)
+        return
+    print_table(
+        ("person left out", "joint", "marked", "corrected"),
+        (
+            (str(row.person + 1), row.kind, f"{row.marked_mm:.1f} mm", f"{row.corrected_mm:.1f} mm")
+            for row in sorted(held_out, key=lambda row: row.kind)
+        ),
+    )
+    print_table(
+        ("joint", "outwards", "forward", "up"),
+        ((kind, *(f"{part:+.3f}" for part in parts.values())) for kind, parts in offsets.items()),
+    )

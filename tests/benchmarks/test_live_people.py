@@ -1,15 +1,15 @@
-"""`multicap benchmark live --people` on short scenes."""
+"""Benchmark `live-people` on short scenes."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
-from api.cli.benchmark import live_people
-from api.cli.benchmark.live_people import StandingJoints, measure_feet, measure_returns
 from pipeline.run.live.feet import StandingFeet
 from pipeline.run.live.identities import Identities
 from pipeline.validation.simulation.scenes import Simulation, simulate
+from tests.benchmarks import live_people
+from tests.benchmarks.live_people import StandingJoints, measure_feet, measure_returns
 
 pytestmark = pytest.mark.slow
 
