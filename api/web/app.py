@@ -63,6 +63,7 @@ def create_app(settings: Settings) -> FastAPI:
         version="1",
         description="Markerless motion capture of several people from calibrated cameras.",
         lifespan=_lifespan,
+        generate_unique_id_function=contract.operation_id,
         docs_url=None,
         redoc_url=None,
         openapi_url=None,  # answered by `routes.page`: encoded once

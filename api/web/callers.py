@@ -67,12 +67,7 @@ router = APIRouter(prefix="/v1", tags=["callers"], route_class=SmallBodyRoute)
 _LIFETIME_S = 12 * 3600
 
 
-@router.get(
-    "/caller",
-    operation_id="getCaller",
-    summary="Read the caller and its quotas",
-    responses=problems(401, 429),
-)
+@router.get("/caller", summary="Read the caller and its quotas", responses=problems(401, 429))
 def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
     """Read the name, the scopes and the expiry of the caller's key, and the tenant's usage and quotas."""
     key = caller.key
@@ -87,7 +82,6 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
 
 @router.post(
     "/browser-session",
-    operation_id="openBrowserSession",
     summary="Sign a browser in",
     status_code=status.HTTP_204_NO_CONTENT,
     responses={
@@ -116,7 +110,6 @@ def open_browser_session(
 
 @router.delete(
     "/browser-session",
-    operation_id="closeBrowserSession",
     summary="Sign a browser out",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(507),

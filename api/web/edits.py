@@ -167,7 +167,6 @@ router = APIRouter(prefix="/v1/sessions", tags=["sessions"], route_class=SmallBo
 
 @router.get(
     "/{session_id}/edits",
-    operation_id="getSessionEdits",
     summary="Read the edits of a session's people",
     response_model=EditsOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 422)},
@@ -187,7 +186,6 @@ def get_session_edits(
 
 @router.put(
     "/{session_id}/edits",
-    operation_id="editSession",
     summary="Edit a session's people",
     response_model=EditsOut,
     responses={200: {"headers": ETAG}, **problems(400, 404, 409, 412, 413, 415, 422, 429, 507)},

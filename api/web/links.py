@@ -94,7 +94,6 @@ _DAY_S = 86_400.0
 
 @router.post(
     "/jobs/{job_id}/links",
-    operation_id="createLink",
     summary="Make a link",
     status_code=status.HTTP_201_CREATED,
     responses=problems(400, 404, 409, 413, 415, 422, 507),
@@ -125,12 +124,7 @@ def create_link(
     return NewLinkOut.from_record(link, url=_address(link, secret))
 
 
-@router.get(
-    "/jobs/{job_id}/links",
-    operation_id="listLinks",
-    summary="List a job's links",
-    responses=problems(404),
-)
+@router.get("/jobs/{job_id}/links", summary="List a job's links", responses=problems(404))
 def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
     """List the valid links of a job, the newest first."""
     return LinkList(links=tuple(LinkOut.from_record(link) for link in records.links.list_valid(job_id)))
@@ -138,7 +132,6 @@ def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
 
 @router.delete(
     "/links/{link_id}",
-    operation_id="revokeLink",
     summary="Revoke a link",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404),

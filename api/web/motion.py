@@ -269,7 +269,6 @@ class FirstPeopleOut(ResponseModel):
 
 @router.get(
     "/first-people",
-    operation_id="getFirstPeople",
     summary="Look at the first people of a running job",
     response_model=FirstPeopleOut,
     responses=problems(404, 422),
@@ -301,7 +300,6 @@ def get_first_people(
 
 @router.get(
     "/description",
-    operation_id="getMotionDescription",
     summary="Describe a job's motion",
     response_model=MotionDescription,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404, 409, 410)},
@@ -322,7 +320,6 @@ def get_motion_description(
 
 @router.get(
     "",
-    operation_id="getMotion",
     summary="Read frames of a job's motion",
     response_class=Response,
     responses={

@@ -183,7 +183,6 @@ _INSTALL = "Run: multicap samples install"
 
 @router.get(
     "/options",
-    operation_id="getOptions",
     summary="Read the choices of a job",
     response_model=Options,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED},
@@ -221,7 +220,7 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
     return conditional(options, if_none_match)
 
 
-@router.get("/sample", operation_id="getSample", summary="Read the sample capture")
+@router.get("/sample", summary="Read the sample capture")
 def get_sample(_: RecordsDep) -> SampleOut:
     """List the files of the sample capture, a real take to try the service with."""
     paths = _sample_paths()
@@ -243,7 +242,6 @@ def get_sample(_: RecordsDep) -> SampleOut:
 
 @router.get(
     "/sample/{sample_file}",
-    operation_id="getSampleFile",
     summary="Download a file of the sample capture",
     response_class=Response,
     responses={

@@ -83,12 +83,7 @@ _NAME = "person-1.bvh"
 _FILE = file_content(dict.fromkeys(_TYPES))
 
 
-@router.get(
-    "/results",
-    operation_id="listResults",
-    summary="List a job's result files",
-    responses=problems(404, 409),
-)
+@router.get("/results", summary="List a job's result files", responses=problems(404, 409))
 def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
     """List the result files of the last revision that was finished, also while files of a newer one are made."""
     results = records.results.downloads(job_id)
@@ -98,7 +93,6 @@ def list_results(job_id: JobId, records: JobViewDep) -> ResultList:
 
 @router.get(
     f"/{ALL_RESULTS}",
-    operation_id="getAllResults",
     summary="Download all result files",
     response_class=Response,
     responses={
@@ -152,7 +146,6 @@ def _require_whole(services: Services, results: Sequence[Result]) -> None:
 
 @router.get(
     "/results/{name}",
-    operation_id="getResult",
     summary="Download a result file",
     response_class=Response,
     responses={**downloads.file_responses(_FILE, f"jobs/{ID}/results/{_NAME}"), **problems(404, 409, 410, 416, 422)},

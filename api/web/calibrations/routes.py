@@ -110,12 +110,7 @@ add_creation(
 )
 
 
-@router.get(
-    "",
-    operation_id="listCalibrations",
-    summary="List calibrations",
-    responses=problems(422),
-)
+@router.get("", summary="List calibrations", responses=problems(422))
 def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> CalibrationPage:
     """List calibrations, the newest first."""
     found = records.calibrations.page(limit=limit, after=str(cursor) if cursor else None)
@@ -126,7 +121,7 @@ def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = N
     )
 
 
-@router.get("/plan", operation_id="planRig", summary="Plan a rig", responses=problems(404, 409, 422))
+@router.get("/plan", summary="Plan a rig", responses=problems(404, 409, 422))
 async def plan_rig(
     request: Request,
     services: ServicesDep,
@@ -158,7 +153,6 @@ async def plan_rig(
 
 @router.get(
     "/{calibration_id}",
-    operation_id="getCalibration",
     summary="Read a calibration",
     response_model=CalibrationOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
@@ -170,7 +164,6 @@ def get_calibration(calibration_id: CalibrationId, records: RecordsDep, if_none_
 
 @router.get(
     "/{calibration_id}/file",
-    operation_id="getCalibrationFile",
     summary="Download a calibration",
     response_class=Response,
     responses={
@@ -227,7 +220,6 @@ async def _on_request(
 
 @small.patch(
     "/{calibration_id}",
-    operation_id="renameCalibration",
     summary="Rename a calibration",
     response_model=CalibrationOut,
     responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
@@ -248,7 +240,6 @@ def rename_calibration(
 
 @router.delete(
     "/{calibration_id}",
-    operation_id="deleteCalibration",
     summary="Delete a calibration",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),

@@ -69,12 +69,7 @@ add_creation(
 )
 
 
-@router.get(
-    "",
-    operation_id="listCharacters",
-    summary="List characters",
-    responses=problems(422),
-)
+@router.get("", summary="List characters", responses=problems(422))
 def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> CharacterPage:
     """List characters without their bones, the newest first."""
     found = records.characters.page(limit=limit, after=str(cursor) if cursor else None)
@@ -86,7 +81,6 @@ def list_characters(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
 
 @router.get(
     "/{character_id}",
-    operation_id="getCharacter",
     summary="Read a character",
     response_model=CharacterOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
@@ -98,7 +92,6 @@ def get_character(character_id: CharacterId, records: RecordsDep, if_none_match:
 
 @router.get(
     "/{character_id}/file",
-    operation_id="getCharacterFile",
     summary="Download a character",
     response_class=Response,
     responses={
@@ -119,7 +112,6 @@ def get_character_file(
 
 @small.patch(
     "/{character_id}",
-    operation_id="changeCharacter",
     summary="Change a character",
     response_model=CharacterOut,
     responses={200: {"headers": ETAG}, **problems(400, 404, 409, 410, 412, 413, 415, 422, 507)},
@@ -172,7 +164,6 @@ def _change(
 
 @router.delete(
     "/{character_id}",
-    operation_id="deleteCharacter",
     summary="Delete a character",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404),

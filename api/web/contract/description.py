@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
@@ -159,6 +160,12 @@ def location(what: str) -> dict[str, Any]:
 def problems(*statuses: int) -> Responses:
     """Declare error responses by their statuses."""
     return {status: {"$ref": f"#/components/responses/{_problem_name(status)}"} for status in statuses}
+
+
+def operation_id(route: APIRoute) -> str:
+    """Id of an operation: the name of its function in camel case."""
+    first, *others = route.name.split("_")
+    return first + "".join(map(str.capitalize, others))
 
 
 def describe(app: FastAPI, resources: Iterable[Resource]) -> dict[str, Any]:

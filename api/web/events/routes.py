@@ -27,7 +27,6 @@ _STREAM: dict[str, Any] = {"text/event-stream": {"schema": {"type": "string"}, "
 
 @router.get(
     "/events",
-    operation_id="streamJobEvents",
     summary="Follow a job",
     response_class=Response,
     responses={

@@ -66,18 +66,13 @@ _UNAVAILABLE = {
 }
 
 
-@router.get("/healthz", operation_id="getHealth", summary="Check that the service is alive")
+@router.get("/healthz", summary="Check that the service is alive")
 def get_health() -> Health:
     """Answer while the API process is alive."""
     return Health(version=importlib.metadata.version("multicap"))
 
 
-@router.get(
-    "/readyz",
-    operation_id="getReadiness",
-    summary="Check that the service is ready",
-    response_model=Readiness,
-)
+@router.get("/readyz", summary="Check that the service is ready", response_model=Readiness)
 def get_readiness(request: Request, services: ServicesDep) -> Readiness | Response:
     """Check whether a worker could start a job now. If not, `errors` lists what is missing or starting."""
     results = services.readiness.run(
@@ -105,7 +100,6 @@ def get_readiness(request: Request, services: ServicesDep) -> Readiness | Respon
 
 @router.get(
     "/metrics",
-    operation_id="getMetrics",
     summary="Read the metrics",
     response_class=Response,
     responses={200: {"description": "Metrics for Prometheus.", "content": _FIGURES}, **problems(401, 429)},

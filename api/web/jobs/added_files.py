@@ -21,7 +21,6 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=SmallBodyRoute)
 
 @router.post(
     "/{job_id}/files",
-    operation_id="addJobFiles",
     summary="Add files to a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,

@@ -71,7 +71,6 @@ ACCEPTED: Responses = {
 
 @small.post(
     "/sessions/{session_id}/jobs",
-    operation_id="createJob",
     summary="Reconstruct a session",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
@@ -144,7 +143,7 @@ add_creation(
 )
 
 
-@small.get("/jobs", operation_id="listJobs", summary="List jobs", responses=problems(422))
+@small.get("/jobs", summary="List jobs", responses=problems(422))
 def list_jobs(
     records: RecordsDep,
     state: State = None,
@@ -159,12 +158,7 @@ def list_jobs(
     return _page(records, state, str(session_id) if session_id else None, limit, cursor, kind)
 
 
-@small.get(
-    "/sessions/{session_id}/jobs",
-    operation_id="listSessionJobs",
-    summary="List a session's jobs",
-    responses=problems(404, 422),
-)
+@small.get("/sessions/{session_id}/jobs", summary="List a session's jobs", responses=problems(404, 422))
 def list_session_jobs(
     session_id: SessionId, records: RecordsDep, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> JobPage:
@@ -175,7 +169,6 @@ def list_session_jobs(
 
 @small.get(
     "/jobs/{job_id}",
-    operation_id="getJob",
     summary="Read a job",
     response_model=JobOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
@@ -186,12 +179,7 @@ def get_job(job_id: JobId, records: JobViewDep, viewer: ViewerDep, if_none_match
     return conditional(job.for_link() if viewer.link else job, if_none_match)
 
 
-@small.get(
-    "/jobs/{job_id}/attempts",
-    operation_id="listAttempts",
-    summary="List a job's attempts",
-    responses=problems(404),
-)
+@small.get("/jobs/{job_id}/attempts", summary="List a job's attempts", responses=problems(404))
 def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
     """List a job's attempts, with the reason of each failure: of the attempt, and of what was tried again in it."""
     return AttemptList(attempts=tuple(AttemptOut.from_attempt(attempt) for attempt in records.jobs.attempts(job_id)))
@@ -199,7 +187,6 @@ def list_attempts(job_id: JobId, records: RecordsDep) -> AttemptList:
 
 @small.post(
     "/jobs/{job_id}/cancel",
-    operation_id="cancelJob",
     summary="Cancel a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
@@ -225,7 +212,6 @@ def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
 
 @small.post(
     "/jobs/{job_id}/retry",
-    operation_id="retryJob",
     summary="Retry a job",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
@@ -253,7 +239,6 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
 
 @small.post(
     "/jobs/{job_id}/visuals",
-    operation_id="makeJobVisuals",
     summary="Make the visuals of a job again",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
@@ -280,7 +265,6 @@ def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: Idempoten
 
 @small.delete(
     "/jobs/{job_id}",
-    operation_id="deleteJob",
     summary="Delete a job",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),

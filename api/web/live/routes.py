@@ -186,13 +186,8 @@ async def _ready(
         yield process, json.loads(answer)
 
 
-@router.get(
-    "/live/devices",
-    tags=["live"],
-    operation_id="listLiveDevices",
-    summary="List cameras of the service's machine",
-)
-def list_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
+@router.get("/live/devices", tags=["live"], summary="List cameras of the service's machine")
+def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
     """List the cameras of the service's machine, and say whether live captures may open them."""
     is_allowed = allows_private(services.settings, caller)
     found = find_devices() if is_allowed else {}

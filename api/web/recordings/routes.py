@@ -29,7 +29,6 @@ TakeNumber = Annotated[int, Path(ge=1, le=100_000, description="Number of a take
 
 @router.post(
     "",
-    operation_id="openRecording",
     summary="Open a recording",
     status_code=status.HTTP_201_CREATED,
     responses={
@@ -59,12 +58,7 @@ def open_recording(
     return _new(request, services, recording, secret)
 
 
-@router.get(
-    "",
-    operation_id="listRecordings",
-    summary="List recordings",
-    responses=problems(422),
-)
+@router.get("", summary="List recordings", responses=problems(422))
 def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> schemas.RecordingPage:
     """List recordings that have not ended, the newest first."""
     found, now_s = records.recordings.page(limit=limit, after=str(cursor) if cursor else None), server_s()
@@ -75,12 +69,7 @@ def list_recordings(records: RecordsDep, limit: Limit = 50, cursor: Cursor = Non
     )
 
 
-@router.get(
-    "/{recording_id}",
-    operation_id="getRecording",
-    summary="Read a recording",
-    responses=problems(404),
-)
+@router.get("/{recording_id}", summary="Read a recording", responses=problems(404))
 def get_recording(recording_id: RecordingId, records: RecordsDep) -> schemas.RecordingOut:
     """Read a recording: its phones, and its takes with the clips of the phones."""
     return schemas.RecordingOut.from_recording(records.recordings.get(recording_id), server_s())
@@ -88,12 +77,11 @@ def get_recording(recording_id: RecordingId, records: RecordsDep) -> schemas.Rec
 
 @router.post(
     "/{recording_id}/join",
-    operation_id="renewRecordingLink",
     summary="Make another link for phones",
     status_code=status.HTTP_201_CREATED,
     responses=problems(404, 507),
 )
-def renew_link(
+def renew_recording_link(
     recording_id: RecordingId, request: Request, services: ServicesDep, records: RecordsDep
 ) -> schemas.NewRecordingOut:
     """Make another link by which phones join. The one before ends, and phones that joined by it are disconnected."""
@@ -103,7 +91,6 @@ def renew_link(
 
 @router.delete(
     "/{recording_id}",
-    operation_id="deleteRecording",
     summary="End a recording",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404),
@@ -115,7 +102,6 @@ def delete_recording(recording_id: RecordingId, services: ServicesDep, records: 
 
 @router.post(
     "/{recording_id}/takes/{take}/session",
-    operation_id="createTakeSession",
     summary="Make a session of a take",
     status_code=status.HTTP_201_CREATED,
     response_model=schemas.TakeSessionOut,
@@ -149,7 +135,6 @@ async def create_take_session(
 
 @router.post(
     "/{recording_id}/takes/{take}/calibration",
-    operation_id="createTakeCalibration",
     summary="Calibrate the phones from a take",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,

@@ -74,7 +74,7 @@ add_creation(
 )
 
 
-@router.get("", operation_id="listSessions", summary="List sessions", responses=problems(422))
+@router.get("", summary="List sessions", responses=problems(422))
 def list_sessions(
     records: RecordsDep, name: Name = None, state: State = None, limit: Limit = 50, cursor: Cursor = None
 ) -> SessionPage:
@@ -86,7 +86,6 @@ def list_sessions(
 
 @router.get(
     "/{session_id}",
-    operation_id="getSession",
     summary="Read a session",
     response_model=SessionOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
@@ -101,7 +100,6 @@ def get_session(
 
 @small.patch(
     "/{session_id}",
-    operation_id="renameSession",
     summary="Rename a session",
     response_model=SessionOut,
     responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
@@ -122,7 +120,6 @@ def rename_session(
 
 @router.delete(
     "/{session_id}",
-    operation_id="deleteSession",
     summary="Delete a session",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),

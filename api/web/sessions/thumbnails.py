@@ -21,7 +21,6 @@ Number = Annotated[int, Path(ge=0, le=255, description="Place of the picture in 
 
 @router.get(
     "/{camera}/{number}",
-    operation_id="getSessionThumbnail",
     summary="Look at a picture of a session's video",
     response_class=Response,
     responses={**file_responses(_JPEG), **problems(404, 410, 416, 422)},

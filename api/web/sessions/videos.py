@@ -30,7 +30,6 @@ Camera = Annotated[
 
 @router.get(
     "/{camera}",
-    operation_id="getSessionVideo",
     summary="Watch a session's video",
     response_class=Response,
     responses={**file_responses(_VIDEO), **problems(404, 409, 410, 416)},
@@ -68,7 +67,6 @@ def get_session_video(
 
 @router.delete(
     "",
-    operation_id="deleteSessionVideos",
     summary="Delete a session's videos",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),

@@ -16,7 +16,6 @@ router = APIRouter(prefix="/v1/uploads", tags=["uploads"], route_class=SmallBody
 
 @router.post(
     "/from-url",
-    operation_id="createUploadFromUrl",
     summary="Fetch an upload",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=UploadState,
@@ -41,9 +40,7 @@ def create_upload_from_url(source: UploadSource, services: ServicesDep, idempote
     return answer.response()
 
 
-@router.get(
-    "/{upload_id}", operation_id="getUploadState", summary="Read an upload", responses=problems(400, 404, 421, 422)
-)
+@router.get("/{upload_id}", summary="Read an upload", responses=problems(400, 404, 421, 422))
 def get_upload_state(upload_id: UploadId, services: ServicesDep, records: UploadsDep) -> UploadState:
     """Read the state of an upload: how many of its bytes are there, and the error of a fetch that failed."""
     upload = records.uploads.get(upload_id)

@@ -75,9 +75,7 @@ router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
 
-@described.options(
-    "", operation_id="describeUploads", summary="Describe uploads", status_code=status.HTTP_204_NO_CONTENT
-)
+@described.options("", summary="Describe uploads", status_code=status.HTTP_204_NO_CONTENT)
 def describe_uploads(response: Response, services: ServicesDep) -> None:
     """Describe the supported version and extensions of tus, and the largest size of a file."""
     response.headers["Tus-Version"] = VERSION
@@ -88,7 +86,6 @@ def describe_uploads(response: Response, services: ServicesDep) -> None:
 
 @router.post(
     "",
-    operation_id="createUpload",
     summary="Begin an upload",
     status_code=status.HTTP_201_CREATED,
     response_class=Response,
@@ -141,7 +138,6 @@ async def create_upload(
 
 @router.head(
     "/{upload_id}",
-    operation_id="getUpload",
     summary="Read an upload's offset",
     response_class=Response,
     responses={
@@ -165,7 +161,6 @@ def get_upload(
 
 @router.patch(
     "/{upload_id}",
-    operation_id="continueUpload",
     summary="Send a piece of an upload",
     status_code=status.HTTP_204_NO_CONTENT,
     response_class=Response,
@@ -206,7 +201,6 @@ async def continue_upload(
 
 @router.delete(
     "/{upload_id}",
-    operation_id="deleteUpload",
     summary="Delete an upload",
     status_code=status.HTTP_204_NO_CONTENT,
     response_class=Response,
