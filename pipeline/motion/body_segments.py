@@ -81,7 +81,11 @@ class AngleJoint:
     distal: str
     sequence: Sequence
     angles: tuple[Angle, ...]
-    is_sided: bool = True
+
+    @property
+    def is_sided(self) -> bool:
+        """Return whether there is a joint on each side."""
+        return self.distal not in _TRUNK
 
     @property
     def is_proper(self) -> bool:
@@ -97,92 +101,52 @@ class AngleJoint:
         return max(place for place, axis in enumerate(self.sequence) if axis == _Y)
 
 
-JOINTS: tuple[AngleJoint, ...] = (
-    AngleJoint(
-        "world",
-        "pelvis",
-        _YXZ,
-        (
+JOINTS = tuple(
+    AngleJoint(proximal, distal, sequence, angles)
+    for (proximal, distal, sequence), angles in {
+        ("world", "pelvis", _YXZ): (
             Angle("pelvis_rotation", 0, 1.0, "heading to the left of the world's X axis"),
             Angle("pelvis_obliquity", 1, 1.0, "right side lower"),
             Angle("pelvis_tilt", 2, -1.0, "tilted to the front"),
         ),
-        is_sided=False,
-    ),
-    AngleJoint(
-        "pelvis",
-        "thorax",
-        _ZXY,
-        (
+        ("pelvis", "thorax", _ZXY): (
             Angle("trunk_flexion", 0, -1.0, "bent to the front"),
             Angle("trunk_bending", 1, 1.0, "bent to the right"),
             Angle("trunk_rotation", 2, 1.0, "turned to the left"),
         ),
-        is_sided=False,
-    ),
-    AngleJoint(
-        "thorax",
-        "head",
-        _ZXY,
-        (
+        ("thorax", "head", _ZXY): (
             Angle("neck_flexion", 0, -1.0, "bent to the front"),
             Angle("neck_bending", 1, 1.0, "bent to the right"),
             Angle("neck_rotation", 2, 1.0, "turned to the left"),
         ),
-        is_sided=False,
-    ),
-    AngleJoint(
-        "pelvis",
-        "thigh",
-        _ZXY,
-        (
+        ("pelvis", "thigh", _ZXY): (
             Angle("hip_flexion", 0, 1.0, "thigh to the front"),
             Angle("hip_adduction", 1, 1.0, "thigh to the middle"),
             Angle("hip_rotation", 2, 1.0, "internal"),
         ),
-    ),
-    AngleJoint("thigh", "shank", _ZXY, (Angle("knee_flexion", 0, -1.0, "bent"),)),
-    AngleJoint(
-        "shank",
-        "foot",
-        _ZXY,
-        (
+        ("thigh", "shank", _ZXY): (Angle("knee_flexion", 0, -1.0, "bent"),),
+        ("shank", "foot", _ZXY): (
             Angle("ankle_dorsiflexion", 0, 1.0, "toes up"),
             Angle("subtalar_inversion", 1, 1.0, "sole to the middle"),
             Angle("ankle_rotation", 2, 1.0, "internal"),
         ),
-    ),
-    AngleJoint(
-        "thorax",
-        "upper_arm",
-        _ZXY,
-        (
+        ("thorax", "upper_arm", _ZXY): (
             Angle("shoulder_flexion", 0, 1.0, "arm to the front"),
             Angle("shoulder_adduction", 1, 1.0, "arm to the middle; abduction is negative"),
             Angle("shoulder_rotation", 2, 1.0, "internal"),
         ),
-    ),
-    AngleJoint(
-        "thorax",
-        "upper_arm",
-        _YXY,
-        (
+        ("thorax", "upper_arm", _YXY): (
             Angle("shoulder_plane", 0, 1.0, "plane of elevation: 0 aside, 90 to the front"),
             Angle("shoulder_elevation", 1, -1.0, "arm away from hanging, 0 to 180"),
             Angle("shoulder_axial", 2, 1.0, "internal, after plane and elevation"),
         ),
-    ),
-    AngleJoint("upper_arm", "forearm", _ZXY, (Angle("elbow_flexion", 0, 1.0, "bent"),)),
-    AngleJoint(
-        "forearm",
-        "hand",
-        _YZX,
-        (
+        ("upper_arm", "forearm", _ZXY): (Angle("elbow_flexion", 0, 1.0, "bent"),),
+        ("forearm", "hand", _YZX): (
             Angle("forearm_pronation", 0, 1.0, "palm to the back; 0 with the palm to the front"),
             Angle("wrist_flexion", 1, 1.0, "palm to the forearm"),
             Angle("wrist_deviation", 2, 1.0, "to the little finger"),
         ),
-    ),
+    }.items()
 )
 """Joints from the pelvis outwards."""
 

@@ -71,8 +71,8 @@ class FileFormat(Value):
         ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
         ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body.
     writer
-        Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``; ``None`` for formats that
-        stages of their own make.
+        Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``, or ``.module:name`` in
+        ``pipeline.export.writers``; ``None`` for formats that stages of their own make.
     has_body, has_presets
         Whether it holds a body that follows the skeleton; whether names, axes, unit and rest pose come from a preset.
     ending

@@ -27,14 +27,7 @@ _BYTES = "application/octet-stream"
 Export = (
     Annotated[
         Literal["bvh"],
-        FileFormat(
-            "BVH, animation",
-            _TEXT,
-            "motion",
-            "pipeline.export.writers.bvh:WRITER",
-            has_presets=True,
-            size=FileSize(2_000, 475),
-        ),
+        FileFormat("BVH, animation", _TEXT, "motion", ".bvh:WRITER", has_presets=True, size=FileSize(2_000, 475)),
     ]
     | Annotated[
         Literal["glb"],
@@ -42,7 +35,7 @@ Export = (
             "GLB, body and animation",
             "model/gltf-binary",
             "motion",
-            "pipeline.export.writers.glb:WRITER",
+            ".glb:WRITER",
             has_body=True,
             size=FileSize(108_000, 320),
             in_take=True,
@@ -54,7 +47,7 @@ Export = (
             "FBX, body and animation",
             _BYTES,
             "motion",
-            "pipeline.export.writers.fbx:WRITER",
+            ".fbx:WRITER",
             has_body=True,
             has_presets=True,
             size=FileSize(138_000, 505),
@@ -67,7 +60,7 @@ Export = (
             "USD, body and animation",
             _BYTES,
             "motion",
-            "pipeline.export.writers.usd:WRITER",
+            ".usd:WRITER",
             has_body=True,
             ending="usdc",
             package=OptionalPackage("usd-core", module="pxr", extra="usd"),
@@ -81,36 +74,22 @@ Export = (
             "VRMA, animation for VRM characters",
             "model/gltf-binary",
             "motion",
-            "pipeline.export.writers.vrma:WRITER",
+            ".vrma:WRITER",
             size=FileSize(4_000, 390),
         ),
     ]
     | Annotated[
         Literal["trc"],
-        FileFormat(
-            "TRC, joints for OpenSim", _TEXT, "joints", "pipeline.export.writers.trc:WRITER", size=FileSize(of_joint=24)
-        ),
+        FileFormat("TRC, joints for OpenSim", _TEXT, "joints", ".trc:WRITER", size=FileSize(of_joint=24)),
     ]
     # The header counts frames in 16 bits, and readers take no longer files.
     | Annotated[
         Literal["c3d"],
-        FileFormat(
-            "C3D, joints and segments",
-            _BYTES,
-            "joints",
-            "pipeline.export.writers.c3d_file:WRITER",
-            size=FileSize(2_000, 1_350),
-        ),
+        FileFormat("C3D, joints and segments", _BYTES, "joints", ".c3d_file:WRITER", size=FileSize(2_000, 1_350)),
     ]
     | Annotated[
         Literal["csv"],
-        FileFormat(
-            "CSV, joints in a table",
-            _CSV,
-            "joints",
-            "pipeline.export.writers.csv_table:WRITER",
-            size=FileSize(1_000, of_joint=22),
-        ),
+        FileFormat("CSV, joints in a table", _CSV, "joints", ".csv_table:WRITER", size=FileSize(1_000, of_joint=22)),
     ]
     | Annotated[
         Literal["npz"],
@@ -118,7 +97,7 @@ Export = (
             "NPZ, joints and rotations for SMPL-X and MHR",
             _BYTES,
             "motion",
-            "pipeline.export.writers.body_npz:WRITER",
+            ".body_npz:WRITER",
             note="No data of these models is in it. Their makers' licences hold for the models.",
             size=FileSize(6_000, 2_000, 24),
         ),
@@ -129,20 +108,14 @@ Export = (
             "CSV, joint angles in a table",
             _CSV,
             "angles",
-            "pipeline.export.writers.angle_tables:CSV",
+            ".angle_tables:CSV",
             ending="angles.csv",
             size=FileSize(1_000, 480),
         ),
     ]
     | Annotated[
         Literal["mot"],
-        FileFormat(
-            "MOT, joint angles for OpenSim",
-            _TEXT,
-            "angles",
-            "pipeline.export.writers.angle_tables:MOT",
-            size=FileSize(1_000, 260),
-        ),
+        FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles", ".angle_tables:MOT", size=FileSize(1_000, 260)),
     ]
     | Annotated[
         Literal["osim"],

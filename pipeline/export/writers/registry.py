@@ -162,5 +162,6 @@ def find_writer(export: Export) -> Writer:
 
     Raises ``ImportError`` if the package that the format needs is not installed.
     """
-    writer: Writer = resolve_name(str(FILE_FORMATS[export].writer))
+    reference = str(FILE_FORMATS[export].writer)
+    writer: Writer = resolve_name(f"{__package__}{reference}" if reference.startswith(".") else reference)
     return writer
