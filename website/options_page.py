@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
+from api.web.options import PURPOSES, Purpose
 from pipeline.core.options.choices import Choice, Value, declared_choices
 from pipeline.core.options.config import CHOICES, ReconstructionConfig
-from pipeline.core.options.purposes import PURPOSES, Purpose
 
 _INTRODUCTION = """\
 # Options of a reconstruction

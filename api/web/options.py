@@ -2,6 +2,7 @@
 
 import mimetypes
 from collections.abc import Collection
+from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
 from typing import Annotated, Self
 from urllib.parse import quote
@@ -18,8 +19,8 @@ from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from pipeline.core.options import config
 from pipeline.core.options.choices import Choice, Group, Kind
-from pipeline.core.options.file_formats import FILE_FORMATS
-from pipeline.core.options.purposes import PURPOSES
+from pipeline.core.options.config import JobChoices, Preset
+from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
@@ -284,6 +285,63 @@ def _profile_networks(
         installed=None if installed is None else not missing,
         install=install_command(*networks),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Purpose:
+    """Purpose of a take: choices of a job that files for it need."""
+
+    name: str
+    label: str  # Name in forms and documentation
+    note: str  # Sentence that tells which files it gives
+    exports: tuple[Export, ...]
+    preset: Preset = "default"
+
+    @property
+    def spec(self) -> dict[str, str | tuple[str, ...]]:
+        """Choices of a job's spec that the purpose sets."""
+        return {name: getattr(self, name) for name in CHOICES_OF_PURPOSES}
+
+
+CHOICES_OF_PURPOSES = tuple(field.name for field in fields(Purpose) if field.name in JobChoices.__dataclass_fields__)
+"""Choices that each purpose sets."""
+
+PURPOSES = (
+    Purpose("motion", "Any software", "BVH in standard names, which most software reads.", ("bvh",)),
+    Purpose(
+        "blender", "Blender", "BVH and FBX in names that Blender's symmetry tools know.", ("bvh", "fbx"), "blender"
+    ),
+    Purpose(
+        "unreal",
+        "Unreal Engine",
+        "FBX and BVH in the names of the mannequin and of MetaHuman.",
+        ("bvh", "fbx"),
+        "unreal",
+    ),
+    Purpose("unity", "Unity", "FBX that Unity maps to a humanoid, and BVH.", ("bvh", "fbx"), "unity-humanoid"),
+    Purpose(
+        "maya",
+        "Maya, MotionBuilder",
+        "FBX that HumanIK characterises by its names, and BVH.",
+        ("bvh", "fbx"),
+        "humanik",
+    ),
+    Purpose(
+        "character",
+        "My own character",
+        "GLB, FBX and BVH of your character, beside the files of each person.",
+        ("bvh", "glb", "fbx"),
+    ),
+    Purpose("vrm", "VRM characters", "VRMA, which every VRM character plays.", ("vrma",)),
+    Purpose("web", "Web pages", "GLB with bodies and cameras, for three.js, Babylon.js and model viewers.", ("glb",)),
+    Purpose(
+        "research",
+        "Biomechanics",
+        "Joint positions as TRC, C3D and CSV; joint angles as CSV and MOT.",
+        ("trc", "c3d", "csv", "angles", "mot"),
+    ),
+)
+"""Purposes in the order of the form. The first one has the defaults."""
 
 
 RESOURCE = Resource(router=router)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.capture.keypoint_files import foreign
+from pipeline.capture.keypoint_files import forms
 from pipeline.capture.keypoint_files.folders import MAX_FILE_BYTES
 from pipeline.capture.keypoint_files.forms import TEXT, endings
 from pipeline.capture.keypoint_files.readers import freemocap
@@ -79,8 +79,8 @@ def _list_files(archive: Path, folder: Path, max_bytes: int) -> Sequence[zipfile
     target.mkdir()
     files = list_entries(archive, endings(), max_bytes) or list_entries(archive, {TEXT}, max_bytes)
     if not files:
-        others = list_entries(archive, foreign.ENDINGS, sys.maxsize)
-        if known := foreign.described(entry_name(entry) for entry in others):
+        others = list_entries(archive, forms.ENDINGS, sys.maxsize)
+        if known := forms.described(entry_name(entry) for entry in others):
             raise ArchiveError(printable(" ".join(known)))
     return files
 

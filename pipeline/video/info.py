@@ -49,7 +49,7 @@ class VideoInfo:
     # Time of creation that the file states, in seconds since 1970; ``None``: it states none
     created_s: float | None = None
     warnings: tuple[Problem, ...] = ()  # Facts about the file for users, each with a stable code
-    # Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.playback.browsers``
+    # Media type as which browsers play the file; ``None`` if some don't, see ``pipeline.video.probe``
     browser_media_type: str | None = None
     media_start_s: float = 0.0  # Time of the first frame on the clock of the file, which players show
     tick_s: float = 1.0  # Duration of a tick of the stream's time base, in seconds

@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from av.container import InputContainer
@@ -42,7 +42,6 @@ from pipeline.video.images.files import is_sequence
 from pipeline.video.images.image_probe import probe_images
 from pipeline.video.info import VideoInfo, seek_points
 from pipeline.video.orientation import display_orientation, mirrored
-from pipeline.video.playback.browsers import VideoFormat, browser_media_type
 from pipeline.video.properties.container_clocks import created_s, read_timecode
 from pipeline.video.properties.packets import REPAIR_TIMES, list_packets, shown_pts, unknown_delays
 from pipeline.video.signatures import document_type, is_container, is_cut_avi
@@ -331,6 +330,44 @@ def interlaced() -> Problem:
         "The video is interlaced: each picture shows two instants, and moving people have combed edges.",
         hint="Record progressively, or deinterlace the video before.",
     )
+
+
+_MAX_LONG_SIDE_PX = 4096
+_MAX_PIXELS = 4096 * 2304
+"""Largest picture of H.264's level 5.2."""
+
+_H264_PROFILES = frozenset({"Baseline", "Constrained Baseline", "Main", "High"})
+_EIGHT_BITS = frozenset({"yuv420p", "yuvj420p"})
+
+
+class VideoFormat(NamedTuple):
+    """Format of a video file, in FFmpeg's names."""
+
+    container: str  # Name of the demuxer, such as "mov,mp4,m4a,3gp,3g2,mj2"
+    brand: str  # Major brand of an MP4 or QuickTime file, or document type of a Matroska file ("webm"); else empty
+    # Of the video stream; the profile may be unknown
+    codec: str
+    profile: str | None
+    pixel_format: str | None
+    size_px: tuple[int, int]  # Width and height of the stored pictures
+
+
+def browser_media_type(video: VideoFormat) -> str | None:
+    """Media type by which Chromium, Firefox and Safari play a video; ``None`` if one of them may not.
+
+    Chromium plays H.264 also in QuickTime and Matroska files, and AV1; other browsers don't on every machine.
+    """
+    width, height = video.size_px
+    if max(width, height) > _MAX_LONG_SIDE_PX or width * height > _MAX_PIXELS:
+        return None
+    if video.pixel_format not in _EIGHT_BITS:
+        return None
+    if "mp4" in video.container.split(","):
+        is_playable = video.codec == "h264" and video.profile in _H264_PROFILES and video.brand.strip() != "qt"
+        return "video/mp4" if is_playable else None
+    if video.brand == "webm":
+        return "video/webm" if video.codec in {"vp8", "vp9"} else None
+    return None
 
 
 if __name__ == "__main__":

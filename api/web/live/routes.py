@@ -18,7 +18,7 @@ from api.web.contract.description import Resource
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message
-from api.web.live.calibrations import calibration_file
+from api.web.live.calibrations import calibration_file, record_calibration
 from api.web.live.cameras import allows_private, relay_cameras
 from api.web.live.connection import LiveConnection
 from api.web.live.forks import start_limit_s
@@ -26,7 +26,6 @@ from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
 from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
-from api.web.live.recording import record_calibration
 from api.web.live.relay import Relay
 from api.web.live.schemas import (
     DroppedOut,

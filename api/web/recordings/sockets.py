@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Coroutine
 from typing import Any, Literal
 
@@ -16,13 +17,17 @@ from api.web.dependencies import Services, canonical_id
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import LATER, SocketProblem, deny, problem_message, socket_problem
 from api.web.metrics import RecordingMetrics
-from api.web.recordings.hosts import HostConnection
-from api.web.recordings.intake import RecordingIntake
+from api.web.recordings import messages
+from api.web.recordings.intake import RecordingIntake, parsed, server_s
 from api.web.recordings.messages import EndedOut, RecordingProblemOut
-from api.web.recordings.phones import PhoneConnection, recording_limits, said_hello, send
+from api.web.recordings.phones import PhoneConnection, recording_limits, refusal_message, said_hello, send
 from api.web.recordings.rooms import HostSide, RecordingOver, Room
+from api.web.recordings.schemas import RecordingOut
+from api.web.settings import Settings
 from pipeline.core.problems.request_codes import LINK_UNKNOWN, RECORDING_BUSY, RECORDING_LINK_ENDED
 from worker.store.errors import NotFound, PhoneRemoved
+from worker.store.files.disk import DiskSpace
+from worker.store.model.phone_records import RecordingSession
 from worker.store.model.rights import Actor
 from worker.store.tenant_records import TenantRecords
 
@@ -176,6 +181,96 @@ async def _until_first(*ways: Coroutine[Any, Any, None]) -> None:
 def _metrics(websocket: WebSocket) -> RecordingMetrics:
     metrics: RecordingMetrics = websocket.app.state.metrics.recordings
     return metrics
+
+
+# Time from a host's request to the start and the stop of a take: phones at other processes may learn of it by rows.
+_START_LEAD_S, _STOP_LEAD_S = 2.0, 1.0
+# States a second at most.
+_STATES_PER_S = 4.0
+
+
+class HostConnection:
+    """Connection of a host.
+
+    ``records``: records of the host. ``disk``: disk of the service: no take begins on a full one, and what begins can
+    be ended on it.
+    """
+
+    def __init__(
+        self, websocket: WebSocket, room: Room, records: TenantRecords, settings: Settings, disk: DiskSpace
+    ) -> None:
+        self._websocket, self._room, self._records, self._settings = websocket, room, records, settings
+        self._disk = disk
+        self._shown_revision = -1
+
+    async def receive(self, intake: RecordingIntake) -> None:
+        """Take the host's messages until it goes; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
+        while True:
+            message = parsed(await intake.receive(), messages.HOST_MESSAGES, messages.HOST_RECEIVED)
+            if isinstance(message, messages.ClientPing):
+                await send(self._websocket, messages.Pong(t0_s=message.t0_s, server_s=server_s()), self._settings)
+                continue
+            try:
+                recording = await run_in_threadpool(self._change, message)
+            except Exception as error:
+                await send(self._websocket, refusal_message(error, self._websocket.state.request_id), self._settings)
+            else:
+                self._room.changed(recording)
+
+    async def send(self, side: HostSide) -> None:
+        """Show what changes until the recording is over; raises ``RecordingOver``."""
+        loop, next_s = asyncio.get_running_loop(), 0.0
+        while True:
+            await side.wake.wait()
+            side.wake.clear()
+            if self._room.is_over:
+                raise RecordingOver("recording")
+            if side.has_news and (now_s := time.monotonic()) >= next_s:
+                side.has_news, next_s = False, now_s + 1 / _STATES_PER_S
+                await send(self._websocket, self._state(), self._settings)
+            elif side.has_news:
+                loop.call_later(next_s - now_s, side.wake.set)
+            while side.thumbnails:
+                number = next(iter(side.thumbnails))
+                await send(self._websocket, side.thumbnails.pop(number), self._settings)
+
+    def _change(self, message: messages.HostMessage) -> RecordingSession:
+        recordings, recording_id = self._records.recordings, self._room.recording.id
+        match message:
+            case messages.HostStart():
+                settings = {} if message.settings is None else message.settings.model_dump()
+                self._disk.require_room()
+                start_s, limits = server_s() + _START_LEAD_S, recording_limits(self._settings)
+                return recordings.start_take(recording_id, message.name, settings, start_s, limits)
+            case messages.HostStop():
+                return self._disk.using_reserve(lambda: recordings.stop_take(recording_id, server_s() + _STOP_LEAD_S))
+            case messages.HostRename():
+                return recordings.rename_phone(recording_id, message.phone, message.name)
+            case messages.HostRemove():
+                return self._disk.using_reserve(lambda: recordings.remove_phone(recording_id, message.phone))
+            case messages.HostUpload():
+                return recordings.want_upload(recording_id, message.take)
+            case messages.HostDiscard():
+                return self._disk.using_reserve(lambda: recordings.discard_take(recording_id, message.take))
+            case messages.ClientPing():
+                raise ValueError("a ping changes nothing")
+
+    def _state(self) -> messages.HostState:
+        room, now_s = self._room, server_s()
+        is_new = room.recording.revision != self._shown_revision
+        self._shown_revision = room.recording.revision
+        return messages.HostState(
+            recording=RecordingOut.from_recording(room.recording, now_s) if is_new else None,
+            live=tuple(
+                messages.LivePhoneOut(
+                    number=number, is_connected=phone.is_connected, status=phone.status, hello=phone.hello
+                )
+                for number, phone in sorted(room.live.items())
+            ),
+            relay="away" if room.is_relay_away else "ok",
+            server_s=now_s,
+            request_id=self._websocket.state.request_id,
+        )
 
 
 RESOURCE = Resource(router=router)

@@ -10,18 +10,23 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
-from pipeline.association.own_points.animals import track_animals
-from pipeline.association.own_points.triangulate_points import locate_points
 from pipeline.association.tracking.observations import Detections2D, gather, observed_by
-from pipeline.association.tracking.tracking_parameters import TrackingParameters
+from pipeline.association.tracking.track_people import track_bodies
+from pipeline.association.tracking.tracking_parameters import TrackingParameters, derive_parameters
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.own_points import OwnDetections, OwnTracks, SceneObject
-from pipeline.core.data.people import Observations, Track3D
+from pipeline.core.data.people import Observations, Source, Track3D
+from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import JointSet, other_side
+from pipeline.geometry.camera import projection_matrices
+from pipeline.geometry.track_assembly import close_gaps, make_person
+from pipeline.geometry.tracks import reproject, triangulate_frames
+from pipeline.geometry.triangulation import DISPUTED_M
+from pipeline.geometry.undistortion import undistort_views
 
 # A row of a file is a person's if the middle difference of its joints is at most this share of the diagonal of its box:
 # between two output frames a body moves, and other rows are other people.
@@ -161,3 +166,135 @@ def _with_column(points: Track3D, column: int, of_column: Track3D) -> Track3D:
         arrays[name][:, column] = array[:, 0]
         read_only(arrays[name])
     return replace(points, **arrays)
+
+
+# Track animals: bodies whose points are all the user's own. Cross-view tracking (Chen et al. 2020) takes any points.
+# Its thresholds are lengths of people, so the world is enlarged until the animals are as large as people, and made
+# small again afterwards.
+
+# Extent of a person in a picture, as the larger side of the box, to which animals are compared.
+_PERSON_M = 1.5
+# Largest enlargement: for animals of unknown size, or as small as a fly.
+_MAX_SCALE = 1000.0
+
+
+def track_animals(
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], timebase: Timebase, own: OwnDetections
+) -> tuple[SceneObject, ...]:
+    """Track animals, and locate their points in the frames of the take; none without animals.
+
+    Positions and standard deviations are in metres, NaN where a point is unknown.
+    """
+    bodies = gather(cameras, times, own.of_animals) if own.of_animals else None
+    if bodies is None or not len(bodies.frame):
+        return ()
+    scale = _scale(cameras, bodies)
+    enlarged = _enlarged(cameras, scale)
+    parameters = derive_parameters(enlarged, timebase.frame_rate_hz)
+    parameters = replace(parameters, confirm_instants=min(parameters.confirm_instants, timebase.num_frames))
+    found = track_bodies(enlarged, times, bodies, timebase, parameters)
+    animals = []
+    for number, (track, seen) in enumerate(zip(found.tracks, found.observations, strict=True), 1):
+        located = locate_points(enlarged, timebase, track, seen.points_px, seen.score, parameters.min_score)
+        name = f"animal_{number}"
+        points = tuple(f"{name}_{point}" for point in own.names)
+        animals.append(SceneObject(name, points, _in_take(located, timebase.num_frames, scale)))
+    return tuple(animals)
+
+
+def _enlarged(cameras: Sequence[Camera], scale: float) -> list[Camera]:
+    poses = [camera.cam_from_world for camera in cameras]
+    moved = (Rigid3(pose.rotation, pose.translation_m * scale) for pose in poses)
+    return [replace(camera, cam_from_world=pose) for camera, pose in zip(cameras, moved, strict=True)]
+
+
+def _scale(cameras: Sequence[Camera], bodies: Detections2D) -> float:
+    """Factor that makes animals as large as people, by their extents in the pictures; 1 for larger ones."""
+    known = np.isfinite(bodies.seen_px).all(-1)
+    low, high = (np.where(known[..., None], bodies.seen_px, sign * np.inf) for sign in (1, -1))
+    extents_px = (high.max(1) - low.min(1)).max(-1)
+    extents_px = extents_px[known.sum(1) > 1]
+    if not len(extents_px):
+        return 1.0
+    # Enlarged, no camera is nearer than a metre, within which the pixels of a metre have no meaning.
+    enlarged = derive_parameters(_enlarged(cameras, _MAX_SCALE), 1.0)
+    scale_px_m = _MAX_SCALE * enlarged.alpha_epipolar_px / enlarged.alpha_3d_m
+    extent_m = float(np.median(extents_px)) / scale_px_m
+    return float(np.clip(_PERSON_M / max(extent_m, 1e-9), 1.0, _MAX_SCALE))
+
+
+def _in_take(track: Track3D, num_frames: int, scale: float) -> Track3D:
+    """Track over all frames of the take, in the size of the world."""
+    unknown = {"xyz_m": np.nan, "error_px": np.nan, "uncertainty_m": np.nan}
+    arrays: dict[str, Any] = {}
+    for name, array in track.joint_arrays.items():
+        whole = np.full((num_frames, *array.shape[1:]), unknown.get(name, 0), array.dtype)
+        whole[track.start_frame : track.frames.stop] = array / scale if name in ("xyz_m", "uncertainty_m") else array
+        arrays[name] = read_only(whole)
+    return replace(track, start_frame=0, **arrays)
+
+
+# Least deviation of a point in a picture.
+_MIN_SIGMA_PX = 0.5
+
+
+def locate_points(
+    cameras: Sequence[Camera],
+    timebase: Timebase,
+    track: Track3D,
+    points_px: Float[np.ndarray, "frames cameras points 2"],
+    score: Float[np.ndarray, "frames cameras points"],
+    min_score: float,
+) -> Track3D:
+    """Triangulate points robustly in the frames of a track, with standard deviations.
+
+    Pixels are distorted, NaN where a camera does not see a point.
+    """
+    matrices, ideal_px = projection_matrices(cameras), undistort_views(cameras, points_px)
+    xyz_m = triangulate_frames(matrices, ideal_px, score, min_score)
+    used, sigma_m = np.zeros(score.shape), np.full(xyz_m.shape[:2], np.nan)
+    for k in range(xyz_m.shape[1]):  # the derivatives of all points at once would take much memory
+        jacobian, residual_px = _views(matrices, xyz_m[:, k], ideal_px[:, :, k])
+        # A metre at the point has this length in the picture, in pixels.
+        scale_px_m = np.sqrt((jacobian**2).sum((-2, -1)) / 2.0)
+        agrees = np.linalg.norm(residual_px, axis=-1) <= DISPUTED_M * scale_px_m
+        agrees &= (score[:, :, k] > 0) & (score[:, :, k] >= min_score)
+        agrees &= agrees.sum(1, keepdims=True) >= 2
+        is_known = agrees.any(1)
+        xyz_m[~is_known, k] = np.nan
+        used[:, :, k] = np.where(agrees, score[:, :, k], 0.0)
+        if is_known.any():
+            sigma_m[is_known, k] = _sigma_m(jacobian[is_known], residual_px[is_known], agrees[is_known])
+            sigma_m[:, k] = np.interp(np.arange(len(xyz_m)), np.flatnonzero(is_known), sigma_m[is_known, k])
+    source = close_gaps(timebase, xyz_m)
+    sigma_m[source == Source.ABSENT] = np.nan
+    seen_px = np.where(used[..., None] > 0, points_px, np.nan)
+    located, _ = make_person(track.start_frame, xyz_m, source, reproject(cameras, xyz_m, seen_px, used), seen_px, used)
+    return replace(located, track_id=track.track_id, uncertainty_m=read_only(sigma_m))
+
+
+def _views(
+    matrices: Float[np.ndarray, "cameras 3 4"],
+    xyz_m: Float[np.ndarray, "frames 3"],
+    ideal_px: Float[np.ndarray, "frames cameras 2"],
+) -> tuple[Float[np.ndarray, "frames cameras 2 3"], Float[np.ndarray, "frames cameras 2"]]:
+    """Derivative of a point's projection by its position, and residual, in each view; NaN without one, or behind it."""
+    image = np.einsum("cij,fj->fci", matrices[..., :3], xyz_m) + matrices[..., 3]
+    depth = np.where(image[..., 2:] > 0, image[..., 2:], np.nan)
+    projected_px = image[..., :2] / depth
+    turned = matrices[:, :2, :3] - projected_px[..., None] * matrices[:, 2:, :3]
+    return turned / depth[..., None], ideal_px - projected_px
+
+
+def _sigma_m(
+    jacobian: Float[np.ndarray, "frames cameras 2 3"],
+    residual_px: Float[np.ndarray, "frames cameras 2"],
+    agrees: Bool[np.ndarray, "frames cameras"],
+) -> Float[np.ndarray, " frames"]:
+    """Standard deviation of a point: noise of all its residuals, seen by the views of each frame."""
+    squares_px2 = np.where(agrees[..., None], residual_px, 0.0) ** 2
+    freedoms = 2 * agrees.sum() - 3 * len(agrees)
+    variance_px2 = max(float(squares_px2.sum()) / freedoms, _MIN_SIGMA_PX**2)
+    rows = np.where(agrees[..., None, None], jacobian, 0.0)
+    covariance_m2 = variance_px2 * np.linalg.inv(np.einsum("fcia,fcib->fab", rows, rows))
+    return np.sqrt(np.trace(covariance_m2, axis1=-2, axis2=-1) / 3.0)

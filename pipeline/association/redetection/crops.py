@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import closing
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.detections import Detections
@@ -14,8 +14,10 @@ from pipeline.detection.bodies import ImageBodies, boxes_around
 from pipeline.detection.chunk import camera_images, stack_bodies
 from pipeline.detection.network import Network
 from pipeline.detection.topdown import blazepose
-from pipeline.detection.topdown.alone import read_body
+from pipeline.detection.topdown.blazepose import LANDMARK, PoseOutputs, score_of_peak
+from pipeline.detection.topdown.fusion import SHARED_JOINTS, SHARED_LANDMARKS, common_marks_px, landmark_offsets_px
 from pipeline.detection.topdown.regions import Region, crop
+from pipeline.detection.topdown.topdown_detector import FOOT_JOINTS, FOOT_LANDMARKS
 
 # Least probability that a crop shows a body, by the network.
 _LEAST_PRESENCE = 0.5
@@ -70,3 +72,31 @@ def _read(
     if float(outputs["presence"].reshape(())) < _LEAST_PRESENCE or np.count_nonzero(score[_HEAD:]) < _LEAST_JOINTS:
         return None
     return ImageBodies(points_px[None], score[None], boxes_around(points_px[None]), np.array([score.mean()]))
+
+
+_SHARED = COCO_17.indices(SHARED_JOINTS)
+_OF_BODY = [LANDMARK[name] for name in COCO_17.names]
+
+
+def read_body(
+    pose: PoseOutputs, joints: JointSet, at_common_marks: bool
+) -> tuple[Float[np.ndarray, "joints 2"], Float[np.ndarray, " joints"]]:
+    """Read the joints of a body from sure heatmaps.
+
+    ``joints``: joints that are wanted: ``COCO_17``, alone or first, and feet; others stay unknown. ``at_common_marks``:
+    whether joints are at the common marks of BlazePose and MultiPose, see ``fusion``; else at MultiPose's. Returns
+    pixels of the image, NaN where a joint is not sure, and scores on MultiPose's scale, 0 there.
+    """
+    points_px, peak = pose.refined()
+    keypoints_px, score = np.full((len(joints.names), 2), np.nan), np.zeros(len(joints.names))
+    body_px = points_px[_OF_BODY]
+    marks_px = body_px.copy()
+    marks_px[_SHARED] -= landmark_offsets_px(body_px)
+    if at_common_marks:
+        marks_px = common_marks_px(marks_px)
+    keypoints_px[_SHARED], score[_SHARED] = marks_px[_SHARED], score_of_peak(peak[list(SHARED_LANDMARKS)])
+    if FOOT_JOINTS[0] in joints.names:
+        feet = joints.indices(FOOT_JOINTS)
+        keypoints_px[feet], score[feet] = points_px[FOOT_LANDMARKS], score_of_peak(peak[FOOT_LANDMARKS])
+    keypoints_px[score == 0] = np.nan
+    return keypoints_px, score

@@ -8,7 +8,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.capture.keypoint_files import foreign
+from pipeline.capture.keypoint_files import forms
 from pipeline.capture.keypoint_files.forms import endings, find_reader, frame_endings, load
 from pipeline.capture.keypoint_files.keypoint_reader import KeypointReader
 from pipeline.capture.keypoint_files.own_points import OwnPoints, with_own
@@ -81,7 +81,7 @@ def camera_folders(
     if len(folders) < MIN_CAMERAS:
         message = f"There are {len(folders)} folders; at least {MIN_CAMERAS} are required."
         hint = "Provide a folder of keypoint files for each camera."
-        if kinds := foreign.described(path.name for path in entries if path.is_file()):
+        if kinds := forms.described(path.name for path in entries if path.is_file()):
             message, hint = f"{message} {kinds[0]}", f"{hint} {kinds[1]}"
         problems.append(Problem(session_codes.TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
     return folders
@@ -247,7 +247,7 @@ def _choose(folder: Path, problems: _Problems) -> _Files:
         if captures:
             some = ", ".join(path.name for path in captures[:3])
             message, hint = f"The folder has several files without numbers: {some}.", f"Keep one of them. {hint}"
-        elif known := foreign.described(path.name for path in files):
+        elif known := forms.described(path.name for path in files):
             message, hint = f"{message} {known[0]}", known[1]
         problems.add(Problem(session_codes.KEYPOINTS_NONE, message, file=folder.name, hint=hint))
     return _Files(numbered, None, others)

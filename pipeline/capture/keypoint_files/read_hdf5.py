@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pipeline.calibration.readers.pickle_values import read_values
+from pipeline.calibration.readers.pickles import read_values
 from pipeline.capture.keypoint_files.people import KeypointsError, check_frames, frame_number, number_in_name
 from pipeline.capture.keypoint_files.points import named_layout
 from pipeline.capture.keypoint_files.readers.deeplabcut import find_columns

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.calibration.unread_fields import lens_fields, size_fields
+from pipeline.calibration.reading import lens_fields, size_fields
 
 LENS = [-0.21, 0.07, 0.001, -0.002, 0.003, 0.02, -0.01, 0.004, 1e-4, 2e-4, 3e-4, 4e-4, 0.0, 0.0]
 MATRIX = [[905.0, 0.0, 655.0], [0.0, 903.0, 351.0], [0.0, 0.0, 1.0]]

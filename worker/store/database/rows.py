@@ -4,7 +4,7 @@ import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from datetime import timedelta
+from datetime import datetime, timedelta
 from itertools import compress, groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,11 +16,11 @@ from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig, method_warnings
 from pipeline.core.options.edits import PeopleEdit, read_edit
 from pipeline.core.options.job_choices import BLURRED_KIND, CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
+from pipeline.run.engine.costs import unit_s
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, edits, jobs, results, sessions
-from worker.store.database.time_left import time_left_s
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
 from worker.store.model.session_records import InputFile, Session
@@ -271,3 +271,36 @@ def stage_state(states: Iterable[ChunkState]) -> ChunkState:
     if len(found) > 1:
         return ChunkState.RUNNING  # some chunks are done, the others wait for a worker
     return next(iter(found))
+
+
+# Share of a stage after which its own rate tells more than the stages before it.
+_TELLING = 0.05
+
+
+def time_left_s(stages: Iterable[StageProgress], config: ReconstructionConfig, now: datetime) -> float | None:
+    """Estimate the time that is left of a job whose attempt began; ``None`` before a unit is done.
+
+    A stage that has begun continues at its own rate. Stages that follow take their foreseen work, times the ratio of
+    measured to foreseen time so far: a busy machine has a large one. A stage uses as many of the job's workers as it
+    has chunks. Outputs of an earlier job took no time.
+    """
+    at_work = [stage for stage in stages if not stage.reused]
+    worked = [stage for stage in at_work if stage.done and stage.started_at is not None]
+    num_workers = max((stage.num_workers for stage in worked), default=1)
+
+    def foreseen_s(stage: StageProgress, num_units: int) -> float:
+        return num_units * unit_s(stage.name, config) / min(stage.num_chunks, num_workers)
+
+    def spent_s(stage: StageProgress) -> float:
+        return ((stage.finished_at or now) - (stage.started_at or now)).total_seconds()
+
+    done_s = sum(foreseen_s(stage, stage.done) for stage in worked)
+    if not done_s:
+        return None
+    pace = sum(map(spent_s, worked)) / done_s
+    return sum(
+        spent_s(stage) / stage.done * (stage.total - stage.done)
+        if stage.done > _TELLING * stage.total
+        else foreseen_s(stage, stage.total - stage.done) * pace
+        for stage in at_work
+    )

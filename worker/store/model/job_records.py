@@ -130,7 +130,7 @@ class JobRecord:
     """A reconstruction of a session, the making of a calibration from it, of proxies of its videos, or of visuals.
 
     ``progress`` never goes back within an attempt. ``eta_s`` is an estimate of the remaining time, see
-    ``worker.store.database.time_left``; ``None`` before any unit is finished. ``waiting_for`` is the outage that keeps
+    ``worker.store.database.rows``; ``None`` before any unit is finished. ``waiting_for`` is the outage that keeps
     its work waiting. ``warnings`` are about the files, the choices and the results. ``making`` has the choices of a
     calibration, of proxies or of visuals; without it, the job reconstructs. ``edits`` are the edits of its session
     that its files apply, and ``edits_revision`` is their revision; ``None`` if it leaves them out. ``revision`` is the

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from pipeline.calibration.readers.pickle_values import read_values
+from pipeline.calibration.readers.pickles import read_values
 from pipeline.core.parsing import UnreadableError
 
 PLAIN = st.recursive(

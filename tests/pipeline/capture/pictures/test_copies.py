@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.capture.pictures.copies import same_video, similar_views
+from pipeline.capture.pictures.sample_pictures import same_video, similar_views
 from tests.pipeline.capture.pictures.rooms import pictures_of, room, walk
 
 

@@ -9,8 +9,7 @@ import pytest
 import tflite
 
 from pipeline.core.errors import ModelError
-from pipeline.detection.conversion.tflite_model import Graph, Operator, Tensor, read_model
-from pipeline.detection.conversion.tflite_to_onnx import convert_graph
+from pipeline.detection.conversion.tflite_to_onnx import Graph, Operator, Tensor, convert_graph, read_model
 
 RANDOM = np.random.default_rng(0)
 SAME, VALID = tflite.Padding.SAME, tflite.Padding.VALID

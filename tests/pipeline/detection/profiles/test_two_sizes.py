@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.profiles.two_sizes import merge_passes
+from pipeline.detection.profiles.profile_detector import merge_passes
 
 BORDER_PX = 300.0
 # A body as a share of its height: head, arms, hips, legs.

@@ -3,7 +3,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from pipeline.detection.providers.agreement import MAX_DIFFERENCE, differs_by, noise
+from pipeline.detection.network import MAX_DIFFERENCE, differs_by, noise
 
 
 def of_cpu(image: np.ndarray) -> Mapping[str, np.ndarray]:

@@ -10,8 +10,7 @@ import pytest
 
 from pipeline.core.options.providers import CPU, choose_provider
 from pipeline.detection.models import installed_path, status
-from pipeline.detection.network import open_network
-from pipeline.detection.providers.agreement import noise
+from pipeline.detection.network import noise, open_network
 from pipeline.detection.providers.find import current_provider, find_provider
 
 pytestmark = [

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pipeline.association.redetection.crops import read_body
 from pipeline.core.joints import BODY_FEET, COCO_17
-from pipeline.detection.topdown.alone import read_body
 from pipeline.detection.topdown.blazepose import body_region
 from pipeline.detection.topdown.fusion import LANDMARK_OFFSETS
 from pipeline.detection.topdown.regions import Region

@@ -10,9 +10,8 @@ import pytest
 
 from pipeline.core.errors import ChildError
 from pipeline.core.progress import ignore
-from pipeline.export.opensim import process
-from pipeline.export.opensim.model_files import OpenSimPerson
-from pipeline.export.opensim.process import run_opensim
+from pipeline.export.opensim import model_files
+from pipeline.export.opensim.model_files import OpenSimPerson, run_opensim
 from tests.pipeline.export.opensim.conftest import needs_opensim
 
 pytestmark = needs_opensim
@@ -60,8 +59,8 @@ def test_frame_and_marker_where_it_stopped_are_named(setups: Path) -> None:
 
 
 def test_run_beyond_its_computing_time_is_ended(setups: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "_MAX_CPU_S", 3)
-    monkeypatch.setattr(process, "_MAX_CPU_S_A_FRAME", 0)
+    monkeypatch.setattr(model_files, "_MAX_CPU_S", 3)
+    monkeypatch.setattr(model_files, "_MAX_CPU_S_A_FRAME", 0)
     lines = (setups / "markers.trc").read_text().splitlines()
     rows = [line.split("\t") for line in lines[6:]]
     longer = [[row[0], f"{float(row[1]) + second:.6f}", *row[2:]] for second in range(20) for row in rows]

@@ -9,7 +9,7 @@ import pytest
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.export.quality.report import quality_report
 from pipeline.export.quality.views import person_views
-from pipeline.export.report.motion import choose_stride, embed_motion
+from pipeline.export.report.contents import choose_stride, embed_motion
 from pipeline.export.viewer.frames import ABSENT
 from pipeline.motion.body import installed
 from pipeline.motion.skeleton.model import forward_kinematics

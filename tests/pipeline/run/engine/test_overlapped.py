@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 
-from pipeline.run.engine.overlapped import overlapped
+from pipeline.run.engine.local_tasks import overlapped
 from pipeline.run.engine.stage import DETECT, Task
 
 WAIT_S = 60.0

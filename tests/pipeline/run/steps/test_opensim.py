@@ -12,7 +12,7 @@ from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import InputError
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.opensim import model_files
-from pipeline.export.opensim.process import OpenSimLog
+from pipeline.export.opensim.model_files import OpenSimLog
 from pipeline.export.quality.report import all_checks
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files

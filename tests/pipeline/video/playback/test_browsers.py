@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from pipeline.video.info import VideoInfo
-from pipeline.video.playback.browsers import VideoFormat, browser_media_type
-from pipeline.video.probe import probe
+from pipeline.video.probe import VideoFormat, browser_media_type, probe
 from tests.pipeline.media import write_video
 
 MP4 = "mov,mp4,m4a,3gp,3g2,mj2"
