@@ -17,19 +17,12 @@ _MIN_COARSE = 1.5
 def starts_s(videos: Mapping[str, VideoInfo], clock: Clock) -> tuple[Mapping[str, float], list[Problem]]:
     """Times of the videos' first frames on a clock that starts with the earliest video.
 
-    Parameters
-    ----------
-    videos
-        Videos by camera name, at least one.
-    clock
-        With ``declared`` all videos start together.
+    ``videos``: videos by camera name, at least one. ``clock``: with ``declared`` all videos start together.
 
-    Returns
-    -------
-    starts_s
-        Times by camera name; of a session across midnight, timecodes before it count for the day before.
-    problems
-        Videos without such a clock.
+    The result has:
+
+    - ``starts_s``: times by camera name; of a session across midnight, timecodes before it count for the day before.
+    - ``problems``: videos without such a clock.
     """
     if clock == "declared":
         return dict.fromkeys(videos, 0.0), []

@@ -113,13 +113,8 @@ class Quantity:
     def holds(self, values: float | np.ndarray, tolerance: float = 0.0) -> bool:
         """Return whether all values are in the range; NaN is not.
 
-        Parameters
-        ----------
-        tolerance
-            Share of a limit by which values may exceed it, for computed values, which are rounded.
+        ``tolerance``: share of a limit by which values may exceed it, for computed values, which are rounded.
 
-        Examples
-        --------
         >>> rate_hz = 1000.0000000000002
         >>> FRAME_RATE_HZ.holds(rate_hz), FRAME_RATE_HZ.holds(rate_hz, tolerance=1e-3)
         (False, True)

@@ -140,18 +140,12 @@ def _reproject_block(lenses, xyz_m, flat_px, weights, error_px, mean_weight, vie
 def reproject_frame(lenses, xyz_m, flat_px, weights, error_px, mean_weight, views):
     """Compute the mean reprojection error over the cameras that saw a joint, and the number of these cameras.
 
-    Parameters
-    ----------
-    xyz_m
-        World coordinates in metres, (joints, 3).
-    flat_px
-        Distorted pixels, x and y of each joint in turn, (cameras, 2 * joints).
-    weights
-        Weights of observations, (cameras, joints).
-    error_px
-        Output: error in pixels, (joints,), NaN where no camera saw the joint or the joint is unknown.
-    mean_weight, views
-        Output: mean weight and number of the cameras that saw the joint, (joints,); 0 where there is no error.
+    - ``xyz_m``: world coordinates in metres, (joints, 3).
+    - ``flat_px``: distorted pixels, x and y of each joint in turn, (cameras, 2 * joints).
+    - ``weights``: weights of observations, (cameras, joints).
+    - ``error_px``: output: error in pixels, (joints,), NaN where no camera saw the joint or the joint is unknown.
+    - ``mean_weight``, ``views``: output: mean weight and number of the cameras that saw the joint, (joints,); 0 where
+      there is no error.
     """
     for start in range(0, weights.shape[1], BLOCK_JOINTS):
         stop = min(start + BLOCK_JOINTS, weights.shape[1])

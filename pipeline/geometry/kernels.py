@@ -302,17 +302,11 @@ def _anneal(views, point, scales_m):
 def triangulate_frame(solver, flat_px, weights, xyz_m, disputed):
     """Triangulate a frame by ``triangulation.triangulate_robust`` without a guess.
 
-    Parameters
-    ----------
-    flat_px
-        Undistorted pixels, x and y of each joint in turn, (cameras, 2 * joints); NaN where unseen. A last axis of two
-        would prevent vectorised loops, as kernels do not know its length.
-    weights
-        Factors of a view's rows, (cameras, joints).
-    xyz_m
-        Output: world coordinates in metres, (joints, 3), NaN where fewer than two cameras see the point.
-    disputed
-        Output: whether the views of a joint disagree, (joints,).
+    - ``flat_px``: undistorted pixels, x and y of each joint in turn, (cameras, 2 * joints); NaN where unseen. A last
+      axis of two would prevent vectorised loops, as kernels do not know its length.
+    - ``weights``: factors of a view's rows, (cameras, joints).
+    - ``xyz_m``: output: world coordinates in metres, (joints, 3), NaN where fewer than two cameras see the point.
+    - ``disputed``: output: whether the views of a joint disagree, (joints,).
     """
     here = solver.points[0]
     for start in range(0, weights.shape[1], BLOCK_JOINTS):
@@ -338,15 +332,9 @@ def _middle(a, b, c, d, e):
 def guess_from_neighbours(solver, xyz_m, disputed, guess_m):
     """Compute the medians of disputed joints over neighbouring frames, and end the disputes that these do not support.
 
-    Parameters
-    ----------
-    xyz_m
-        Positions by ``triangulate_frame``, (frames, joints, 3).
-    disputed
-        Disputes by ``triangulate_frame``, (frames, joints), changed in place: a dispute remains only if the median is
-        far from the joint.
-    guess_m
-        Output: medians at disputed joints, (frames, joints, 3).
+    ``xyz_m``: positions by ``triangulate_frame``, (frames, joints, 3). ``disputed``: disputes by ``triangulate_frame``,
+    (frames, joints), changed in place: a dispute remains only if the median is far from the joint. ``guess_m``: output:
+    medians at disputed joints, (frames, joints, 3).
     """
     num_frames, reach = xyz_m.shape[0], solver.reach
     for frame in range(num_frames):
@@ -426,14 +414,9 @@ def triangulate_all(solver, flat_px, weights, xyz_m, disputed, guess_m):
 def fill_gaps(xyz_m, max_gap, last_known, source):
     """Interpolate linearly, in place, over gaps of at most ``max_gap`` frames between two known positions.
 
-    Parameters
-    ----------
-    xyz_m
-        World coordinates in metres, (frames, joints, 3), NaN where a joint is unknown; changed in place.
-    last_known
-        Workspace, (joints,) of -1.
-    source
-        Output: source of each joint, (frames, joints) of ``data.people.Source``.
+    ``xyz_m``: world coordinates in metres, (frames, joints, 3), NaN where a joint is unknown; changed in place.
+    ``last_known``: workspace, (joints,) of -1. ``source``: output: source of each joint, (frames, joints) of
+    ``data.people.Source``.
     """
     for frame in range(xyz_m.shape[0]):
         for k in range(xyz_m.shape[1]):

@@ -61,24 +61,16 @@ def reproject(
 ) -> tuple[Float[np.ndarray, "frames joints"], Float[np.ndarray, "frames joints"], Int[np.ndarray, "frames joints"]]:
     """Compare joint positions with the observations that they were computed from.
 
-    Parameters
-    ----------
-    xyz_m
-        World coordinates in metres, NaN where unknown.
-    points_px
-        Distorted pixels of the full image, NaN where unseen.
-    weights
-        Weight of an observation.
-    min_weight
-        Observations with a smaller weight, or with weight 0, were not used.
+    - ``xyz_m``: world coordinates in metres, NaN where unknown.
+    - ``points_px``: distorted pixels of the full image, NaN where unseen.
+    - ``weights``: weight of an observation.
+    - ``min_weight``: observations with a smaller weight, or with weight 0, were not used.
 
-    Returns
-    -------
-    error_px
-        Mean reprojection error in pixels over the cameras that saw a joint; NaN where no camera did, or where the joint
-        is unknown.
-    mean_weight, views
-        Mean weight and number of these cameras; 0 where there is no error.
+    The result has:
+
+    - ``error_px``: mean reprojection error in pixels over the cameras that saw a joint; NaN where no camera did, or
+      where the joint is unknown.
+    - ``mean_weight``, ``views``: mean weight and number of these cameras; 0 where there is no error.
     """
     shape = xyz_m.shape[:2]
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)

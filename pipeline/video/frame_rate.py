@@ -40,8 +40,6 @@ def snapped(rate: Fraction, precision_hz: Fraction) -> Fraction:
 
     Snapping is idempotent.
 
-    Examples
-    --------
     >>> snapped(Fraction("29.96"), Fraction("0.02")), snapped(Fraction("27.3"), Fraction("0.02"))
     (Fraction(30000, 1001), Fraction(273, 10))
     """

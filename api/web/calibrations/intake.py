@@ -87,10 +87,7 @@ class CheckedCalibration:
 async def check_calibration(owner: str, services: Services, records: TenantRecords, sent: Sent) -> CheckedCalibration:
     """Check a calibration: its choices and its files.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong.
+    Raises ``ApiError`` with all that is wrong.
     """
     if isinstance(sent.content, UploadedCalibration):
         spec: CalibrationSpec | None = sent.content

@@ -35,10 +35,8 @@ class ByteRange:
 def requested_range(header: str | None, size: int) -> ByteRange | None:
     """Parse a ``Range`` header for content of ``size`` bytes.
 
-    Returns
-    -------
-        ``None`` for the whole content: without a header, and if the header is malformed, has another unit or several
-        ranges. A server may ignore such headers. The range is empty if the content has none of its bytes.
+    Returns ``None`` for the whole content: without a header, and if the header is malformed, has another unit or
+    several ranges. A server may ignore such headers. The range is empty if the content has none of its bytes.
 
     >>> requested_range("bytes=-100", 1000)
     ByteRange(start=900, stop=1000)

@@ -72,15 +72,8 @@ class IdempotentRequest:
     def begin(self, parts: object) -> Response | None:
         """Claim the key; returns the first answer if the request was answered before.
 
-        Parameters
-        ----------
-        parts
-            JSON of what was sent, as it was understood: the bytes of a form differ from try to try.
-
-        Raises
-        ------
-        KeyReused
-        KeyBusy
+        ``parts``: JSON of what was sent, as it was understood: the bytes of a form differ from try to try. Raises
+        ``KeyReused``, ``KeyBusy``.
         """
         if self.key is None:
             return None

@@ -16,12 +16,8 @@ class Waiting(NamedTuple):
 class Backlog:
     """Messages that wait, limited in number and bytes; the oldest ones make room for new ones.
 
-    Parameters
-    ----------
-    max_messages, max_bytes
-        Limits of what waits. A message larger than ``max_bytes`` waits alone.
-    on_drop
-        Called with the number of messages that were dropped at once.
+    ``max_messages``, ``max_bytes``: limits of what waits. A message larger than ``max_bytes`` waits alone. ``on_drop``:
+    called with the number of messages that were dropped at once.
     """
 
     def __init__(self, max_messages: int, max_bytes: int, on_drop: Callable[[int], None]) -> None:

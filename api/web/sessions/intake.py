@@ -65,10 +65,7 @@ async def check(owner: str, services: Services, records: TenantRecords, sent: Se
 
     Files that are fetched are checked when they are there, by another call.
 
-    Raises
-    ------
-    ApiError
-        With all that is wrong.
+    Raises ``ApiError`` with all that is wrong.
     """
     awaited = awaited_names(sent)
     if isinstance(sent.content, UploadedSession):

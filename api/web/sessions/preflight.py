@@ -70,12 +70,8 @@ def character_wait_s(num_bytes: int) -> float:
 class CharacterJoint(BaseModel):
     """Joint of the skeleton, and the character's bone for it.
 
-    Parameters
-    ----------
-    joint, bone, recognised_by
-        See ``pipeline.export.character.mapping.BoneMapping``; ``None``: the joint has no bone.
-    is_required
-        Whether each character has such a bone.
+    ``joint``, ``bone``, ``recognised_by``: see ``pipeline.export.character.mapping.BoneMapping``; ``None``: the joint
+    has no bone. ``is_required``: whether each character has such a bone.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -129,16 +125,10 @@ class CharacterContents(CharacterFacts, CharacterBones):
 class CalibrationContents(BaseModel):
     """Contents of a calibration file, as the program prints them.
 
-    Parameters
-    ----------
-    format, units, axes
-        See ``pipeline.calibration.contents.CameraFile``.
-    warnings
-        Findings about the file.
-    text
-        The calibration in metres, in Multicap's format.
-    report
-        Report of a calibration that was made, see ``pipeline.calibration.report``; ``None`` of a file.
+    - ``format``, ``units``, ``axes``: see ``pipeline.calibration.contents.CameraFile``.
+    - ``warnings``: findings about the file.
+    - ``text``: the calibration in metres, in Multicap's format.
+    - ``report``: report of a calibration that was made, see ``pipeline.calibration.report``; ``None`` of a file.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -200,22 +190,15 @@ RunProgram = Callable[["PreflightProgram", Sequence[str], float, Path, IO[bytes]
 class PreflightProgram:
     """Programs that check files, with their limits.
 
-    Parameters
-    ----------
-    command
-        Program of sessions and calibrations, with its first arguments.
-    timeout_s
-        Time limit in addition to the time for the files (``allowance_s``); then it is killed with all its children.
-    max_bytes
-        Largest size of the printed output.
-    max_record_bytes
-        Largest size of a written file.
-    max_memory_bytes
-        Largest memory of the process.
-    character_command, calibration_command
-        Programs of characters and of calibrations, with their first arguments.
-    run
-        Function that runs a program, see ``run_program``.
+    - ``command``: program of sessions and calibrations, with its first arguments.
+    - ``timeout_s``: time limit in addition to the time for the files (``allowance_s``); then it is killed with all its
+      children.
+    - ``max_bytes``: largest size of the printed output.
+    - ``max_record_bytes``: largest size of a written file.
+    - ``max_memory_bytes``: largest memory of the process.
+    - ``character_command``, ``calibration_command``: programs of characters and of calibrations, with their first
+      arguments.
+    - ``run``: function that runs a program, see ``run_program``.
     """
 
     command: tuple[str, ...]
@@ -232,30 +215,15 @@ class PreflightProgram:
     ) -> Preflight:
         """Check the files of a session.
 
-        Parameters
-        ----------
-        arguments
-            Files of the session and the choices of its manifest, as arguments of the program.
-        record
-            Path to which the program writes the data for workers. The program's temporary files go to the same folder,
-            which the caller removes: a killed program leaves them behind.
-        allowance_s
-            Time for these files, in addition to ``timeout_s``.
-        thumbnails
-            Empty folder to which small copies of pictures are written, if the session is to be reconstructed.
+        - ``arguments``: files of the session and the choices of its manifest, as arguments of the program.
+        - ``record``: path to which the program writes the data for workers. The program's temporary files go to the
+          same folder, which the caller removes: a killed program leaves them behind.
+        - ``allowance_s``: time for these files, in addition to ``timeout_s``.
+        - ``thumbnails``: empty folder to which small copies of pictures are written, if the session is to be
+          reconstructed.
 
-        Returns
-        -------
-            Printed record.
-
-        Raises
-        ------
-        InvalidFilesError
-            If the files are not a session; with everything that is wrong.
-        ApiError
-            500 if the program itself fails.
-        OSError
-            If the disk is full.
+        Returns the printed record. Raises ``InvalidFilesError`` if the files are not a session; with everything that is
+        wrong. Raises ``ApiError``: 500 if the program itself fails. Raises ``OSError`` if the disk is full.
         """
         written = ["--record", str(record)]
         if thumbnails is not None:
@@ -293,19 +261,8 @@ class PreflightProgram:
     def calibration_task(self, task: str, arguments: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         """Do a task of ``pipeline.calibration.on_request``, with the arguments of its function.
 
-        Parameters
-        ----------
-        folder
-            Folder for temporary files, which the caller removes.
-
-        Returns
-        -------
-            What the program printed.
-
-        Raises
-        ------
-        InvalidFilesError, ApiError, OSError
-            As ``check``.
+        ``folder``: folder for temporary files, which the caller removes. Returns what the program printed. Raises
+        ``InvalidFilesError``, ``ApiError``, ``OSError`` as ``check``.
         """
         path = folder / "request.json"
         path.write_text(json.dumps({"task": task, **arguments}), "utf-8")
@@ -315,21 +272,9 @@ class PreflightProgram:
     def read_character(self, file: Path, corrections: Mapping[str, str | None], folder: Path) -> CharacterContents:
         """Read a character.
 
-        Parameters
-        ----------
-        corrections
-            Bones by joint, in place of the recognised bones; ``None``: the joint has no bone.
-        folder
-            Folder for temporary files, which the caller removes.
-
-        Returns
-        -------
-            What the program printed.
-
-        Raises
-        ------
-        InvalidFilesError, ApiError, OSError
-            As ``check``.
+        ``corrections``: bones by joint, in place of the recognised bones; ``None``: the joint has no bone. ``folder``:
+        folder for temporary files, which the caller removes. Returns what the program printed. Raises
+        ``InvalidFilesError``, ``ApiError``, ``OSError`` as ``check``.
         """
         allowance_s = file.stat().st_size * _S_PER_CHARACTER_BYTE
         with tempfile.NamedTemporaryFile(dir=folder) as table:

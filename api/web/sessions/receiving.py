@@ -283,12 +283,8 @@ def add_creation(
 
     Generators of clients need one kind of body for each operation.
 
-    Parameters
-    ----------
-    texts
-        Documentation of the routes for both, for the form, and for JSON.
-    declared
-        What all three declare, as arguments of FastAPI's ``add_api_route``.
+    ``texts``: documentation of the routes for both, for the form, and for JSON. ``declared``: what all three declare,
+    as arguments of FastAPI's ``add_api_route``.
     """
 
     def endpoint(types: Collection[str]) -> Callable[..., Awaitable[Response]]:

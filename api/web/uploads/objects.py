@@ -67,17 +67,12 @@ def _chain(blocks: Iterable[_Block]) -> list[_Block]:
 class SharedUploads(Writers):
     """Objects of uploads in a bucket: an ``UploadSpool``.
 
-    Parameters
-    ----------
-    url
-        URL of the artifacts.
-    folder
-        New folder of this process, for pieces while they arrive, and for files that were put together for a session.
-    disk
-        Disk of the folder, whose free space is checked.
-    keep_s
-        Time for which an upload is kept after its last piece. Blocks of uploads that the database does not know are
-        removed after it, not at once: a copy of the service may have another database.
+    - ``url``: URL of the artifacts.
+    - ``folder``: new folder of this process, for pieces while they arrive, and for files that were put together for a
+      session.
+    - ``disk``: disk of the folder, whose free space is checked.
+    - ``keep_s``: time for which an upload is kept after its last piece. Blocks of uploads that the database does not
+      know are removed after it, not at once: a copy of the service may have another database.
     """
 
     def __init__(self, url: str, folder: Path, disk: DiskSpace, keep_s: float) -> None:

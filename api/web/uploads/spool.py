@@ -143,20 +143,9 @@ class UploadSpool(Protocol):
         Bytes that arrive before the connection breaks are kept. A piece with a checksum is kept as a whole or not at
         all.
 
-        Parameters
-        ----------
-        offset
-            Position of the piece by the client.
-
-        Returns
-        -------
-            New offset of the upload.
-
-        Raises
-        ------
-        ApiError
-            409 if the upload has another offset, 413 if the piece goes beyond the file's length, 421 if the bytes are
-            elsewhere, 423 if another request writes, 460 if the checksum is wrong.
+        ``offset``: position of the piece by the client. Returns the new offset of the upload. Raises ``ApiError``: 409
+        if the upload has another offset, 413 if the piece goes beyond the file's length, 421 if the bytes are
+        elsewhere, 423 if another request writes, 460 if the checksum is wrong.
         """
 
     def file(self, upload: Upload) -> Path:

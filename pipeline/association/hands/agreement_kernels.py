@@ -168,21 +168,15 @@ def _keep_two(chosen, side):
 def choose_hands(agreement, rays, weights, centers_m, wrist_m, chosen):
     """Choose the hand of each view for both sides of a person, frame by frame.
 
-    Parameters
-    ----------
-    agreement
-        Settings and workspace.
-    rays
-        Unit rays of the knuckles of each detection's left and right hand, (frames, cameras, 2, knuckles, 3); NaN where
-        a knuckle was not found.
-    weights
-        Weight of each hand, (frames, cameras, 2); 0 without a hand.
-    centers_m
-        Centres of the cameras, (cameras, 3).
-    wrist_m
-        Left and right wrist of the person, (frames, 2, 3); NaN where it is unknown: that side has no hand then.
-    chosen
-        Output: number of the detection's hand that is the hand of each side, (frames, cameras, 2); -1 for none.
+    - ``agreement``: settings and workspace.
+    - ``rays``: unit rays of the knuckles of each detection's left and right hand, (frames, cameras, 2, knuckles, 3);
+      NaN where a knuckle was not found.
+    - ``weights``: weight of each hand, (frames, cameras, 2); 0 without a hand.
+    - ``centers_m``: centres of the cameras, (cameras, 3).
+    - ``wrist_m``: left and right wrist of the person, (frames, 2, 3); NaN where it is unknown: that side has no hand
+      then.
+    - ``chosen``: output: number of the detection's hand that is the hand of each side, (frames, cameras, 2); -1 for
+      none.
     """
     for frame in range(len(chosen)):
         ours = chosen[frame]

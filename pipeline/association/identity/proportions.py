@@ -74,19 +74,11 @@ def measure(lengths_m: Float[np.ndarray, "frames limbs 2"], frame_rate_hz: float
 class LimbProportions:
     """Likelihood that measurements are of one person.
 
-    Parameters
-    ----------
-    measured
-        Measurements of all tracklets of a session.
-    spread_m
-        Standard deviation of a limb's length measured for a second; see ``spread_of_a_second_m``.
-
-    Attributes
-    ----------
-    information
-        Inverse variances of each tracklet's lengths, 0 where a limb was not measured, (tracklets, limbs).
-    pull
-        Differences to the mean person, times the information, (tracklets, limbs).
+    - ``measured``: measurements of all tracklets of a session.
+    - ``spread_m``: standard deviation of a limb's length measured for a second; see ``spread_of_a_second_m``.
+    - ``information``: inverse variances of each tracklet's lengths, 0 where a limb was not measured, (tracklets,
+      limbs).
+    - ``pull``: differences to the mean person, times the information, (tracklets, limbs).
     """
 
     def __init__(self, measured: Sequence[Measured], spread_m: Float[np.ndarray, " limbs"]) -> None:

@@ -48,20 +48,11 @@ def locate_own_points(
 ) -> OwnTracks:
     """Locate own points by robust triangulation.
 
-    Parameters
-    ----------
-    detections, joints
-        Bodies by camera with joints in distorted pixels, NaN where a joint was not found.
-    own
-        Own points of these bodies and of the scene.
-    tracks, observations
-        People in the world (metres), and their observations in the same frames.
-
-    Returns
-    -------
-        Points of people in the frames of their tracks, and objects in all frames. Positions are NaN where fewer than
-        two views agree within 6 cm, and interpolated in gaps of at most 0.2 s. Standard deviations are in metres, root
-        mean square over the axes.
+    ``detections``, ``joints``: bodies by camera with joints in distorted pixels, NaN where a joint was not found.
+    ``own``: own points of these bodies and of the scene. ``tracks``, ``observations``: people in the world (metres),
+    and their observations in the same frames. Returns points of people in the frames of their tracks, and objects in
+    all frames. Positions are NaN where fewer than two views agree within 6 cm, and interpolated in gaps of at most 0.2
+    s. Standard deviations are in metres, root mean square over the axes.
     """
     bodies, of_bodies, of_scene = (gather(cameras, times, some) for some in (detections, own.of_bodies, own.of_scene))
     animals = track_animals(cameras, times, timebase, own)

@@ -106,10 +106,7 @@ class Board:
 def parse_board(text: str) -> Board:
     """Parse the specification of a board.
 
-    Raises
-    ------
-    InputError
-        With all problems of the specification.
+    Raises ``InputError`` with all problems of the specification.
 
     >>> parse_board("chessboard:9x6:0.06").num_corners
     54

@@ -77,14 +77,8 @@ def misfits(
 ) -> Float[np.ndarray, "people layouts"]:
     """Mean misfit of the lengths of each person in each layout: 0 is perfect, about 0.25 usual for the right layout.
 
-    Parameters
-    ----------
-    points
-        Positions in a picture or in the world, NaN where a point was not found.
-
-    Returns
-    -------
-        Misfits; NaN for people without two points that are a known length in any layout.
+    ``points``: positions in a picture or in the world, NaN where a point was not found. Returns the misfits; NaN for
+    people without two points that are a known length in any layout.
     """
     num_known = np.zeros((len(points), len(layouts)))
     total = np.zeros_like(num_known)
@@ -109,14 +103,9 @@ def located(
 ) -> Float[np.ndarray, "people points 3"]:
     """Points in the world of people who are seen by two cameras in one frame, whatever the points are.
 
-    Parameters
-    ----------
-    frames
-        People of each frame by camera, in pixels, NaN where a point was not found.
-    cameras
-        Calibrated cameras; without them no person is located.
-    max_people
-        Number of located people above which no further frame is looked at.
+    ``frames``: people of each frame by camera, in pixels, NaN where a point was not found. ``cameras``: calibrated
+    cameras; without them no person is located. ``max_people``: number of located people above which no further frame is
+    looked at.
     """
     if not cameras:
         return np.empty((0, 0, 3))

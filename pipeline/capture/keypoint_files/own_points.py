@@ -33,8 +33,6 @@ class OwnPoints(NamedTuple):
 def point_names(names: Sequence[str]) -> tuple[str, ...]:
     """Names that every result file can hold: letters and digits of ASCII, and underscores, each name once.
 
-    Examples
-    --------
     >>> point_names(["Racket tip", "racket-tip", "Schläger", "neck", "2nd"])
     ('Racket_tip', 'racket_tip', 'Schlager', 'neck_point', 'p2nd')
     """

@@ -114,8 +114,6 @@ def first_entry(content: Any) -> Mapping[str, Any]:
 def number_in_name(name: Any) -> int | None:
     """Last number in the name of a picture, without its ending and folders; ``None`` if it has none.
 
-    Examples
-    --------
     >>> number_in_name("labeled-data/cam2/img0012.png"), number_in_name("7.jpg"), number_in_name("cover.jpg")
     (12, 7, None)
     """

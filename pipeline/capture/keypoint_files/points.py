@@ -86,8 +86,6 @@ def match_joint(name: str) -> str | None:
     The side is a word or a letter, before or after the part: ``left_shoulder``, ``LShoulder``, ``shoulder_l``,
     ``lshoulder``; or 1 (right) or 2 (left) after it.
 
-    Examples
-    --------
     >>> [match_joint(name) for name in ("LShoulder", "rknee", "ankle1", "Left big toe", "Nose", "tail")]
     ['left_shoulder', 'right_knee', 'right_ankle', 'left_big_toe', 'nose', None]
     """

@@ -50,14 +50,8 @@ def rescaled(
 
     Scores of an unknown scale are a problem.
 
-    Parameters
-    ----------
-    frames
-        People by folder and number of the frame.
-    folders
-        Folder of each camera.
-    sizes_px
-        Width and height of each camera's pictures.
+    ``frames``: people by folder and number of the frame. ``folders``: folder of each camera. ``sizes_px``: width and
+    height of each camera's pictures.
     """
     scored = {
         camera: _with_confidences(camera, frames[folder], findings, problems)

@@ -16,10 +16,7 @@ def encode_frame(
 ) -> bytes:
     """Encode the bodies of a frame: bodies of COCO-17 as they are, others as BODY_25 with hands of 21 points.
 
-    Parameters
-    ----------
-    keypoints_px
-        Joints in pixels, NaN where a joint was not found.
+    ``keypoints_px``: joints in pixels, NaN where a joint was not found.
     """
     # OpenPose writes zeros for a joint that it did not find.
     found = np.nan_to_num(np.concatenate([keypoints_px, score[..., None]], axis=-1))

@@ -48,25 +48,15 @@ def with_laboratory(
 ) -> _Session:
     """Session with a laboratory's C3D file: analog channels, force plates and events.
 
-    Parameters
-    ----------
-    session
-        Videos or keypoints that were recorded at the same time.
-    clock
-        ``timecode`` of the file and of a video; ``trigger``: a channel rises when the first frame is taken;
-        ``contacts``: the feet and the vertical force tell; ``auto``: the first of these that the files allow.
-    channel
-        Name of the trigger channel; ``None``: by its name and its two levels.
-    place
-        Place of the laboratory's axes in the world: x, y, z in metres, and degrees about the vertical; ``None``: the
-        calibration has the laboratory's axes.
-    up
-        Axis of the calibration that points up.
+    - ``session``: videos or keypoints that were recorded at the same time.
+    - ``clock``: ``timecode`` of the file and of a video; ``trigger``: a channel rises when the first frame is taken;
+      ``contacts``: the feet and the vertical force tell; ``auto``: the first of these that the files allow.
+    - ``channel``: name of the trigger channel; ``None``: by its name and its two levels.
+    - ``place``: place of the laboratory's axes in the world: x, y, z in metres, and degrees about the vertical;
+      ``None``: the calibration has the laboratory's axes.
+    - ``up``: axis of the calibration that points up.
 
-    Raises
-    ------
-    InputError
-        If the file can't be read, or has no such clock.
+    Raises ``InputError`` if the file can't be read, or has no such clock.
     """
     path = Path(path)
     try:

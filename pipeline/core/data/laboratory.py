@@ -49,22 +49,13 @@ class LaboratoryCheck(NamedTuple):
 class Laboratory:
     """Content of a laboratory's C3D file.
 
-    Parameters
-    ----------
-    file, unit
-        Name of the file, and its unit of lengths: m, cm or mm.
-    frame_rate_hz, num_frames
-        Frames of the file, each with ``samples_per_frame`` samples of each channel.
-    samples
-        Numbers as the file holds them: no scale or offset is applied.
-    groups
-        Groups ``ANALOG`` and ``FORCE_PLATFORM`` of the file.
-    world_from_laboratory
-        Pose of the laboratory's axes in the world, Z up; lengths in metres.
-    start
-        Time of the first frame; ``None``: it is yet to be measured from contacts, or can't be.
-    check
-        Feet beside the plates; ``None`` before the people are known.
+    - ``file``, ``unit``: name of the file, and its unit of lengths: m, cm or mm.
+    - ``frame_rate_hz``, ``num_frames``: frames of the file, each with ``samples_per_frame`` samples of each channel.
+    - ``samples``: numbers as the file holds them: no scale or offset is applied.
+    - ``groups``: groups ``ANALOG`` and ``FORCE_PLATFORM`` of the file.
+    - ``world_from_laboratory``: pose of the laboratory's axes in the world, Z up; lengths in metres.
+    - ``start``: time of the first frame; ``None``: it is yet to be measured from contacts, or can't be.
+    - ``check``: feet beside the plates; ``None`` before the people are known.
     """
 
     file: str

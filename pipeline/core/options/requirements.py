@@ -110,16 +110,9 @@ def path_text(steps: Steps) -> str:
 def requirement(schema: Schema, root: Schema, *, null: bool = True) -> str:
     """Describe the values that a schema allows.
 
-    Parameters
-    ----------
-    root
-        Document that contains the targets of references in the schema.
-    null
-        Whether to mention null where it is allowed; false for values that are sent as text.
-
-    Returns
-    -------
-        Words that follow "must be", with all allowed values, limits and fields.
+    ``root``: document that contains the targets of references in the schema. ``null``: whether to mention null where it
+    is allowed; false for values that are sent as text. Returns words that follow "must be", with all allowed values,
+    limits and fields.
 
     >>> requirement({"anyOf": [{"const": "auto"}, {"type": "integer", "minimum": 1, "maximum": 1000}]}, {})
     'auto, or a whole number from 1 to 1000'

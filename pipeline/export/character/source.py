@@ -22,11 +22,8 @@ MAX_BYTES = 512 << 20
 def read_character_file(path: Path) -> CharacterFile:
     """Read a character from a GLB, VRM or FBX file.
 
-    Raises
-    ------
-    InputError
-        If the file can't be read, is in another format, is damaged, is larger than ``MAX_BYTES``, or has more nodes
-        and vertices than are read.
+    Raises ``InputError`` if the file can't be read, is in another format, is damaged, is larger than ``MAX_BYTES``, or
+    has more nodes and vertices than are read.
     """
     with checked(path.name):
         try:

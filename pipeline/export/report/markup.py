@@ -21,13 +21,9 @@ class Markup(str):
 def element(tag: str, *content: str | Iterable[str], **attributes: str | int | bool | None) -> Markup:
     """Write an element.
 
-    Parameters
-    ----------
-    content
-        Elements as they are, other text escaped.
-    attributes
-        Values are escaped; an underscore in a name is a hyphen, one at its end is dropped. ``True`` writes the name
-        alone, ``False`` and ``None`` leave the attribute out.
+    ``content``: elements as they are, other text escaped. ``attributes``: values are escaped; an underscore in a name
+    is a hyphen, one at its end is dropped. ``True`` writes the name alone, ``False`` and ``None`` leave the attribute
+    out.
 
     >>> element("p", "a < b", element("b", "c"), class_='"')
     '<p class="&quot;">a &lt; b<b>c</b></p>'

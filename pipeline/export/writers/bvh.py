@@ -97,22 +97,11 @@ _ROOT = SKELETON[0].name
 def encode(motion: SkeletonMotion, convention: Convention, frames: range | None = None) -> Iterator[bytes]:
     """Write a motion as BVH, piece by piece. Equal motions give equal bytes.
 
-    Parameters
-    ----------
-    motion
-        Bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as quaternions
-        (x, y, z, w); all are finite.
-    convention
-        Names, axes, unit and rest pose, such as ``PRESETS["default"]``.
-    frames
-        Output frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's frames.
+    ``motion``: bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as
+    quaternions (x, y, z, w); all are finite. ``convention``: names, axes, unit and rest pose, such as
+    ``PRESETS["default"]``. ``frames``: output frames of the file; ``None``: the motion's frames. The nearest pose holds
+    outside the motion's frames. Yields the bytes of the file, UTF-8.
 
-    Yields
-    ------
-        Bytes of the file, UTF-8.
-
-    Examples
-    --------
     >>> turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, 24, 1))
     >>> motion = SkeletonMotion(1, "Anna", 0, 30.0, np.full(24, 0.3), np.zeros((2, 3)), turns, ())
     >>> b"".join(encode(motion, PRESETS["default"])).decode().splitlines()[:2]

@@ -101,10 +101,7 @@ def header_bytes(header: C3dHeader) -> bytes:
 def parameter_bytes(groups: Groups) -> bytes:
     """Blocks of the parameters.
 
-    Raises
-    ------
-    ValueError
-        If they need more than 255 blocks.
+    Raises ``ValueError`` if they need more than 255 blocks.
     """
     entries = [
         entry
@@ -178,23 +175,16 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a track's positions as C3D, piece by piece.
 
-    Parameters
-    ----------
-    track
-        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is invalid in the file.
-    origin_m
-        World position of the file's origin.
-    frames
-        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
-    events
-        Events of the person; of more than 2,000, or fewer of long words, the first ones are written.
-    motion
-        Motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
-    laboratory
-        Laboratory on whose frames the track is: its channels, force plates, events and unit of lengths are the file's.
+    - ``track``: world positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is invalid in
+      the file.
+    - ``origin_m``: world position of the file's origin.
+    - ``frames``: output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's
+      frames.
+    - ``events``: events of the person; of more than 2,000, or fewer of long words, the first ones are written.
+    - ``motion``: motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
+    - ``laboratory``: laboratory on whose frames the track is: its channels, force plates, events and unit of lengths
+      are the file's.
 
-    Examples
-    --------
     >>> from pipeline.core.joints import COCO_17
     >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
     >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))

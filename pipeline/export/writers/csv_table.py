@@ -21,15 +21,10 @@ from pipeline.export.writers.registry import Writer, joint_positions
 def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range | None = None) -> Iterator[bytes]:
     """Write a track's positions as CSV (RFC 4180), piece by piece.
 
-    Parameters
-    ----------
-    track
-        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is an empty cell.
-    frames
-        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
+    ``track``: world positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is an empty
+    cell. ``frames``: output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's
+    frames.
 
-    Examples
-    --------
     >>> from pipeline.core.joints import COCO_17
     >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
     >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))

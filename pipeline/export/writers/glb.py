@@ -301,29 +301,17 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a motion as GLB, piece by piece. Equal motions give equal bytes.
 
-    Parameters
-    ----------
-    motion
-        Bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as quaternions
-        (x, y, z, w); all are finite.
-    origin_m
-        World position of the file's origin.
-    frames
-        Output frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's frames.
-    is_present
-        Frames of the file in which the person is there; ``None``: all.
-    body
-        Body that follows the skeleton.
-    points
-        Points of the user's own in the frames of the file.
+    - ``motion``: bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as
+      quaternions (x, y, z, w); all are finite.
+    - ``origin_m``: world position of the file's origin.
+    - ``frames``: output frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's
+      frames.
+    - ``is_present``: frames of the file in which the person is there; ``None``: all.
+    - ``body``: body that follows the skeleton.
+    - ``points``: points of the user's own in the frames of the file.
 
-    Raises
-    ------
-    ModelError
-        If the body is a human that is not installed, or was changed.
+    Raises ``ModelError`` if the body is a human that is not installed, or was changed.
 
-    Examples
-    --------
     >>> turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, 24, 1))
     >>> motion = SkeletonMotion(1, "Anna", 0, 30.0, np.full(24, 0.3), np.zeros((2, 3)), turns, ())
     >>> b"".join(encode(motion, np.zeros(3)))[:4]

@@ -26,17 +26,10 @@ def encode(
 ) -> Iterator[bytes]:
     """Write a track's positions as TRC, piece by piece.
 
-    Parameters
-    ----------
-    track
-        World positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is ``nan`` in the file.
-    file_name
-        Name of the file, part of the header.
-    frames
-        Output frames of the file; ``None``: the track's frames. Joints are unknown outside the track's frames.
+    ``track``: world positions (frames, joints, 3) in metres, Z up; NaN where a joint is unknown, which is ``nan`` in
+    the file. ``file_name``: name of the file, part of the header. ``frames``: output frames of the file; ``None``: the
+    track's frames. Joints are unknown outside the track's frames.
 
-    Examples
-    --------
     >>> from pipeline.core.joints import COCO_17
     >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
     >>> track = Track3D(1, 0, known, zeros, zeros.astype(np.int8), zeros, zeros.astype(int))

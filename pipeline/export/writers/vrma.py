@@ -48,18 +48,10 @@ HUMAN_BONES: Mapping[str, str] = MappingProxyType(
 def encode(motion: SkeletonMotion, origin_m: Float[np.ndarray, " 3"], frames: range | None = None) -> Iterator[bytes]:
     """Write a motion as VRMA, piece by piece. Equal motions give equal bytes.
 
-    Parameters
-    ----------
-    motion
-        Bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as quaternions
-        (x, y, z, w); all are finite.
-    origin_m
-        World position of the file's origin.
-    frames
-        Output frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's frames.
+    ``motion``: bone lengths (joints,) and path of the root (frames, 3) in metres, rotations (frames, joints, 4) as
+    quaternions (x, y, z, w); all are finite. ``origin_m``: world position of the file's origin. ``frames``: output
+    frames of the file; ``None``: the motion's frames. The nearest pose holds outside the motion's frames.
 
-    Examples
-    --------
     >>> turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, 24, 1))
     >>> motion = SkeletonMotion(1, "Anna", 0, 30.0, np.full(24, 0.3), np.zeros((2, 3)), turns, ())
     >>> b"VRMC_vrm_animation" in b"".join(encode(motion, np.zeros(3)))

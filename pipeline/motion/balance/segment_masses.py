@@ -87,8 +87,6 @@ class SegmentMasses:
 def segment_masses(subject: Subject, joints: JointSet) -> SegmentMasses | None:
     """Segments of a person; ``None`` where the joints of the detector lack one of the body's.
 
-    Examples
-    --------
     >>> from pipeline.core.joints import BODY_FEET
     >>> masses = segment_masses(Subject("de-leva", "male"), BODY_FEET)
     >>> round(float(masses.weights.sum()), 9)

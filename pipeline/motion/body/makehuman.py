@@ -113,29 +113,19 @@ def members() -> tuple[str, ...]:
 def build(read: ReadText) -> Mapping[str, np.ndarray]:
     """Make the arrays of a body from MakeHuman's files; equal files give equal arrays.
 
-    Parameters
-    ----------
-    read
-        Gives the content of a file by its name, see ``members``.
+    ``read``: gives the content of a file by its name, see ``members``. Raises ``KeyError``, ``ValueError`` if the files
+    are not MakeHuman's.
 
-    Returns
-    -------
-    vertices
-        (ages, vertices, 3): positions in the rest pose, world axes, standing at the origin; see ``UNITS_PER_M``.
-    joints
-        (ages, joints, 3): positions of the joints of ``BODY_JOINTS``, likewise.
-    triangles
-        (triangles, 3): indices of vertices, counterclockwise from outside.
-    carriers, weights
-        (vertices, 4): positions in ``BODY_JOINTS`` of the joints that move a vertex, and their weights, whose sum is
-        ``FULL_WEIGHT``.
-    coarse_triangles
-        (coarse triangles, 3): the same surface with ``NUM_COARSE_TRIANGLES``, between some of the vertices.
+    The result has:
 
-    Raises
-    ------
-    KeyError, ValueError
-        If the files are not MakeHuman's.
+    - ``vertices``: (ages, vertices, 3): positions in the rest pose, world axes, standing at the origin; see
+      ``UNITS_PER_M``.
+    - ``joints``: (ages, joints, 3): positions of the joints of ``BODY_JOINTS``, likewise.
+    - ``triangles``: (triangles, 3): indices of vertices, counterclockwise from outside.
+    - ``carriers``, ``weights``: (vertices, 4): positions in ``BODY_JOINTS`` of the joints that move a vertex, and their
+      weights, whose sum is ``FULL_WEIGHT``.
+    - ``coarse_triangles``: (coarse triangles, 3): the same surface with ``NUM_COARSE_TRIANGLES``, between some of the
+      vertices.
     """
     points, quads = _read_mesh(read(_MESH))
     groups = json.loads(read(_GROUPS))

@@ -62,10 +62,7 @@ class SmplxModel:
 def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
     """Read a model with the vertices of some landmarks: nose, ears, heels and big toes, found by their places.
 
-    Raises
-    ------
-    InputError
-        If the file is no model of SMPL-X.
+    Raises ``InputError`` if the file is no model of SMPL-X.
     """
     try:
         with ZipFile(path) as archive:

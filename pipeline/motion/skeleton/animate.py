@@ -60,33 +60,19 @@ def animate(
 
     ``docs/methods/fit.md`` describes the method, with its sources.
 
-    Parameters
-    ----------
-    tracks
-        Tracks with the joints located by association: world positions (frames, joints, 3) in metres, NaN where a joint
-        is unknown.
-    observations
-        Observations of the tracks, in the same order. Each is asked for twice, and only one person's are kept at
-        a time: they may be read from a file.
-    config
-        Method of smoothing, and treatment of feet. With ``fit``, the final joint positions are the skeleton's.
-        Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
-    offsets
-        Offsets of the detector's marks from the joints' centres. Only the fit can move joints to their centres.
-    floor
-        Floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
+    - ``tracks``: tracks with the joints located by association: world positions (frames, joints, 3) in metres, NaN
+      where a joint is unknown.
+    - ``observations``: observations of the tracks, in the same order. Each is asked for twice, and only one person's
+      are kept at a time: they may be read from a file.
+    - ``config``: method of smoothing, and treatment of feet. With ``fit``, the final joint positions are the
+      skeleton's. Otherwise each joint is smoothed by itself, and the skeleton follows the joints.
+    - ``offsets``: offsets of the detector's marks from the joints' centres. Only the fit can move joints to their
+      centres.
+    - ``floor``: floor under the people; ``None``: there is none; ``estimated``: it is estimated from their feet.
 
-    Returns
-    -------
-        Tracks with final positions, NaN where the fit has no evidence of a joint, and motions, finite in all frames.
+    Returns tracks with final positions, NaN where the fit has no evidence of a joint, and motions, finite in all
+    frames. Raises ``InputError`` if the cutoff of the low-pass is not below half of the frame rate.
 
-    Raises
-    ------
-    InputError
-        If the cutoff of the low-pass is not below half of the frame rate.
-
-    Examples
-    --------
     >>> from pipeline.core.joints import COCO_17
     >>> animate([], [], [], Timebase(0.0, 30.0, 0), COCO_17, ReconstructionConfig()).motions
     ()

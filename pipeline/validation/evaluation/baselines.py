@@ -68,19 +68,12 @@ def locate_incrementally(
 ) -> tuple[tuple[Track3D, ...], float]:
     """Locate all people at the output instants from the last observation of each camera before the instant.
 
-    Parameters
-    ----------
-    identities
-        Identity of each detection by camera name, negative for none.
-    kind
-        Weights of the observations.
+    ``identities``: identity of each detection by camera name, negative for none. ``kind``: weights of the observations.
 
-    Returns
-    -------
-    tracks
-        Tracks with positions; scores and views are 0, errors are NaN.
-    age_s
-        Mean age of the observations at the output instants, 0 without observations.
+    The result has:
+
+    - ``tracks``: tracks with positions; scores and views are 0, errors are NaN.
+    - ``age_s``: mean age of the observations at the output instants, 0 without observations.
     """
     projections = projection_matrices(cameras)
     views = []

@@ -30,13 +30,11 @@ def disturb_calibration(simulation: Simulation, turn_deg: float, shift_m: float,
 def camera_errors(true: Sequence[Camera], found: Sequence[Camera]) -> dict[str, float]:
     """Largest errors of cameras.
 
-    Returns
-    -------
-    rotation_deg, translation_mm
-        After the world of the found cameras is moved by the similarity that fits most cameras best: cameras that are
-        refined from people keep a world of their own.
-    world_rotation_deg, world_translation_mm
-        As they are.
+    The result has:
+
+    - ``rotation_deg``, ``translation_mm``: after the world of the found cameras is moved by the similarity that fits
+      most cameras best: cameras that are refined from people keep a world of their own.
+    - ``world_rotation_deg``, ``world_translation_mm``: as they are.
     """
     aligned = align_world(true, found)
     return {

@@ -61,15 +61,13 @@ def score_heels_and_toes(
 ) -> dict[str, float | None]:
     """Compare heels and toes of tracks with the truth.
 
-    Returns
-    -------
-    heel_mm, toe_mm
-        Mean error of heels and of big toes.
-    heel_slide_cm, toe_slide_cm
-        Mean horizontal distance of the heel, and of the big toe, from its median position while the true one stands,
-        over stances of at least 0.1 s.
-    foot_pitch_deg, foot_heading_deg
-        Mean absolute error of the angle between the line from heel to toe and the floor, and of its heading.
+    The result has:
+
+    - ``heel_mm``, ``toe_mm``: mean error of heels and of big toes.
+    - ``heel_slide_cm``, ``toe_slide_cm``: mean horizontal distance of the heel, and of the big toe, from its median
+      position while the true one stands, over stances of at least 0.1 s.
+    - ``foot_pitch_deg``, ``foot_heading_deg``: mean absolute error of the angle between the line from heel to toe and
+      the floor, and of its heading.
 
     Each figure is ``None`` without data.
     """
@@ -99,19 +97,14 @@ def score_foot_directions(
     The end of the foot and the toe base are different points: the medians of the differences are their definition, the
     spread around them is error.
 
-    Parameters
-    ----------
-    time_s
-        Times of the truth on the session's clock.
-    feet_m
-        True ankle and toe base of the left and of the right foot.
+    ``time_s``: times of the truth on the session's clock. ``feet_m``: True ankle and toe base of the left and of the
+    right foot.
 
-    Returns
-    -------
-    foot_heading_spread_deg, foot_heading_spread_90_deg
-        Median and 90th percentile of the headings' absolute deviation from their median, outwards positive.
-    foot_pitch_spread_deg, foot_pitch_spread_90_deg
-        Likewise for the angle to the floor.
+    The result has:
+
+    - ``foot_heading_spread_deg``, ``foot_heading_spread_90_deg``: median and 90th percentile of the headings' absolute
+      deviation from their median, outwards positive.
+    - ``foot_pitch_spread_deg``, ``foot_pitch_spread_90_deg``: likewise for the angle to the floor.
 
     Each figure is ``None`` without data. A motion is compared with the person whose left ankle is nearest (median).
     """
@@ -168,16 +161,13 @@ def score_feet(
 ) -> dict[str, float | None]:
     """Compare the feet of motions with the true feet.
 
-    Returns
-    -------
-    foot_slide_cm
-        Mean horizontal distance of the ankle from its median position in a true stance, over stances of at least 0.1 s.
-    ankle_mm
-        Mean error of the ankles over all frames.
-    contacts_found
-        Share of the frames of true stances that have a contact.
-    contacts_invented
-        Share of the frames of contacts in which the true foot does not stand, nor within 0.08 s.
+    The result has:
+
+    - ``foot_slide_cm``: mean horizontal distance of the ankle from its median position in a true stance, over stances
+      of at least 0.1 s.
+    - ``ankle_mm``: mean error of the ankles over all frames.
+    - ``contacts_found``: share of the frames of true stances that have a contact.
+    - ``contacts_invented``: share of the frames of contacts in which the true foot does not stand, nor within 0.08 s.
 
     Each figure is ``None`` without data.
     """
@@ -264,19 +254,15 @@ _THUMB_BEND = (-0.8, 0.6)
 def score_hands(tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet) -> dict[str, Any]:
     """Compare fingers of tracks with the truth, relative to the wrist.
 
-    Returns
-    -------
-    finger_mm, finger_p95_mm
-        Mean error of the fingers' joints relative to the wrist, and its 95th percentile, in frames in which the hand is
-        measured.
-    finger_all_mm
-        Mean error in all frames in which the track has fingers, measured or not.
-    hands_measured
-        Share of the true hands and frames in which at least half of the fingers' joints are measured.
-    backward_bends
-        Number of hinges and frames with a finger bent backwards.
-    finger_by_joint_mm
-        Mean error by kind of joint, all fingers and both hands together, in frames in which the hand is measured.
+    The result has:
+
+    - ``finger_mm``, ``finger_p95_mm``: mean error of the fingers' joints relative to the wrist, and its 95th
+      percentile, in frames in which the hand is measured.
+    - ``finger_all_mm``: mean error in all frames in which the track has fingers, measured or not.
+    - ``hands_measured``: share of the true hands and frames in which at least half of the fingers' joints are measured.
+    - ``backward_bends``: number of hinges and frames with a finger bent backwards.
+    - ``finger_by_joint_mm``: mean error by kind of joint, all fingers and both hands together, in frames in which the
+      hand is measured.
 
     Each figure is ``None`` without data.
     """

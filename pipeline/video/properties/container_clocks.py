@@ -44,16 +44,10 @@ def read_timecode(path: Path, metadata: Mapping[str, str], frame_rate: Fraction 
 def timecode_s(text: str, rate: Fraction) -> float | None:
     """Time since midnight in seconds that a timecode stands for; ``None`` for malformed text.
 
-    Parameters
-    ----------
-    text
-        Hours, minutes, seconds and frames; a semicolon, point or comma before the frames marks drop-frame timecode.
-    rate
-        Frames a second, such as 30000/1001. A clock of 30000/1001 Hz without dropped numbers takes 3603.6 s for an
-        hour.
+    ``text``: hours, minutes, seconds and frames; a semicolon, point or comma before the frames marks drop-frame
+    timecode. ``rate``: frames a second, such as 30000/1001. A clock of 30000/1001 Hz without dropped numbers takes
+    3603.6 s for an hour.
 
-    Examples
-    --------
     >>> timecode_s("01:00:00:00", Fraction(25)), timecode_s("01:00:00;00", Fraction(30000, 1001))
     (3600.0, 3599.9964)
     """

@@ -52,24 +52,10 @@ def create_backup(
 ) -> contents.BackupReport:
     """Write the database and the files of a service to a new archive, as they are at one moment.
 
-    Parameters
-    ----------
-    data_dir, database_url, artifacts_url
-        As in the settings of the service. Artifacts in a bucket are not copied.
-    archive
-        Path of the new file. The file gets this name when it is complete and on disk.
-    on_progress
-        Called with bytes written and bytes in all.
-
-    Returns
-    -------
-        Contents of the backup; ``problems`` lists files that are missing, unreadable or damaged.
-
-    Raises
-    ------
-    BackupError
-    DamagedDatabase
-    UnknownSchema
+    ``data_dir``, ``database_url``, ``artifacts_url``: as in the settings of the service. Artifacts in a bucket are not
+    copied. ``archive``: path of the new file. The file gets this name when it is complete and on disk. ``on_progress``:
+    called with bytes written and bytes in all. Returns the contents of the backup; ``problems`` lists files that are
+    missing, unreadable or damaged. Raises ``BackupError``, ``DamagedDatabase``, ``UnknownSchema``.
     """
     if not data_dir.is_dir():
         raise BackupUsageError(f"There is no folder {data_dir}. Give the service's folder with --data.")

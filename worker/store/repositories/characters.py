@@ -45,18 +45,9 @@ class Characters(Repository):
     ) -> Character:
         """Add a character whose file is in the artifact store.
 
-        Parameters
-        ----------
-        character_id
-            Made by ``reserve_id``.
-        facts, bones, corrections
-            See ``worker.store.model.character_records.Character``.
-
-        Raises
-        ------
-        Conflict
-            The file took more than a day to arrive, and was removed.
-        QuotaExceeded
+        ``character_id``: made by ``reserve_id``. ``facts``, ``bones``, ``corrections``: see
+        ``worker.store.model.character_records.Character``. Raises ``QuotaExceeded``. Raises ``Conflict``: the file took
+        more than a day to arrive, and was removed.
         """
         access, num_bytes = self._access, file.num_bytes + _json_bytes(bones)
         with access.writing() as connection:

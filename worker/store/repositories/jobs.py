@@ -64,31 +64,16 @@ class Jobs(Repository):
 
         A job that blurs faces deletes the proxies of its session, which are not blurred.
 
-        Parameters
-        ----------
-        retention_s
-            Time that results are kept after the job's end; ``None``: until they are deleted.
-        trace
-            W3C traceparent of the request, for the workers.
-        making
-            See ``worker.store.model.job_records.JobRecord``.
-        moved
-            Id of the job, made by ``reserve_id``, and the character that it moves, whose copy is stored.
-        edits
-            Edits of the session that the stages apply.
+        - ``retention_s``: time that results are kept after the job's end; ``None``: until they are deleted.
+        - ``trace``: W3C traceparent of the request, for the workers.
+        - ``making``: see ``worker.store.model.job_records.JobRecord``.
+        - ``moved``: id of the job, made by ``reserve_id``, and the character that it moves, whose copy is stored.
+        - ``edits``: edits of the session that the stages apply.
 
-        Raises
-        ------
-        NotFound
-            There is no such session.
-        Conflict
-            The copy of the character took more than a day, and was removed. Or there is no stage, and the videos are
-            not fetched any more.
-        VideosDeleted
-            The session's videos were deleted, and the job needs them.
-        QuotaExceeded
-        ValueError
-            There is a stage without chunks: such a job would never end.
+        Raises ``QuotaExceeded``. Raises ``NotFound``: there is no such session. Raises ``Conflict``: the copy of the
+        character took more than a day, and was removed. Or there is no stage, and the videos are not fetched any more.
+        Raises ``VideosDeleted``: the session's videos were deleted, and the job needs them. Raises ``ValueError``:
+        there is a stage without chunks: such a job would never end.
         """
         access = self._access
         job_id, character = moved or (str(uuid7()), None)
@@ -234,29 +219,16 @@ class Jobs(Repository):
         chunks lose their leases. The files of the last revision that has succeeded stay until the next one does. The
         caller publishes that there is work.
 
-        Parameters
-        ----------
-        plan
-            Plans the changed job, inside the transaction.
-        added
-            Files that it gets besides the files that it has.
-        edits, edits_revision
-            New edits of the session, and the revision that they were made for; see ``replace_edits``. ``None``: the
-            edits stay.
-        moved
-            Prefix of ``reserve_copy``, and the character that the job moves from now on.
-        trace
-            As in ``add``.
+        - ``plan``: plans the changed job, inside the transaction.
+        - ``added``: files that it gets besides the files that it has.
+        - ``edits``, ``edits_revision``: new edits of the session, and the revision that they were made for; see
+          ``replace_edits``. ``None``: the edits stay.
+        - ``moved``: prefix of ``reserve_copy``, and the character that the job moves from now on.
+        - ``trace``: as in ``add``.
 
-        Raises
-        ------
-        NotFound
-        QuotaExceeded
-        EditedMeanwhile
-        VideosDeleted
-            People would have to be detected again, or pictures of the videos are asked for.
-        Conflict
-            The job is no reconstruction, is expired, has no people yet, or leaves new edits out.
+        Raises ``NotFound``, ``QuotaExceeded``, ``EditedMeanwhile``. Raises ``VideosDeleted``: people would have to be
+        detected again, or pictures of the videos are asked for. Raises ``Conflict``: the job is no reconstruction, is
+        expired, has no people yet, or leaves new edits out.
         """
         access = self._access
         with access.writing() as connection:

@@ -223,18 +223,9 @@ class Recordings(Repository):
     ) -> phone_records.JoinedPhone:
         """Join a recording as a phone, or come back.
 
-        Parameters
-        ----------
-        phone_id
-            Secret that the phone's browser made, and keeps.
-        name
-            Name that the phone proposes; if another phone has it, a number is added.
-
-        Raises
-        ------
-        PhoneRemoved
-        Conflict
-            There are as many phones as may be.
+        ``phone_id``: secret that the phone's browser made, and keeps. ``name``: name that the phone proposes; if
+        another phone has it, a number is added. Raises ``PhoneRemoved``. Raises ``Conflict``: there are as many phones
+        as may be.
         """
         with self._access.writing() as connection:
             self._lock(connection, recording_id)

@@ -57,22 +57,13 @@ class Sessions(Repository):
     ) -> Session:
         """Add a session whose files are in the artifact store, or are fetched.
 
-        Parameters
-        ----------
-        session_id
-            Made by ``reserve_id``.
-        metadata
-            JSON object of the client, stored as it is.
-        record_sha256
-            Digest of the preflight record in the artifact store; ``None``: the record is read without a comparison.
-        purpose, chunk_frames, arrival
-            See ``worker.store.model.session_records.Session``.
+        - ``session_id``: made by ``reserve_id``.
+        - ``metadata``: JSON object of the client, stored as it is.
+        - ``record_sha256``: digest of the preflight record in the artifact store; ``None``: the record is read without
+          a comparison.
+        - ``purpose``, ``chunk_frames``, ``arrival``: see ``worker.store.model.session_records.Session``.
 
-        Raises
-        ------
-        Conflict
-            The files took more than a day to arrive, and were removed.
-        QuotaExceeded
+        Raises ``QuotaExceeded``. Raises ``Conflict``: the files took more than a day to arrive, and were removed.
         """
         access, num_bytes = self._access, sum(file.num_bytes for file in files)
         with access.writing() as connection:

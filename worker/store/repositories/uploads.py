@@ -39,28 +39,16 @@ class Uploads(Repository):
     ) -> Upload:
         """Add an upload; its bytes count for the tenant's quota from now on.
 
-        Parameters
-        ----------
-        upload_id
-            Name of its file on the spool.
-        name
-            Name that the client gave the file.
-        num_bytes
-            Size of the complete file.
-        metadata
-            Text of the client, stored as it is.
-        keep_s
-            Time until it expires; begins again with each ``renew``.
-        spool
-            Host and folder that hold its bytes.
-        source_url
-            URL that the service fetches the file from, which is due at once; ``None``: the client sends the file.
+        - ``upload_id``: name of its file on the spool.
+        - ``name``: name that the client gave the file.
+        - ``num_bytes``: size of the complete file.
+        - ``metadata``: text of the client, stored as it is.
+        - ``keep_s``: time until it expires; begins again with each ``renew``.
+        - ``spool``: host and folder that hold its bytes.
+        - ``source_url``: URL that the service fetches the file from, which is due at once; ``None``: the client sends
+          the file.
 
-        Raises
-        ------
-        QuotaExceeded
-        Conflict
-            The phones of a recording have sent as much as they may.
+        Raises ``QuotaExceeded``. Raises ``Conflict``: the phones of a recording have sent as much as they may.
         """
         access, phone = self._access, self._access.phone
         with access.writing() as connection:

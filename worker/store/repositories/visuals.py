@@ -37,24 +37,11 @@ class Visuals(Repository):
 
         The caller publishes that there is work.
 
-        Parameters
-        ----------
-        making, stages, revision
-            Choices and plan of ``worker.run.planning.plan_visuals``, and the revision that they were made for.
-        trace
-            As in ``Jobs.add``.
-
-        Returns
-        -------
-            The new job; the one that is at work already, if there is one.
-
-        Raises
-        ------
-        NotFound
-        VideosDeleted
-            The session's videos were deleted, and an overlay video or a recording is to be made.
-        Conflict
-            Files of the reconstruction are being made, it was edited since, or nothing is to be remade.
+        ``making``, ``stages``, ``revision``: choices and plan of ``worker.run.planning.plan_visuals``, and the revision
+        that they were made for. ``trace``: as in ``Jobs.add``. Returns the new job; the one that is at work already, if
+        there is one. Raises ``NotFound``. Raises ``VideosDeleted``: the session's videos were deleted, and an overlay
+        video or a recording is to be made. Raises ``Conflict``: files of the reconstruction are being made, it was
+        edited since, or nothing is to be remade.
         """
         with self._access.writing() as connection:
             reconstruction = job_row(connection, self._access, job_id, lock=True)

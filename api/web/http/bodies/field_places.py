@@ -34,14 +34,8 @@ class FieldPlaces:
     def hint(self, name: str, sent_in: str) -> str | None:
         """Say where a field belongs that was sent in an object without such a field.
 
-        Parameters
-        ----------
-        sent_in
-            Path of the object, such as ``manifest.cameras[]``; empty for the body itself.
-
-        Returns
-        -------
-            A sentence; ``None`` if the body has no such field, or has it in the same objects.
+        ``sent_in``: path of the object, such as ``manifest.cameras[]``; empty for the body itself. Returns a sentence;
+        ``None`` if the body has no such field, or has it in the same objects.
 
         >>> properties = {"spec": {"properties": {"method": {}}}}
         >>> FieldPlaces(lambda: ({"properties": properties}, {})).hint("method", "")

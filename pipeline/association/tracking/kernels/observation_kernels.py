@@ -87,14 +87,9 @@ def _sample_frame(sampling, frame, bodies, flat_px, sampled_px, score):
     observations does, ``exp(-lambda_t |t - t_i|)`` (Chen et al. 2020, eq. 11). Where a neighbour is missing, a frame
     within half a period stands for the instant. Missed frames are not interpolated.
 
-    Parameters
-    ----------
-    bodies
-        ``observations.Detections2D``.
-    flat_px
-        Joints of all detections, x and y of each in turn, (detections, 2 * joints).
-    sampled_px, score
-        Outputs (cameras, 2 * joints) and (cameras, joints); NaN and 0 without an observation.
+    ``bodies``: ``observations.Detections2D``. ``flat_px``: joints of all detections, x and y of each in turn,
+    (detections, 2 * joints). ``sampled_px``, ``score``: outputs (cameras, 2 * joints) and (cameras, joints); NaN and 0
+    without an observation.
     """
     rows, time_s = sampling.rows, sampling.instants_s[frame]
     for camera in range(score.shape[0]):
@@ -137,18 +132,12 @@ def _rewind(sampling):
 def locate(sampling, bodies, ideal_px, solver, sampled_px, score, xyz_m, disputed, guess_m):
     """Triangulate a person at the output instants, as ``tracks.triangulate_frames`` does.
 
-    Parameters
-    ----------
-    bodies, ideal_px
-        ``observations.Detections2D``, and their undistorted joints, (detections, 2 * joints).
-    solver
-        ``geometry.kernels.Solver``.
-    sampled_px, score
-        Workspace, (cameras, 2 * joints) and (cameras, joints).
-    xyz_m
-        Output: world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the point.
-    disputed, guess_m
-        Workspace, (frames, joints) and (frames, joints, 3).
+    - ``bodies``, ``ideal_px``: ``observations.Detections2D``, and their undistorted joints, (detections, 2 * joints).
+    - ``solver``: ``geometry.kernels.Solver``.
+    - ``sampled_px``, ``score``: workspace, (cameras, 2 * joints) and (cameras, joints).
+    - ``xyz_m``: output: world coordinates in metres, (frames, joints, 3), NaN where fewer than two cameras see the
+      point.
+    - ``disputed``, ``guess_m``: workspace, (frames, joints) and (frames, joints, 3).
     """
     _rewind(sampling)
     for frame in range(len(xyz_m)):
@@ -167,18 +156,12 @@ def locate(sampling, bodies, ideal_px, solver, sampled_px, score, xyz_m, dispute
 def record(sampling, bodies, seen_px, lenses, xyz_m, sampled_px, score, error_px, mean_score, views):
     """Sample a person's observations as seen, and measure the reprojection errors of the person's positions.
 
-    Parameters
-    ----------
-    bodies, seen_px
-        ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
-    lenses
-        ``geometry.camera_kernels.Lenses``.
-    xyz_m
-        World coordinates in metres, (frames, joints, 3), NaN where unknown.
-    sampled_px, score
-        Outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without an observation.
-    error_px, mean_score, views
-        Outputs (frames, joints) of ``tracks.reproject``.
+    - ``bodies``, ``seen_px``: ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
+    - ``lenses``: ``geometry.camera_kernels.Lenses``.
+    - ``xyz_m``: world coordinates in metres, (frames, joints, 3), NaN where unknown.
+    - ``sampled_px``, ``score``: outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without
+      an observation.
+    - ``error_px``, ``mean_score``, ``views``: outputs (frames, joints) of ``tracks.reproject``.
     """
     _rewind(sampling)
     for frame in range(len(xyz_m)):
@@ -192,12 +175,9 @@ def record(sampling, bodies, seen_px, lenses, xyz_m, sampled_px, score, error_px
 def sample(sampling, bodies, seen_px, sampled_px, score):
     """Sample a person's observations as seen at the output instants.
 
-    Parameters
-    ----------
-    bodies, seen_px
-        ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
-    sampled_px, score
-        Outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without an observation.
+    ``bodies``, ``seen_px``: ``observations.Detections2D``, and their joints as seen, (detections, 2 * joints).
+    ``sampled_px``, ``score``: outputs (frames, cameras, 2 * joints) and (frames, cameras, joints); NaN and 0 without an
+    observation.
     """
     _rewind(sampling)
     for frame in range(len(score)):

@@ -66,23 +66,14 @@ def correct_person(
     fingers and of joints that the skeleton does not carry change nothing, and neither do corrections of a person
     without hips and shoulders, whose skeleton has no place.
 
-    Parameters
-    ----------
-    fitter
-        Fit with which the person was animated.
-    track, motion
-        Person without corrections; positions in metres, NaN where a joint is unknown.
-    evidence
-        Located joints and observations after the corrections, see ``corrected_evidence``.
-    corrections
-        Corrections of the person, in output frames.
-    floor
-        Floor of the take; ``None``: there is none.
+    - ``fitter``: fit with which the person was animated.
+    - ``track``, ``motion``: person without corrections; positions in metres, NaN where a joint is unknown.
+    - ``evidence``: located joints and observations after the corrections, see ``corrected_evidence``.
+    - ``corrections``: corrections of the person, in output frames.
+    - ``floor``: floor of the take; ``None``: there is none.
 
-    Returns
-    -------
-        Track and motion. Frames half a second and more from all corrections are as they were. A joint is known, as a
-        prediction, where a key moves it. Standard deviations are 1 cm at keys, and grow with the time to them.
+    Returns the track and motion. Frames half a second and more from all corrections are as they were. A joint is known,
+    as a prediction, where a key moves it. Standard deviations are 1 cm at keys, and grow with the time to them.
     """
     joints = without_hands(fitter.joints)
     body, _ = whole.selected(track, evidence.seen, fitter.joints, joints.names)

@@ -49,13 +49,9 @@ def corrected_evidence(
     Where observations were ignored or placed, the joint is located again by the remaining ones. It is absent where
     fewer than two cameras see it: the fit bridges short gaps.
 
-    Parameters
-    ----------
-    located, seen
-        Joints as association located them, world positions in metres, NaN where absent, and their observations in
-        distorted pixels, NaN with score 0 where there is none.
-    corrections
-        Frames outside of the track, cameras and joints that the take lacks are ignored.
+    ``located``, ``seen``: joints as association located them, world positions in metres, NaN where absent, and their
+    observations in distorted pixels, NaN with score 0 where there is none. ``corrections``: frames outside of the
+    track, cameras and joints that the take lacks are ignored.
     """
     arrays = {name: np.array(array) for name, array in located.joint_arrays.items()}
     points_px, score = np.array(seen.points_px), np.array(seen.score)

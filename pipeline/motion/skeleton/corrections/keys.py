@@ -50,12 +50,7 @@ def displacement_m(
     overshoot. Before and after them it rises from and falls to zero within half a second. A key in frames in which the
     joint was not measured says nothing against the frames in which it was: there it ends.
 
-    Parameters
-    ----------
-    rows
-        Frames of the keys, ascending.
-    is_measured
-        Whether the joint was measured.
+    ``rows``: frames of the keys, ascending. ``is_measured``: whether the joint was measured.
     """
     reach = reach_frames(frame_rate_hz)
     result = np.full((len(is_measured), 3), np.nan)

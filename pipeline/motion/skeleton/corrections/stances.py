@@ -31,14 +31,9 @@ def contacts_between(
 ) -> tuple[FootContact, ...]:
     """Contacts of a person, sorted by start, after corrections.
 
-    Parameters
-    ----------
-    contacts, found
-        Contacts before, and contacts that count in the frames ``is_found``. Both are counted from the motion's start.
-    start_frame
-        Output frame of the motion's start.
-    by_parts
-        Whether the left and the right foot stand by heel and toe.
+    ``contacts``, ``found``: contacts before, and contacts that count in the frames ``is_found``. Both are counted from
+    the motion's start. ``start_frame``: output frame of the motion's start. ``by_parts``: whether the left and the
+    right foot stand by heel and toe.
     """
     kept = []
     for side, is_by_parts in zip(SIDES, by_parts, strict=True):
@@ -92,14 +87,8 @@ def held_feet_m(
     A contact stays where it is held in frames that don't change; another one is held at its median. Contacts that were
     added are also put on the floor.
 
-    Parameters
-    ----------
-    before, points
-        Feet before corrections, and corrected but not yet held.
-    added
-        Frames in which a limb stands as it was told, by limb.
-    is_changed
-        Frames that corrections change.
+    ``before``, ``points``: feet before corrections, and corrected but not yet held. ``added``: frames in which a limb
+    stands as it was told, by limb. ``is_changed``: frames that corrections change.
     """
     places, ground_m = {}, before.support.ground_m
     for foot, side in enumerate(SIDES):

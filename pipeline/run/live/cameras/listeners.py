@@ -36,12 +36,8 @@ _NUM_SHOWN = 200
 def capture(run: CameraRun, choices: MotionChoices) -> None:
     """Compile kernels, start the processes that detect, and run a capture to its end.
 
-    Raises
-    ------
-    InputError
-        With the problems of all cameras that can't be used.
-    ChildError
-        If the processes that detect are ended again and again.
+    Raises ``InputError`` with the problems of all cameras that can't be used. Raises ``ChildError`` if the processes
+    that detect are ended again and again.
     """
     warm_up([run.joints])
     try:

@@ -58,12 +58,7 @@ class DetectionPace:
 def frames_in_slot(rate_hz: float, num_cameras: int, detections_hz: float) -> int:
     """Frames of a camera of which one can be detected; of a slower machine more, but people need five a second.
 
-    Parameters
-    ----------
-    rate_hz
-        Rate of the fastest camera.
-    detections_hz
-        Pictures that can be detected in a second.
+    ``rate_hz``: rate of the fastest camera. ``detections_hz``: pictures that can be detected in a second.
 
     >>> frames_in_slot(25.0, 4, 110.0), frames_in_slot(25.0, 4, 60.0)
     (1, 2)

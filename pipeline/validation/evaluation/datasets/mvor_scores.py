@@ -56,18 +56,13 @@ def score_mvor(
 
     ``detections`` have COCO's joints, from which the poses were made, with the instants' numbers as frames.
 
-    Returns
-    -------
-    instants, people
-        Number of the scored instants, and of the people who are annotated in 3D.
-    mpjpe_mm, pck150, recall, mpjpe_by_joint_mm
-        Of all people.
-    by_cameras
-        People, recall and errors by the number of cameras that detected the person.
-    false_people
-        Share of all poses.
-    mean_ap, ap, recall_500, mpjpe_500_mm
-        See ``evaluation.average_precision``.
+    The result has:
+
+    - ``instants``, ``people``: number of the scored instants, and of the people who are annotated in 3D.
+    - ``mpjpe_mm``, ``pck150``, ``recall``, ``mpjpe_by_joint_mm``: of all people.
+    - ``by_cameras``: people, recall and errors by the number of cameras that detected the person.
+    - ``false_people``: share of all poses.
+    - ``mean_ap``, ``ap``, ``recall_500``, ``mpjpe_500_mm``: see ``evaluation.average_precision``.
     """
     scored = [number for number, instant in enumerate(benchmark.instants) if len(instant.truth_m)]
     truth_m = [benchmark.instants[number].truth_m[:, 2:] for number in scored]

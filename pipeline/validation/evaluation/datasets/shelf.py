@@ -144,15 +144,12 @@ def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBe
 def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
     """Score tracks of COCO-17 joints: PCP in percent, MPJPE and identity switches.
 
-    Returns
-    -------
-    pcp
-        ``average`` (mean of actors 1-3), ``actors`` and ``parts`` for the head rule ``crossview``, and the average
-        ``by_head_rule``.
-    mpjpe_mm
-        Mean joint error of each actor.
-    switches
-        Number of changes of an annotated actor's nearest track since the actor's previous annotation.
+    The result has:
+
+    - ``pcp``: ``average`` (mean of actors 1-3), ``actors`` and ``parts`` for the head rule ``crossview``, and the
+      average ``by_head_rule``.
+    - ``mpjpe_mm``: mean joint error of each actor.
+    - ``switches``: number of changes of an annotated actor's nearest track since the actor's previous annotation.
     """
     alive = [
         [track for track in tracks if 0 <= frame - track.start_frame < track.num_frames]

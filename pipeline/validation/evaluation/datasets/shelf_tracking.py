@@ -247,19 +247,16 @@ _EVERY = (1, 2, 3, 4, 5, 6, 8, 10)
 def ablate(benchmark: shelf.ShelfBenchmark) -> dict[str, Any]:
     """Run the whole ablation.
 
-    Returns
-    -------
-    association
-        Association accuracy by camera of cross-view tracking and of matching in pairs of views, identities matched
-        frame by frame (figure 3; the paper's other baselines need an appearance network that is not available).
-    weights
-        Association accuracy and PCP by the weights of 2D and 3D correspondence (table S1).
-    triangulation
-        PCP of torso, upper arms and lower arms, and average, by triangulation of the same association (table 3).
-    every
-        PCP by the share of images kept, cameras at different phases (figure 4).
-    single_view
-        MOTA and IDF1 of a single-view tracker by camera (table 4).
+    The result has:
+
+    - ``association``: association accuracy by camera of cross-view tracking and of matching in pairs of views,
+      identities matched frame by frame (figure 3; the paper's other baselines need an appearance network that is not
+      available).
+    - ``weights``: association accuracy and PCP by the weights of 2D and 3D correspondence (table S1).
+    - ``triangulation``: PCP of torso, upper arms and lower arms, and average, by triangulation of the same association
+      (table 3).
+    - ``every``: PCP by the share of images kept, cameras at different phases (figure 4).
+    - ``single_view``: MOTA and IDF1 of a single-view tracker by camera (table 4).
     """
     return {
         "association": _association(benchmark),
