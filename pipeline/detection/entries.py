@@ -33,8 +33,7 @@ def _convert_movenet(weights: Sequence[bytes]) -> bytes:
 
 def _convert_movenet_int8(weights: Sequence[bytes]) -> bytes:
     """Convert, then quantize by ranges that were measured once."""
-    from pipeline.detection.quantization.movenet_ranges import RANGES  # noqa: PLC0415
-    from pipeline.detection.quantization.static_quantization import quantize  # noqa: PLC0415
+    from pipeline.detection.quantization.static_quantization import RANGES, quantize  # noqa: PLC0415
 
     return quantize(_convert_movenet(weights), RANGES)
 

@@ -14,8 +14,7 @@ if not shows_help():
 
     from pipeline.core.runtime.npz import encode_arrays, open_archive
     from pipeline.motion.body import installed
-    from pipeline.motion.body.smplx_fit import fit_body
-    from pipeline.motion.body.smplx_model import read_model
+    from pipeline.motion.body.smplx_model import fit_body, read_model
 
 app = typer.Typer(help="The human body of exports, and body models of your own.", no_args_is_help=True)
 _KEPT = ("gender", "surface_model_type", "mocap_frame_rate", "frame", "is_present", "pose_names")

@@ -112,7 +112,7 @@ async function findLayout(frames) {
   throw new PlaybackProblem(PROBLEM_TEXTS.noPerson);
 }
 
-// BODY_25B has as many points in another order; it is told as in pipeline/capture/keypoint_files/layout_evidence.py.
+// BODY_25B has as many points in another order; it is told as in pipeline/capture/keypoint_files/layout_choice.py.
 const [MOST_TOLD, FEWEST_TOLD, FAR] = [200, 5, 0.35];
 const TOLD_BY = [1, 2, 5, 8, 9, 12, 17, 6, 11];
 

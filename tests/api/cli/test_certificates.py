@@ -22,14 +22,18 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from typer.testing import CliRunner
 
 from api.cli import certificates as module
-from api.cli.certificate_authority import (
+from api.cli.certificates import (
     VALID_DAYS,
+    CertificateError,
+    Encryption,
+    given_encryption,
     is_trusted,
+    machine_names,
     new_authority,
+    own_encryption,
     pem_of_certificate,
     pem_of_key,
 )
-from api.cli.certificates import CertificateError, Encryption, given_encryption, machine_names, own_encryption
 from api.cli.main import app
 from api.web.app import create_app
 from api.web.http.server import server_config

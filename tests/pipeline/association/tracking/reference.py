@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.association.tracking.assignment import assign
 from pipeline.association.tracking.initialization import (
     Lost,
     Unmatched,
+    assign,
     find_returning,
     group_unmatched,
     is_body,

@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.association.tracking.assignment import assign, partition
+from pipeline.association.tracking.initialization import assign, partition
 
 
 def test_assign_maximises_total_and_refuses_negative_pairs() -> None:

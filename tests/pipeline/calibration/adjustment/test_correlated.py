@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.adjustment.bundle import Adjustment, adjust
-from pipeline.calibration.adjustment.correlated import correlated_sigma
 from pipeline.calibration.adjustment.parameters import (
     EXTRINSICS,
     FOCAL,
@@ -15,6 +14,7 @@ from pipeline.calibration.adjustment.parameters import (
     none_free,
 )
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, FreePoints, Loss, observations_of_points
+from pipeline.calibration.people.people_adjustment import correlated_sigma
 from pipeline.calibration.similarity import align_world, shift_m, turn_deg
 from pipeline.core.data.arrays import read_only
 from pipeline.geometry.camera import project

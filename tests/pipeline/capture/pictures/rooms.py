@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.capture.pictures.figures import measure_figures
-from pipeline.capture.pictures.picture_checks import CameraPictures
+from pipeline.capture.pictures.sample_pictures import CameraPictures
 
 
 def room(seed: int, size_px: tuple[int, int] = (320, 180)) -> np.ndarray:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.capture.pictures.picture_checks import check_pictures
+from pipeline.capture.pictures.sample_pictures import check_pictures
 from pipeline.core.findings import Finding
 from tests.pipeline.capture.pictures.rooms import pictures_of, room, walk
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.detection.decoders.own_heads import decode_heatmaps, decode_rtmo, decode_simcc
+from pipeline.detection.own.own_detectors import decode_heatmaps, decode_rtmo, decode_simcc
 
 SIZE_PX = (192, 256)
 

@@ -11,8 +11,7 @@ from pipeline.core.errors import ModelError
 from pipeline.detection import models
 from pipeline.detection.entries import find_entry
 from pipeline.detection.network import open_network
-from pipeline.detection.quantization.movenet_ranges import RANGES
-from pipeline.detection.quantization.static_quantization import end, quantize
+from pipeline.detection.quantization.static_quantization import RANGES, end, quantize
 from tests.pipeline.detection.quantization.measured_ranges import measure_ranges
 
 RANDOM = np.random.default_rng(3)

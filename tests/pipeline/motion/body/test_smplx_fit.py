@@ -12,9 +12,8 @@ from api.cli.main import app
 from multicap import InputError
 from pipeline.core.runtime.npz import encode_arrays
 from pipeline.export.writers.body_npz import LANDMARKS
-from pipeline.motion.body.smplx_fit import FITTED, fit_body
 from pipeline.motion.body.smplx_joints import JOINT_MAP, NUM_BODY, SMPLX_FROM_OURS, SMPLX_JOINTS
-from pipeline.motion.body.smplx_model import SmplxModel, read_model
+from pipeline.motion.body.smplx_model import FITTED, SmplxModel, fit_body, read_model
 from pipeline.motion.skeleton.model import WHOLE_SKELETON
 from tests.pipeline.capture.point_files.mutations import mutated
 

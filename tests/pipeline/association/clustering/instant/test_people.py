@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.association.clustering.cluster_people import find_poses, reconstruct_by_clustering
+from pipeline.association.clustering.cluster_people import Poses, find_poses, reconstruct_by_clustering
 from pipeline.association.clustering.clustering_parameters import ClusteringParameters, derive_parameters
 from pipeline.association.clustering.instant import people as module
 from pipeline.association.clustering.instant.candidates import Instant
 from pipeline.association.clustering.instant.evidence import NOWHERE
 from pipeline.association.clustering.instant.hypotheses import Candidates
-from pipeline.association.clustering.instant.parsing import Poses
 from pipeline.association.clustering.instant.people import match_people
 from pipeline.association.clustering.instant.work_limits import MAX_REPAIRS, WorkLimits
 from pipeline.association.clustering.skeleton import LimbLengths, unknown_lengths

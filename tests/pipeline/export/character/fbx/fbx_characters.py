@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.export.character.gltf_reader import CharacterFile
-from pipeline.export.character.meshes import MeshPart, mesh_parts
+from pipeline.export.character.writers.character_fbx import MeshPart, mesh_parts
 from pipeline.export.writers.euler import euler_deg
 from pipeline.export.writers.fbx_drawn import BoundVertices, add_material, add_mesh, add_skin
 from pipeline.export.writers.fbx_nodes import Int64, Node, Property, array, read, write

@@ -16,10 +16,10 @@ from pipeline.export.character.fbx.reader import decode_fbx_character
 from pipeline.export.character.figure import measure
 from pipeline.export.character.gltf_reader import CharacterFile, decode_character
 from pipeline.export.character.mapping import map_bones
-from pipeline.export.character.meshes import MeshPart, mesh_parts
 from pipeline.export.character.retarget import retarget
 from pipeline.export.character.rig import MAX_NODES
 from pipeline.export.character.writers import character_fbx, character_glb
+from pipeline.export.character.writers.character_fbx import MeshPart, mesh_parts
 from pipeline.export.character.writers.posed import PosedCharacter, bone_places
 from pipeline.export.writers.fbx_drawn import BoundVertices, DrawnMesh, add_material, add_skin
 from pipeline.export.writers.fbx_nodes import Int64, Node, array, write

@@ -16,9 +16,9 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import BODY_FEET
 from pipeline.export.character.character_files import DESCRIPTION, write_character_files
 from pipeline.export.character.gltf_reader import decode_character
-from pipeline.export.character.meshes import mesh_parts
 from pipeline.export.character.retarget import retarget
 from pipeline.export.character.writers import character_bvh, character_fbx, character_glb
+from pipeline.export.character.writers.character_fbx import mesh_parts
 from pipeline.export.character.writers.posed import PosedCharacter, bone_places, names_by_node
 from tests.e2e.foreign import read_with_blender, read_with_three, read_with_ufbx, validate_with_khronos
 from tests.pipeline.export.character.characters import bones_of, character, glb
